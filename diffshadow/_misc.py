@@ -1,0 +1,51 @@
+"""Small helpers that every room may use."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+
+def as_float(x: Any) -> Array:
+    """`x` as an array of JAX's default float: float32, or float64 under `jax.enable_x64`."""
+    return jnp.asarray(x, dtype=jnp.result_type(float))
+
+
+def as_int(x: Any) -> Array:
+    """`x` as an int32 array."""
+    return jnp.asarray(x, dtype=jnp.int32)
+
+
+def concrete(x: Any) -> np.ndarray | None:
+    """`x` as a NumPy array, or `None` where it is traced and has no value yet."""
+    return None if isinstance(x, Tracer) else np.asarray(x)
+
+
+def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]:
+    """Dot product over the last axis."""
+    return jnp.sum(a * b, axis=-1)
+
+
+def safe_norm(x: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+    """Euclidean norm over the last axis, with a zero instead of a NaN gradient at 0."""
+    squared = jnp.sum(x * x, axis=-1)
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+
+
+def safe_divide(a: Float[Array, "*n"], b: Float[Array, "*n"], otherwise: float = 0.0) -> Float[Array, "*n"]:
+    """`a / b`, and `otherwise` where `b` is 0; no NaN in value or gradient."""
+    zero = b == 0
+    return jnp.where(zero, otherwise, a / jnp.where(zero, 1, b))
+
+
+def normalize(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
+    """`x` scaled to unit length along the last axis; the zero vector stays zero."""
+    return safe_divide(x, jnp.broadcast_to(safe_norm(x)[..., None], x.shape))
+
+
+def round_up_to_power_of_two(n: int) -> int:
+    """The least power of two that is at least `n`; 0 stays 0."""
+    return 0 if n <= 0 else 1 << (n - 1).bit_length()

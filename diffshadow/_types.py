@@ -1,0 +1,33 @@
+"""Named shapes.
+
+`v` vertices, `f` faces, `h w` the rows and columns of an image or a shadow map, `n` anything counted.
+Row 0 of an image is its *bottom* row, as in OpenGL's window coordinates. World space is right-handed,
+`+y` is up; vectors are columns, `p_clip = projection @ world_to_eye @ p`, and matrices are stored row-major.
+Depth is window depth in [0, 1] unless its name says otherwise.
+"""
+
+from jaxtyping import Array, Bool, Float, Int
+from numpy import ndarray
+
+Scalar = Float[Array, ""]
+Vec2 = Float[Array, "2"]
+Vec3 = Float[Array, "3"]
+Mat4 = Float[Array, "4 4"]
+
+Points = Float[Array, "*n 3"]
+Vertices = Float[Array, "v 3"]
+ClipVertices = Float[Array, "v 4"]
+Faces = Int[Array, "f 3"]
+
+DepthMap = Float[Array, "h w"]
+Visibility = Float[Array, "h w"]
+Mask = Bool[Array, "h w"]
+FaceMap = Int[Array, "h w"]
+VectorMap = Float[Array, "h w 3"]
+TexelMap = Float[Array, "h w 2"]
+
+Resolution = tuple[int, int]
+"""(height, width), in pixels of an image or texels of a shadow map."""
+
+HostArray = ndarray
+"""An array in the host's memory, where files and Embree want it."""

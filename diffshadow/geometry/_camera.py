@@ -1,0 +1,135 @@
+"""Cameras: the view that an image is drawn from."""
+
+import abc
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._misc import as_float, concrete
+from .._types import Mat4, Resolution, Scalar, Vec3
+from ._transforms import look_at, orthographic, perspective
+from ._view import View
+
+
+class AbstractCamera(eqx.Module):
+    """A view of the scene and the image it is drawn to.
+
+    - `eye`, `target`: world positions; the camera looks from `eye` to `target`.
+    - `up`: a direction that is upright in the image.
+    - `near`, `far`: distances along the view axis, world units, between which surfaces are seen.
+    - `resolution`: (height, width) in pixels.
+    """
+
+    eye: eqx.AbstractVar[Vec3]
+    target: eqx.AbstractVar[Vec3]
+    up: eqx.AbstractVar[Vec3]
+    near: eqx.AbstractVar[Scalar]
+    far: eqx.AbstractVar[Scalar]
+    resolution: eqx.AbstractVar[Resolution]
+
+    @abc.abstractmethod
+    def projection(self) -> Mat4:
+        """Clip space from eye space, (4, 4)."""
+
+    def view(self) -> View:
+        """The camera's view."""
+        return View(
+            world_to_eye=look_at(self.eye, self.target - self.eye, self.up),
+            eye_to_clip=self.projection(),
+            near=self.near,
+            far=self.far,
+            is_perspective=isinstance(self, PinholeCamera),
+        )
+
+    @property
+    def aspect(self) -> float:
+        """Width of the image over its height."""
+        height, width = self.resolution
+        return width / height
+
+    def __check_init__(self):
+        check_resolution("the camera's resolution", self.resolution)
+        check_pose("the camera", self.eye, self.target)
+        check_near_far("the camera", self.near, self.far, positive=isinstance(self, PinholeCamera))
+
+
+class PinholeCamera(AbstractCamera):
+    """A perspective camera; `fov_y` is its full vertical field of view in degrees."""
+
+    eye: Vec3 = eqx.field(converter=as_float)
+    target: Vec3 = eqx.field(converter=as_float)
+    up: Vec3 = eqx.field(converter=as_float, default=(0.0, 1.0, 0.0))
+    fov_y: Scalar = eqx.field(converter=as_float, default=45.0)
+    near: Scalar = eqx.field(converter=as_float, default=0.1)
+    far: Scalar = eqx.field(converter=as_float, default=100.0)
+    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+
+    def projection(self) -> Mat4:
+        tangent = jnp.tan(jnp.deg2rad(self.fov_y) / 2)
+        vertical = tangent * jnp.array([-1.0, 1.0])
+        return perspective(self.aspect * vertical, vertical, self.near, self.far)
+
+    def __check_init__(self):
+        fov = concrete(self.fov_y)
+        if fov is not None and not 0 < fov < 180:
+            raise ValueError(f"the camera's fov_y is {fov}; expected degrees between 0 and 180")
+
+
+class OrthographicCamera(AbstractCamera):
+    """A parallel camera; `height` is the height of what it sees, in world units."""
+
+    eye: Vec3 = eqx.field(converter=as_float)
+    target: Vec3 = eqx.field(converter=as_float)
+    up: Vec3 = eqx.field(converter=as_float, default=(0.0, 1.0, 0.0))
+    height: Scalar = eqx.field(converter=as_float, default=2.0)
+    near: Scalar = eqx.field(converter=as_float, default=0.1)
+    far: Scalar = eqx.field(converter=as_float, default=100.0)
+    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+
+    def projection(self) -> Mat4:
+        vertical = self.height / 2 * jnp.array([-1.0, 1.0])
+        return orthographic(self.aspect * vertical, vertical, self.near, self.far)
+
+    def __check_init__(self):
+        height = concrete(self.height)
+        if height is not None and not height > 0:
+            raise ValueError(f"the camera's height is {height}; expected a positive size in world units")
+
+
+def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation: float) -> Vec3:
+    """The point at `distance` world units from `target`, `azimuth` and `elevation` in degrees.
+
+    Azimuth 0 lies on `+z` of the target, 90 on `+x`; elevation 90 lies straight above (`+y`).
+    """
+    a, e = math.radians(azimuth), math.radians(elevation)
+    towards = jnp.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)])
+    return as_float(target) + distance * towards
+
+
+def check_resolution(name: str, resolution: Resolution) -> None:
+    """**Raises** `ValueError` unless `resolution` is two integers in [1, 8192]."""
+    if len(resolution) != 2 or not all(isinstance(n, int) and 1 <= n <= 8192 for n in resolution):
+        raise ValueError(f"{name} is {resolution}; expected (height, width), each an integer from 1 to 8192")
+
+
+def check_pose(name: str, eye: Vec3, target: Vec3) -> None:
+    """**Raises** `ValueError` if `eye` and `target` leave no direction to look in."""
+    e, t = concrete(eye), concrete(target)
+    if e is None or t is None:
+        return
+    if not (np.isfinite(e).all() and np.isfinite(t).all()):
+        raise ValueError(f"{name} looks from {e.tolist()} to {t.tolist()}; expected finite coordinates")
+    if np.array_equal(e, t):
+        raise ValueError(f"{name}'s eye and target are both {e.tolist()}; expected two different points")
+
+
+def check_near_far(name: str, near: Scalar, far: Scalar, *, positive: bool) -> None:
+    """**Raises** `ValueError` unless near < far, and near > 0 where `positive`."""
+    n, f = concrete(near), concrete(far)
+    if n is None or f is None:
+        return
+    if not (n < f and np.isfinite(f) and (n > 0 or not positive)):
+        expected = "0 < near < far" if positive else "near < far"
+        raise ValueError(f"{name} has near = {n} and far = {f}; expected {expected}, both finite, in world units")

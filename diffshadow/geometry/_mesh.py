@@ -1,0 +1,92 @@
+"""Triangle meshes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._misc import as_float, as_int, concrete, normalize
+from .._types import Faces, Mat4, Vertices
+from ._transforms import transform_points, transform_vectors
+
+
+class Mesh(eqx.Module):
+    """Triangles in world space.
+
+    - `vertices`: (v, 3), world units.
+    - `faces`: (f, 3), indices into `vertices`, anticlockwise seen from outside.
+    - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face; a crease has one a side.
+      Left out, they are the faces' own.
+    - `albedo`: (f, 3), diffuse colour in [0, 1]. Left out, light grey.
+
+    **Raises** `ValueError` if there is no face, a vertex is not finite, or a face names a vertex that is not there.
+    """
+
+    vertices: Vertices
+    faces: Faces
+    corner_normals: Float[Array, "f 3 3"]
+    albedo: Float[Array, "f 3"]
+
+    def __init__(self, vertices: Any, faces: Any, corner_normals: Any = None, albedo: Any = 0.8):
+        self.vertices = as_float(vertices)
+        self.faces = as_int(faces)
+        if corner_normals is None:
+            if self.faces.shape[0] and self.vertices.shape[0]:
+                corner_normals = jnp.broadcast_to(face_normals(self)[:, None], (*self.faces.shape, 3))
+            else:
+                corner_normals = jnp.zeros((*self.faces.shape, 3))
+        self.corner_normals = as_float(corner_normals)
+        self.albedo = jnp.broadcast_to(as_float(albedo), self.faces.shape)
+
+    def __check_init__(self):
+        faces, vertices = concrete(self.faces), concrete(self.vertices)
+        if faces is not None and faces.shape[0] == 0:
+            raise ValueError("the mesh has no faces; expected at least one triangle: check the file or its export")
+        if vertices is not None and not np.isfinite(vertices).all():
+            bad = np.flatnonzero(~np.isfinite(vertices).all(axis=-1))
+            raise ValueError(
+                f"{len(bad)} of the mesh's {len(vertices)} vertices are NaN or infinite (the first is vertex {bad[0]}); "
+                "expected finite coordinates: repair the mesh"
+            )
+        if faces is not None and (faces.min() < 0 or faces.max() >= self.vertices.shape[0]):
+            raise ValueError(
+                f"the mesh's faces name vertices {faces.min()} to {faces.max()}, but it has {self.vertices.shape[0]}; "
+                "expected indices from 0 to one less than the number of vertices"
+            )
+
+    def transformed(self, matrix: Mat4) -> "Mesh":
+        """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection turns the faces."""
+        vertices = transform_points(matrix, self.vertices)[..., :3]
+        normals = normalize(transform_vectors(jnp.linalg.inv(matrix).T, self.corner_normals))
+        mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
+        faces = jnp.where(mirrored, self.faces[:, ::-1], self.faces)
+        normals = jnp.where(mirrored, normals[:, ::-1], normals)
+        return Mesh(vertices, faces, normals, self.albedo)
+
+    @property
+    def bounds(self) -> Float[Array, "2 3"]:
+        """Least and greatest coordinate of the vertices that faces use, (2, 3), world units."""
+        used = self.vertices[self.faces].reshape(-1, 3)
+        return jnp.stack([used.min(axis=0), used.max(axis=0)])
+
+
+def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
+    """Unit geometric normal of each face, (f, 3), outwards by the right-hand rule; 0 for a face without area."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return normalize(jnp.cross(b - a, c - a))
+
+
+def merge(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh that holds the triangles of all `meshes`, in their order."""
+    if not meshes:
+        raise ValueError("got no meshes to merge; expected at least one")
+    starts = np.cumsum([0] + [mesh.vertices.shape[0] for mesh in meshes])
+    return Mesh(
+        jnp.concatenate([mesh.vertices for mesh in meshes]),
+        jnp.concatenate([mesh.faces + int(start) for mesh, start in zip(meshes, starts, strict=False)]),
+        jnp.concatenate([mesh.corner_normals for mesh in meshes]),
+        jnp.concatenate([mesh.albedo for mesh in meshes]),
+    )

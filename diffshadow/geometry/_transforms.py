@@ -1,0 +1,88 @@
+"""Rigid and projective transforms, all `(4, 4)` matrices that act on column vectors from the left."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._misc import as_float, normalize
+from .._types import Mat4, Scalar, Vec3
+
+
+def translation(offset: Vec3) -> Mat4:
+    """Moves by `offset` (3,), in world units."""
+    return jnp.eye(4, dtype=as_float(offset).dtype).at[:3, 3].set(as_float(offset))
+
+
+def scaling(factor: Vec3 | Scalar | float) -> Mat4:
+    """Scales about the origin by `factor`, a scalar or one factor an axis."""
+    return jnp.diag(jnp.append(jnp.broadcast_to(as_float(factor), (3,)), 1.0))
+
+
+def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
+    """Turns about `axis` through the origin by `angle` radians, by the right-hand rule (Rodrigues' formula)."""
+    x, y, z = normalize(as_float(axis))
+    cross = jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # R = I + sin(a) K + (1 - cos(a)) K²
+    upper = jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * (cross @ cross)
+    return jnp.eye(4).at[:3, :3].set(upper)
+
+
+def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
+    """Rows `right, up, backward` of the view that looks along `forward`.
+
+    Where `up` is within about 0.1° of `forward`, the axis least along `forward` serves in its stead.
+    """
+    backward = -normalize(forward)
+    spare = jnp.eye(3, dtype=backward.dtype)[jnp.argmin(jnp.abs(backward))]
+    degenerate = jnp.sum(jnp.cross(normalize(up), backward) ** 2) < 3e-6
+    right = normalize(jnp.cross(jnp.where(degenerate, spare, up), backward))
+    return jnp.stack([right, jnp.cross(backward, right), backward])
+
+
+def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
+    """Eye space from world space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
+    rows = frame(forward, up)
+    return jnp.eye(4, dtype=rows.dtype).at[:3, :3].set(rows).at[:3, 3].set(-rows @ eye)
+
+
+def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
+    """OpenGL's frustum (`glFrustum`): clip space from eye space.
+
+    `left_right` and `bottom_top` are tangents, that is, extents at distance 1 in front of the eye; `near` and `far`
+    are distances in world units.
+    """
+    (left, right), (bottom, top) = left_right, bottom_top
+    depth = far - near
+    rows = [
+        [2 / (right - left), 0, (right + left) / (right - left), 0],
+        [0, 2 / (top - bottom), (top + bottom) / (top - bottom), 0],
+        [0, 0, -(far + near) / depth, -2 * far * near / depth],
+        [0, 0, -1, 0],
+    ]
+    return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
+
+
+def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
+    """OpenGL's parallel projection (`glOrtho`): clip space from eye space; all arguments in world units."""
+    (left, right), (bottom, top) = left_right, bottom_top
+    depth = far - near
+    rows = [
+        [2 / (right - left), 0, 0, -(right + left) / (right - left)],
+        [0, 2 / (top - bottom), 0, -(top + bottom) / (top - bottom)],
+        [0, 0, -2 / depth, -(far + near) / depth],
+        [0, 0, 0, 1],
+    ]
+    return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
+
+
+def transform_points(matrix: Mat4, points: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
+    """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide."""
+    # Written out rather than as a matrix product, whose precision some backends lower.
+    return (
+        points[..., 0:1] * matrix[:, 0] + points[..., 1:2] * matrix[:, 1] + points[..., 2:3] * matrix[:, 2]
+    ) + matrix[:, 3]
+
+
+def transform_vectors(matrix: Mat4, vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """Image of `vectors` under the linear part of `matrix`."""
+    m = matrix[:3, :3]
+    return vectors[..., 0:1] * m[:, 0] + vectors[..., 1:2] * m[:, 1] + vectors[..., 2:3] * m[:, 2]

@@ -1,0 +1,61 @@
+"""What a rasterizer knows of a camera or a light: where it stands, and how it projects."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Mat4, Scalar
+from ._transforms import transform_points
+
+
+class View(eqx.Module):
+    """A projection seen from somewhere.
+
+    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
+    - `eye_to_clip`: (4, 4), OpenGL clip space.
+    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units.
+    - `is_perspective`: whether sizes shrink with distance.
+    """
+
+    world_to_eye: Mat4
+    eye_to_clip: Mat4
+    near: Scalar
+    far: Scalar
+    is_perspective: bool = eqx.field(static=True)
+
+    @property
+    def matrix(self) -> Mat4:
+        """Clip space from world space, (4, 4)."""
+        return jnp.matmul(self.eye_to_clip, self.world_to_eye, precision="highest")
+
+    def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
+        """Clip coordinates of world `points`."""
+        # Two steps keep the precision of small scenes far from the world's origin.
+        eye = transform_points(self.world_to_eye, points)[..., :3]
+        return transform_points(self.eye_to_clip, eye)
+
+    def eye_depth(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Distance along the view axis, in world units, of window `depth`."""
+        if self.is_perspective:
+            # z = n f / (f − d (f − n))
+            return self.near * self.far / (self.far - depth * (self.far - self.near))
+        return self.near + depth * (self.far - self.near)
+
+    def depth_slope(self, distance: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Window depth per world unit along the view axis, at `distance` in world units."""
+        span = self.far - self.near
+        if self.is_perspective:
+            # d = f (z − n) / (z (f − n)), so dd/dz = f n / ((f − n) z²)
+            return self.far * self.near / (span * distance * distance)
+        return jnp.broadcast_to(1 / span, jnp.shape(distance))
+
+    def texel_size(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n"]:
+        """Width of one texel (or pixel) of a map of `resolution`, in world units, at `distance` along the view axis.
+
+        The geometric mean of its width and its height.
+        """
+        height, width = resolution
+        # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
+        scale_x, scale_y = self.eye_to_clip[0, 0], self.eye_to_clip[1, 1]
+        at_unit = 2 / jnp.sqrt(scale_x * scale_y * width * height)
+        return at_unit * distance if self.is_perspective else jnp.broadcast_to(at_unit, jnp.shape(distance))
