@@ -130,6 +130,6 @@ def check_near_far(name: str, near: Scalar, far: Scalar, *, positive: bool) -> N
     n, f = concrete(near), concrete(far)
     if n is None or f is None:
         return
-    if not (n < f and np.isfinite(f) and (n > 0 or not positive)):
+    if not (n < f and np.isfinite(n) and np.isfinite(f) and (n > 0 or not positive)):
         expected = "0 < near < far" if positive else "near < far"
         raise ValueError(f"{name} has near = {n} and far = {f}; expected {expected}, both finite, in world units")

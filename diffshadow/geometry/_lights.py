@@ -6,7 +6,6 @@ map is drawn from.
 """
 
 import abc
-from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,6 +21,10 @@ from ._view import View
 _UP = (0.0, 1.0, 0.0)
 # Room left round the scene in a fitted frustum, as a share of its extent: keeps the outermost surface off the border.
 _MARGIN = 0.01
+# A scene that is flat seen from the light still gets a frustum this deep, as a share of its size or its distance.
+_FLAT = 1e-3
+# A spot light whose nearest point is closer than this share of its farthest counts as inside the scene.
+_NEAREST = 1e-3
 
 
 class AbstractLight(eqx.Module):
@@ -86,18 +89,17 @@ class DirectionalLight(AbstractLight):
             raise ValueError(f"the directional light's angular_radius is {radius}; expected degrees in [0, 90)")
 
     @classmethod
-    def around(cls, direction: Vec3, points: Float[Array, "n 3"], angular_radius: float = 0.0) -> Self:
+    def around(cls, direction: Vec3, points: Float[Array, "n 3"], angular_radius: float = 0.0) -> "DirectionalLight":
         """The light along `direction` whose shadow map holds `points` (n, 3), tightly."""
         direction = as_float(direction)
         _check_direction("the directional light", direction)
         rows = frame(direction, as_float(_UP))
-        local = points @ rows.T
+        local = jnp.matmul(points, rows.T, precision="highest")
         low, high = local.min(axis=0), local.max(axis=0)
-        # A scene that is flat seen from the light still needs a box with an inside.
-        size = jnp.maximum(high - low, 1e-3 * jnp.max(high - low)) * (1 + 2 * _MARGIN)
+        size = jnp.maximum(high - low, _FLAT * jnp.max(high - low)) * (1 + 2 * _MARGIN)
         return cls(
             direction=direction,
-            center=(low + high) / 2 @ rows,
+            center=jnp.matmul((low + high) / 2, rows, precision="highest"),
             extent=size[:2],
             near=-size[2] / 2,
             far=size[2] / 2,
@@ -167,7 +169,7 @@ class SpotLight(AbstractLight):
         target: Vec3 | None = None,
         outer_angle: float | None = None,
         radius: float = 0.0,
-    ) -> Self:
+    ) -> "SpotLight":
         """The light at `position` whose near, far and, unless given, cone just hold `points` (n, 3).
 
         It looks at `target`, by default the middle of the points' box.
@@ -180,19 +182,24 @@ class SpotLight(AbstractLight):
         check_pose("the spot light", position, target)
         eye = transform_points(look_at(position, target - position, as_float(_UP)), points)[..., :3]
         distance = -eye[..., 2]
-        scale = jnp.max(jnp.abs(distance))
+        # What lies behind the light casts no shadow; if all does, the frustum is as long as the scene is far.
+        high = jnp.max(distance)
+        high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
+        low = jnp.clip(jnp.min(distance), 0, high)
+        is_ahead = low > _NEAREST * high
         if outer_angle is None:
-            if not bool(jnp.min(distance) > 1e-3 * scale):
+            if not bool(is_ahead):
                 raise ValueError(
                     f"the spot light at {position.tolist()} stands inside the scene, so no cone holds all of it; "
                     "expected a position outside, or an outer_angle in degrees: move the light or give the angle"
                 )
             tangent = jnp.max(jnp.abs(eye[..., :2]) / distance[..., None]) * (1 + 2 * _MARGIN)
             outer_angle = float(jnp.rad2deg(jnp.arctan(tangent)))
-        # What lies behind the light casts no shadow; the near plane stays clear of the light.
-        span = jnp.max(distance) - jnp.maximum(jnp.min(distance), 0)
-        near = jnp.maximum(jnp.min(distance) - _MARGIN * span, 1e-2 * scale)
-        far = jnp.maximum(jnp.max(distance) + _MARGIN * span, 2 * near)
+        pad = jnp.maximum(_MARGIN * (high - low), _FLAT / 2 * high)
+        # The near plane stays clear of the light: window depth spends its precision there.
+        clear = 1e-2 * high
+        near = jnp.maximum(low - pad, jnp.where(is_ahead, jnp.minimum(clear, (1 - _MARGIN) * low), clear))
+        far = high + pad
         return cls(position, target - position, outer_angle, near, far, radius)
 
     def view(self) -> View:

@@ -48,8 +48,8 @@ class Mesh(eqx.Module):
         if vertices is not None and not np.isfinite(vertices).all():
             bad = np.flatnonzero(~np.isfinite(vertices).all(axis=-1))
             raise ValueError(
-                f"{len(bad)} of the mesh's {len(vertices)} vertices are NaN or infinite (the first is vertex {bad[0]}); "
-                "expected finite coordinates: repair the mesh"
+                f"{len(bad)} of the mesh's {len(vertices)} vertices are NaN or infinite (the first is vertex "
+                f"{bad[0]}); expected finite coordinates: repair the mesh"
             )
         if faces is not None and (faces.min() < 0 or faces.max() >= self.vertices.shape[0]):
             raise ValueError(

@@ -22,7 +22,7 @@ def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
     x, y, z = normalize(as_float(axis))
     cross = jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # R = I + sin(a) K + (1 - cos(a)) K²
-    upper = jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * (cross @ cross)
+    upper = jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * jnp.matmul(cross, cross, precision="highest")
     return jnp.eye(4).at[:3, :3].set(upper)
 
 
@@ -41,7 +41,7 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
 def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
     """Eye space from world space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
     rows = frame(forward, up)
-    return jnp.eye(4, dtype=rows.dtype).at[:3, :3].set(rows).at[:3, 3].set(-rows @ eye)
+    return jnp.eye(4, dtype=rows.dtype).at[:3, :3].set(rows).at[:3, 3].set(-jnp.sum(rows * eye, axis=-1))
 
 
 def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:

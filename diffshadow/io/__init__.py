@@ -1,0 +1,13 @@
+"""Files: meshes and images in, images and cached results out."""
+
+from ._atomic import atomic_path as atomic_path
+from ._atomic import check_writable as check_writable
+from ._cache import cache_folder as cache_folder
+from ._cache import cache_key as cache_key
+from ._cache import cached_arrays as cached_arrays
+from ._cache import prune_cache as prune_cache
+from ._errors import FileError as FileError
+from ._images import read_visibility as read_visibility
+from ._images import write_png as write_png
+from ._images import write_visibility as write_visibility
+from ._meshes import load_mesh as load_mesh

@@ -1,0 +1,175 @@
+"""The command `diffshadow`.
+
+It imports as little as it can: a mistake in a configuration is told in a fraction of a second, before JAX is loaded.
+"""
+
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import NoReturn
+
+from cyclopts import App, CycloptsError
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from .config import Config, ConfigError, describe, load_config
+
+SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
+"""Exit codes: done; a mistake in what was asked for; stopped by Ctrl-C."""
+
+_HELP = """
+Fits the settings of shadow maps to ray-traced truth, by gradient.
+
+CONFIG is a YAML file. Each KEY=VALUE after it replaces one of the file's values: the key is dotted, list entries are
+numbered from 0, and the value is YAML.
+
+For example:
+
+    diffshadow validate configs/quickstart.yaml
+
+    diffshadow fit configs/quickstart.yaml
+
+    diffshadow fit configs/quickstart.yaml filter.samples=64 bias.slope=1
+
+    diffshadow render configs/spot.yaml scene.meshes.0.path=bunny.obj
+
+    diffshadow render configs/spot.yaml 'scene.camera.resolution=[256, 256]'
+"""
+
+app = App(
+    name="diffshadow",
+    help=_HELP,
+    help_format="markdown",
+    version=lambda: version("diffshadow"),
+    result_action="return_value",
+)
+
+
+@app.command
+def fit(config: Path, /, *overrides: str) -> None:
+    """Fits the parameters named in CONFIG, and writes values, images and a report.
+
+    The path of the run's folder is the last line printed.
+
+    Example: `diffshadow fit configs/quickstart.yaml fit.solver.max_steps=10`
+
+    Parameters
+    ----------
+    config
+        YAML file that says what to fit.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    """
+    settings = load_config(config, overrides)
+    from . import study
+
+    _console().print(Text(str(study.run_fit(settings, console=_console()))), soft_wrap=True)
+
+
+@app.command
+def render(config: Path, /, *overrides: str) -> None:
+    """Draws the scene of CONFIG with its technique as it stands, and writes the images.
+
+    The path of the run's folder is the last line printed.
+
+    Example: `diffshadow render configs/quickstart.yaml bias.constant=2`
+
+    Parameters
+    ----------
+    config
+        YAML file that says what to draw.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    """
+    settings = load_config(config, overrides)
+    from . import study
+
+    _console().print(Text(str(study.run_render(settings, console=_console()))), soft_wrap=True)
+
+
+@app.command
+def validate(config: Path, /, *overrides: str) -> None:
+    """Checks CONFIG, loads its meshes, and lists every setting with its unit. Writes nothing.
+
+    Example: `diffshadow validate configs/quickstart.yaml filter.type=random_disk`
+
+    Parameters
+    ----------
+    config
+        YAML file to check.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    """
+    settings = load_config(config, overrides)
+    triangles = _build_everything(settings)
+    table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
+    for row in describe(settings):
+        table.add_row(Text(row.key), Text(row.value), Text(row.unit))
+    console = _console()
+    console.print(table)
+    console.print(Text(f"{config} is valid; its scene has {triangles:,} triangles"), soft_wrap=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Runs the command with `arguments`, by default the process's, and exits.
+
+    The exit code is 0 on success, 2 on a mistake of the user's, which is told in one message on stderr, and 130 after
+    an interrupt. Any other error is a fault of the program, and keeps its traceback.
+    """
+    errors = Console(stderr=True, highlight=False)
+    try:
+        app(
+            sys.argv[1:] if arguments is None else list(arguments),
+            exit_on_error=False,
+            print_error=False,
+            error_console=errors,
+        )
+    except CycloptsError as error:
+        _tell(errors, f"{_sentence(error)}; see diffshadow --help")
+        sys.exit(USER_ERROR)
+    except KeyboardInterrupt:
+        _tell(errors, "interrupted")
+        sys.exit(INTERRUPTED)
+    except (ValueError, OSError) as error:
+        if not _is_mistake(error):
+            raise
+        _tell(errors, str(error))
+        sys.exit(USER_ERROR)
+    sys.exit(SUCCESS)
+
+
+def _build_everything(config: Config) -> int:
+    """Makes all that a run is made of, for its errors. **Returns** the scene's number of triangles."""
+    from .config import build_fit, build_scene, build_technique
+
+    build_technique(config)
+    build_fit(config)
+    return build_scene(config).mesh.faces.shape[0]
+
+
+def _is_mistake(error: ValueError | OSError) -> bool:
+    """Whether `error` tells of what the user gave, rather than of a fault in this program.
+
+    This package raises `ValueError` for the former alone; a `ValueError` from inside a library slipped past its checks.
+    """
+    if isinstance(error, ConfigError | OSError):
+        return True
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    module = str(frames[-1].f_globals.get("__name__", ""))
+    return module.partition(".")[0] == __name__.partition(".")[0]
+
+
+def _sentence(error: CycloptsError) -> str:
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def _tell(console: Console, message: str) -> None:
+    # Without wrapping, so that FILE:LINE stays in one piece for editors and for grep.
+    console.print(Text.assemble(("error: ", "bold red"), message), soft_wrap=True)
+
+
+def _console() -> Console:
+    return Console(highlight=False)

@@ -1,0 +1,92 @@
+"""Writes a configuration out again, as YAML and as a table."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import yaml
+
+from ._errors import KeyPath, dotted, show
+from ._keys import ROOT, Slot, keys_of, slot_of
+from ._schema import Config
+from ._section import Section
+from ._yaml import plain_scalar
+
+
+class Row(NamedTuple):
+    """One setting: its dotted key, its value as text, and its unit."""
+
+    key: str
+    value: str
+    unit: str
+
+
+def dump_resolved(config: Config) -> str:
+    """`config` as YAML with every default written out; loading it gives an equal configuration."""
+    return yaml.dump(_plain(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+
+
+def describe(config: Config) -> list[Row]:
+    """Every setting of `config` that has a value, in the schema's order."""
+    rows = list(_rows(config, ROOT, ()))
+    units = {row.key: row.unit for row in rows}
+    # A fitted number has the unit of the key that it is named after.
+    start = dotted(("fit", "parameters", ""))
+    return [
+        row._replace(unit=units.get(row.key.removeprefix(start).rpartition(".")[0], row.unit))
+        if row.key.startswith(start)
+        else row
+        for row in rows
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """`value` as dicts, lists and scalars, without the keys that have no value."""
+    if isinstance(value, Section):
+        keys = keys_of(type(value))
+        return {key: _plain(inner) for key in keys if (inner := getattr(value, key)) is not None}
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _rows(value: Any, slot: Slot, path: KeyPath) -> Iterator[Row]:
+    if isinstance(value, Section):
+        for key in keys_of(type(value)):
+            yield from _rows(getattr(value, key), slot_of(type(value).model_fields[key]), (*path, key))
+        return
+    entries = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, tuple) else ())
+    sections = [(step, entry) for step, entry in entries if isinstance(entry, Section)]
+    if sections:
+        for step, entry in sections:
+            yield from _rows(entry, Slot(type(entry)), (*path, step))
+    elif value is not None and value != {}:
+        yield Row(dotted(path), _text(value), slot.unit)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} = {_text(inner)}" for key, inner in value.items())
+    return value if isinstance(value, str) else show(value)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what `read_yaml` reads: YAML 1.2's scalars, with lists of numbers on one line."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """The same list in two places is no reason for an alias."""
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
+    # PyYAML quotes what YAML 1.1 would misread; 1.2 takes more for a number, such as 1e-3.
+    style = None if isinstance(plain_scalar(text), str) else "'"
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    flow = not any(isinstance(item, dict) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flow)
+
+
+_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(list, _represent_list)

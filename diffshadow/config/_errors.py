@@ -1,0 +1,93 @@
+"""What is wrong with a configuration, in words for the one who wrote it."""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+KeyPath = tuple[str | int, ...]
+"""The way to a value from the root of a configuration: keys of sections, indices of lists."""
+
+_LONGEST_SHOWN = 60
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something was written: `source` is a file or an override; lines and columns count from 1."""
+
+    source: str
+    line: int | None = None
+    column: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.line is None else f"{self.source}:{self.line}"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault of a configuration.
+
+    - `place`: where it was written.
+    - `key`: the dotted key it concerns; empty where it concerns none.
+    - `message`: what was given; what was expected; how to mend it.
+    """
+
+    place: Place
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (str(self.place), self.key, self.message) if part)
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be used; `problems` holds everything that is wrong with it, in reading order."""
+
+    problems: tuple[Problem, ...]
+
+    def __init__(self, problems: Iterable[Problem]):
+        # An override has no line, and comes after the file.
+        self.problems = tuple(sorted(problems, key=lambda p: (p.place.line is None, p.place.line or 0)))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def dotted(path: Sequence[str | int]) -> str:
+    """`path` as it is written in an override: `scene.meshes.0.path`."""
+    return ".".join(str(step) for step in path)
+
+
+def show(value: Any) -> str:
+    """`value` as its author wrote it, shortened."""
+    match value:
+        case None:
+            return "empty"
+        case bool():
+            return "true" if value else "false"
+        case dict():
+            text = f"a section with the keys {', '.join(map(str, value))}" if value else "an empty section {}"
+        case list() | tuple():
+            text = f"[{', '.join(show(item) for item in value)}]"
+        case str():
+            text = repr(value)
+        case _:
+            text = str(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
+
+
+def listing(choices: Iterable[Any]) -> str:
+    """`choices` as a phrase: "a", "a or b", "a, b or c"."""
+    words = [str(choice) for choice in choices]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def nearest(word: Any, choices: Iterable[str]) -> str | None:
+    """The one of `choices` that `word` may be a misspelling of, or `None`."""
+    by_lower_case = {choice.lower(): choice for choice in choices}
+    found = difflib.get_close_matches(str(word).lower(), list(by_lower_case), n=1, cutoff=0.6)
+    return by_lower_case[found[0]] if found else None
+
+
+def did_you_mean(word: Any, choices: Iterable[str], otherwise: str) -> str:
+    """A question that names the nearest of `choices`, or `otherwise` where none is near."""
+    suggestion = nearest(word, choices)
+    return otherwise if suggestion is None else f"did you mean {suggestion!r}?"

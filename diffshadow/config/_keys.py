@@ -1,0 +1,179 @@
+"""What the schema says of a key: its type in plain words, its unit, its place among the others."""
+
+import types
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from ._errors import KeyPath, listing, show
+from ._schema import Config
+from ._section import Form, Section, Unit
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A value of the schema: its bare type, the marks on it, and the field that holds it."""
+
+    kind: Any
+    marks: tuple[Any, ...] = ()
+    field: FieldInfo | None = None
+
+    @property
+    def variants(self) -> tuple[type[Section], ...]:
+        """The sections that may stand here; none where no section may."""
+        kinds = (_bare(kind)[0] for kind in get_args(self.kind)) if _is_union(self.kind) else (self.kind,)
+        return tuple(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section))
+
+    @property
+    def unit(self) -> str:
+        """The value's unit, or nothing."""
+        return next((mark.name for mark in self.marks if isinstance(mark, Unit)), "")
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The words to choose from; none where the value is no choice."""
+        if len(self.variants) > 1:
+            return tuple(type_of(variant) for variant in self.variants)
+        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+
+    @property
+    def default(self) -> Any:
+        """The value where none is given; `None` where there is none, or it is a whole section."""
+        value = None if self.field is None else self.field.default
+        return None if value is PydanticUndefined else value
+
+    def expected(self) -> str:
+        """The values that may stand here, in plain words."""
+        form = next((mark.words for mark in self.marks if isinstance(mark, Form)), None)
+        unit = f", in {self.unit}" if self.unit else ""
+        if form is not None:
+            return f"{form}{unit}"
+        if self.choices:
+            return listing(self.choices)
+        if self.variants:
+            return f"a section with {_with_keys(self.variants[0])}"
+        words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+        return f"{words.get(self.kind, 'a section')}{_limits(self.marks)}{unit}"
+
+
+ROOT = Slot(Config)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a location leads: the path of keys, what may stand there, and the section that holds it.
+
+    `slot` is `None` for a key that the schema does not have; `section` is `None` where a list or a dict holds the
+    value, and one of `variants` where the section has several.
+    """
+
+    path: KeyPath
+    slot: Slot | None
+    section: type[Section] | None
+    variants: tuple[type[Section], ...]
+
+
+def follow(location: Sequence[str | int]) -> Found:
+    """Reads one of pydantic's locations, in which names of variants stand between the keys."""
+    path: KeyPath = ()
+    slot: Slot | None = ROOT
+    section, variants = None, ()
+    chosen: tuple[type[Section], ...] = ()
+    for step in location:
+        among = slot.variants if slot is not None else ()
+        if slot is not None and len(among) > 1:
+            chosen = among
+            slot = Slot(next(variant for variant in among if type_of(variant) == step), slot.marks, slot.field)
+            continue
+        section, variants = (among[0], chosen or among) if among else (None, ())
+        path, chosen = (*path, step), ()
+        slot = None if slot is None else _inside(slot, step)
+    return Found(path, slot, section, variants)
+
+
+def type_of(section: type[Section]) -> str:
+    """The word in `type` that selects this variant of a section."""
+    return get_args(section.model_fields["type"].annotation)[0]
+
+
+def keys_of(section: type[Section]) -> list[str]:
+    """The keys of `section`, `type` first."""
+    return sorted(section.model_fields, key=lambda key: key != "type")
+
+
+def slot_of(field: FieldInfo) -> Slot:
+    """What the schema says of `field`'s value."""
+    kind, marks = _bare(field.annotation)
+    return Slot(kind, (*_flat(field.metadata), *marks), field)
+
+
+def all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
+    """The path of every key in the schema; a list's entries are numbered 0."""
+    for variant in slot.variants:
+        for key, field in variant.model_fields.items():
+            inner = slot_of(field)
+            yield (*path, key)
+            if get_origin(inner.kind) is tuple and (entry := _inside(inner, 0)) is not None and entry.variants:
+                yield from all_keys(entry, (*path, key, 0))
+            yield from all_keys(inner, (*path, key))
+
+
+def _inside(slot: Slot, step: str | int) -> Slot | None:
+    if slot.variants:
+        field = slot.variants[0].model_fields.get(str(step))
+        return None if field is None else slot_of(field)
+    arguments = get_args(slot.kind)
+    if get_origin(slot.kind) is tuple and isinstance(step, int):
+        entry = arguments[0] if arguments[-1] is Ellipsis else arguments[step]
+    elif get_origin(slot.kind) is dict:
+        entry = arguments[1]
+    else:
+        return None
+    kind, marks = _bare(entry)
+    units = (mark for mark in slot.marks if isinstance(mark, Unit))
+    return Slot(kind, (*marks, *units))
+
+
+def _bare(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
+    """`annotation` without its marks and without `None`, and the marks."""
+    if get_origin(annotation) is Annotated:
+        kind, *marks = get_args(annotation)
+        bare, inner = _bare(kind)
+        return bare, (*_flat(marks), *inner)
+    if _is_union(annotation):
+        others = [kind for kind in get_args(annotation) if kind is not types.NoneType]
+        if len(others) == 1:
+            return _bare(others[0])
+    return annotation, ()
+
+
+def _flat(marks: Sequence[Any]) -> tuple[Any, ...]:
+    return tuple(inner for mark in marks for inner in (mark.metadata if isinstance(mark, FieldInfo) else (mark,)))
+
+
+def _is_union(annotation: Any) -> bool:
+    return get_origin(annotation) in (Union, types.UnionType)
+
+
+def _limits(marks: Sequence[Any]) -> str:
+    words = []
+    for mark in marks:
+        match mark:
+            case Ge(ge=low):
+                words.append(f"at least {show(low)}")
+            case Gt(gt=low):
+                words.append(f"greater than {show(low)}")
+            case Le(le=high):
+                words.append(f"at most {show(high)}")
+            case Lt(lt=high):
+                words.append(f"less than {show(high)}")
+    return f" {' and '.join(words)}" if words else ""
+
+
+def _with_keys(section: type[Section]) -> str:
+    keys = keys_of(section)
+    return f"the key {keys[0]}" if len(keys) == 1 else f"the keys {', '.join(keys)}"

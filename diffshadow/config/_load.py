@@ -1,0 +1,131 @@
+"""From a file and overrides to a checked configuration."""
+
+import difflib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from ._overrides import apply_overrides
+from ._problems import problems_of
+from ._scene import BUILTIN, BUILTIN_MESHES
+from ._schema import Config, Origin
+from ._yaml import read_yaml
+
+
+def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Config:
+    """The configuration in the YAML file `path`, with `overrides`.
+
+    **Arguments:**
+
+    - `path`: the file; relative paths inside it are relative to its folder.
+    - `overrides`: `key=value` each, the key dotted (`scene.meshes.0.path`), the value YAML. Relative paths inside
+        them are relative to the current folder.
+
+    **Returns:** the configuration, with all paths absolute but `output`.
+
+    **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
+    """
+    file = Path(path)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
+        raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
+    except OSError as error:
+        raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
+    return parse_config(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
+
+
+def parse_config(
+    text: str,
+    overrides: Sequence[str] = (),
+    *,
+    source: str = "configuration",
+    folder: str | os.PathLike[str] = ".",
+    name: str = "unnamed",
+) -> Config:
+    """The configuration in YAML `text`, with `overrides`; as `load_config`.
+
+    **Arguments:**
+
+    - `source`: what errors call the text.
+    - `folder`: what relative paths in the text are relative to.
+    - `name`: of the run, where the text gives none.
+
+    **Raises** `ConfigError` with everything that is wrong.
+    """
+    data, places, problems = read_yaml(text, lambda line, column: Place(source, line, column))
+    places = {**places, (): Place(source, 1, 1)}
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        message = f"holds {show(data)}; expected a section with keys; write 'key: value' lines"
+        raise ConfigError([*problems, Problem(places[()], "", message)])
+    problems += apply_overrides(data, places, overrides)
+    data.setdefault("name", name)
+    origin = Origin(source, places)
+    problems += _resolve_files(data, origin, Path(folder))
+    try:
+        config = Config.model_validate(data)
+    except ValidationError as error:
+        reported = {problem.key for problem in problems}
+        problems += [problem for problem in problems_of(error, origin) if problem.key not in reported]
+        raise ConfigError(problems) from None
+    if problems:
+        raise ConfigError(problems)
+    config._origin = origin
+    return config
+
+
+def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Problem]:
+    """Makes the paths of input files in `data` absolute. **Returns** a problem for each that is not there."""
+    problems = []
+    for path, holder in _file_keys(data):
+        place = origin.place(path)
+        # An override is written by someone who stands in the current folder.
+        base = folder if place.line is not None else Path()
+        file = Path(os.path.abspath(base / Path(holder["path"]).expanduser()))
+        holder["path"] = str(file)
+        if not file.is_file():
+            problems.append(Problem(place, dotted(path), _missing(file)))
+    return problems
+
+
+def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """The paths of keys that name input files, and the sections that hold them."""
+    scene, reference = data.get("scene"), data.get("reference")
+    meshes = scene.get("meshes") if isinstance(scene, dict) else None
+    for i, mesh in enumerate(meshes if isinstance(meshes, list) else ()):
+        path = mesh.get("path") if isinstance(mesh, dict) else None
+        if isinstance(path, str) and path and not path.startswith(BUILTIN):
+            yield ("scene", "meshes", i, "path"), mesh
+    if isinstance(reference, dict) and isinstance(reference.get("path"), str) and reference["path"]:
+        yield ("reference", "path"), reference
+
+
+def _missing(file: Path) -> str:
+    if file.is_dir():
+        return f"is the folder {file}; expected a file; name one in it"
+    mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in BUILTIN_MESHES else _neighbour(file)
+    return f"there is no file {file}; expected one that can be read; {mend}"
+
+
+def _unreadable(file: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"there is no such file; expected a configuration in YAML; {_neighbour(file)}"
+    return f"cannot be read ({error.strerror}); expected a configuration in YAML; check the path and its permissions"
+
+
+def _neighbour(file: Path) -> str:
+    """The file of the nearest name in the same folder, as a question."""
+    try:
+        names = [entry.name for entry in file.absolute().parent.iterdir()]
+    except OSError:
+        return f"check the path: there is no folder {file.absolute().parent}"
+    near = difflib.get_close_matches(file.name, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else "check the path"

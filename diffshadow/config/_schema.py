@@ -1,0 +1,225 @@
+"""The whole configuration of a run."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, PrivateAttr, Tag
+from pydantic_core import PydanticCustomError
+
+from ._errors import KeyPath, Place, did_you_mean, listing
+from ._scene import SceneConfig
+from ._section import Conflict, Section, Texels, Unit, by_type, fault, is_number, look, ordered
+from ._technique import (
+    FILTERS,
+    BiasConfig,
+    CompareConfig,
+    FilterConfig,
+    HardCompareConfig,
+    Kernel,
+    RandomDiskConfig,
+    ShadowMapConfig,
+)
+
+
+@dataclass(eq=False)
+class Origin:
+    """Where the keys of a configuration were written.
+
+    All origins are equal: where a configuration was written is no part of what it says.
+    """
+
+    source: str = "configuration"
+    places: Mapping[KeyPath, Place] = field(default_factory=dict)
+
+    def place(self, path: KeyPath) -> Place:
+        """Where `path` was written, or else the nearest section round it."""
+        for length in range(len(path), -1, -1):
+            if path[:length] in self.places:
+                return self.places[path[:length]]
+        return Place(self.source)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origin)
+
+    def __hash__(self) -> int:
+        return hash(Origin)
+
+
+class TracedReferenceConfig(Section):
+    """Ray-traced truth."""
+
+    type: Literal["traced"] = "traced"
+    samples: Annotated[int, Unit("rays a pixel")] = Field(default=64, ge=1, le=65536, description="shadow rays a pixel")
+    sampler: Literal["sobol", "stratified"] = Field(default="sobol", description="how points of the light are chosen")
+
+
+class ImageReferenceConfig(Section):
+    """Truth from a file."""
+
+    type: Literal["image"] = "image"
+    path: str = Field(
+        min_length=1,
+        description="a visibility image, relative to this file (in an override: to the current folder)",
+    )
+
+
+ReferenceConfig = Annotated[
+    Annotated[TracedReferenceConfig, Tag("traced")] | Annotated[ImageReferenceConfig, Tag("image")], by_type("traced")
+]
+
+
+class FitParameterConfig(Section):
+    """A number to fit, in the unit of the key that it names, and its bounds."""
+
+    initial: float | None = Field(
+        default=None, description="where the fit starts; default: the value of the key it names"
+    )
+    lower: float = Field(description="least value")
+    upper: float = Field(description="greatest value")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from ordered(data, "lower", "upper")
+        initial, lower, upper = (data.get(key) for key in ("initial", "lower", "upper"))
+        if is_number(initial) and is_number(lower) and is_number(upper) and lower < upper:
+            yield from ((("initial",), what) for what in _outside(initial, lower, upper))
+
+
+class SolverConfig(Section):
+    """The optimizer."""
+
+    type: Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs"] = Field(
+        default="levenberg_marquardt", description="the method"
+    )
+    max_steps: Annotated[int, Unit("steps")] = Field(default=30, ge=1, description="most steps in a phase")
+    rtol: float = Field(default=1e-4, gt=0, lt=1, description="relative change at which a phase ends")
+    atol: float = Field(default=1e-6, gt=0, description="absolute change at which a phase ends")
+
+
+class AnnealConfig(Section):
+    """The soft compare's width during a fit: from `start` to `end` in geometric steps."""
+
+    start: Texels = Field(default=2.0, gt=0, description="width in the first phase, in texels")
+    end: Texels = Field(default=0.05, gt=0, description="width in the last phase, in texels")
+    phases: int = Field(default=4, ge=1, le=100, description="number of phases")
+    kernel: Kernel = Field(default="logistic", description="shape of the soft compare's step")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        start, end = data.get("start", 2.0), data.get("end", 0.05)
+        if is_number(start) and is_number(end) and end > start:
+            key = "end" if "end" in data else "start"
+            what = fault(f"is {data[key]}, with start {start} and end {end}", "end at most start", "swap the two")
+            yield (key,), what
+
+
+def _default_parameters() -> dict[str, FitParameterConfig]:
+    return {"bias.constant": FitParameterConfig(lower=0.0, upper=10.0)}
+
+
+class FitConfig(Section):
+    """What is fitted, and how."""
+
+    parameters: dict[str, FitParameterConfig] = Field(
+        default_factory=_default_parameters, description="numbers to fit, by the key they are set with"
+    )
+    solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
+    anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        if data.get("parameters") == {}:
+            mend = "add 'bias.constant: {lower: 0, upper: 10}'"
+            yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
+
+
+def _file_name(name: str) -> str:
+    if not name.strip() or name in (".", "..") or any(c in "/\\" or not c.isprintable() for c in name):
+        raise fault(f"is {name!r}", "text that can name a folder", "use letters, digits, '-' and '_'")
+    return name
+
+
+class Config(Section):
+    """Everything that a run depends on."""
+
+    name: Annotated[str, AfterValidator(_file_name)] = Field(
+        default="unnamed", description="names the run's folder; default: the file's name without its ending"
+    )
+    seed: int = Field(default=0, ge=0, lt=2**32, description="of everything random")
+    scene: SceneConfig = Field(description="what is drawn, from where, and lit by what")
+    shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
+    bias: BiasConfig = Field(default_factory=BiasConfig, description="how far receivers move towards the light")
+    compare: CompareConfig = Field(default_factory=HardCompareConfig, description="how depths are compared")
+    filter: FilterConfig = Field(default_factory=RandomDiskConfig, description="how compares are averaged")
+    reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="the truth to fit to")
+    fit: FitConfig = Field(default_factory=FitConfig, description="what is fitted, and how")
+    output: str = Field(
+        default="runs", min_length=1, description="folder for the runs' folders, from the current folder"
+    )
+
+    _origin: Origin = PrivateAttr(default_factory=Origin)
+
+    @property
+    def origin(self) -> Origin:
+        """Where the keys were written, for errors that are found later."""
+        return self._origin
+
+    def initial(self, name: str) -> float:
+        """Where the fit of the parameter `name` starts."""
+        initial = self.fit.parameters[name].initial
+        return float(_value(self, name) if initial is None else initial)
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        kind = str(look(data, "filter", "type", default="random_disk"))
+        parameters = look(data, "fit", "parameters", default={})
+        if not isinstance(parameters, Mapping):
+            return
+        if kind not in FILTERS:
+            # The misspelt type is an error of its own; a name may still be wrong for every filter.
+            kind, data = "random_disk", {**data, "filter": {}}
+        known = fit_names(kind)
+        for name, parameter in parameters.items():
+            path = ("fit", "parameters", name)
+            if name not in known:
+                yield path, _no_such_parameter(name, known, kind)
+                continue
+            lower, upper = look(parameter, "lower"), look(parameter, "upper")
+            if is_number(lower) and lower < 0:
+                yield (*path, "lower"), fault(f"is {lower}", f"a number at least 0, as for {name}", "raise it")
+            initial = _value(data, name)
+            if look(parameter, "initial") is not None or not (is_number(lower) and is_number(upper)):
+                continue
+            # A value below 0 is an error of the key that sets it.
+            if is_number(initial) and initial >= 0 and lower < upper:
+                yield from ((path, what) for what in _outside(initial, lower, upper, name))
+
+
+def fit_names(filter_type: str) -> tuple[str, ...]:
+    """The names of the parameters that a technique with this filter can fit."""
+    bias = tuple(f"bias.{key}" for key in BiasConfig.model_fields)
+    return (*bias, "filter.radius") if "radius" in FILTERS[filter_type].model_fields else bias
+
+
+def _value(data: Any, name: str) -> Any:
+    """What the key `name` is set to, or its default."""
+    section, key = name.split(".")
+    kind = FILTERS[str(look(data, "filter", "type", default="random_disk"))] if section == "filter" else BiasConfig
+    return look(data, section, key, default=kind.model_fields[key].default)
+
+
+def _no_such_parameter(name: str, known: tuple[str, ...], kind: str) -> PydanticCustomError:
+    mend = did_you_mean(name, known, "name one of these")
+    return fault(f"cannot be fitted with filter type {kind!r}", listing(known), mend)
+
+
+def _outside(
+    initial: float | int, lower: float | int, upper: float | int, name: str | None = None
+) -> Iterator[PydanticCustomError]:
+    """A fault unless `initial`, taken from the key `name` if there is one, lies within the bounds."""
+    if lower <= initial <= upper:
+        return
+    given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
+    mend = "move it inside" if name is None else f"give an initial value, change {name}"
+    yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")

@@ -1,0 +1,316 @@
+"""Meshes made by formula, by name, for scenes that need no file.
+
+Every piece is about one world unit in size and stands on the ground over the origin: its lowest point lies at y = 0,
+and its bounding box is centred in x and z. All but `plane` are closed two-manifolds, and all faces are anticlockwise
+seen from outside.
+"""
+
+import difflib
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._types import HostArray
+from ._mesh import Mesh
+from ._normals import crease_normals
+
+Number = float | int
+
+_SMOOTH, _SHARP = 180.0, 30.0
+
+
+def plane(size: Number = 1.0, segments: int = 1) -> Mesh:
+    """A square in y = 0 that faces `+y`: `size` world units wide, `segments` quads along each side. Open."""
+    _check_positive("plane", size=size)
+    _check_count("plane", 1, segments=segments)
+    line = (np.arange(segments + 1) / segments - 0.5) * size
+    x, z = np.meshgrid(line, line, indexing="ij")
+    vertices = np.stack([x, np.zeros_like(x), z], axis=-1).reshape(-1, 3)
+    a = (np.arange(segments)[:, None] * (segments + 1) + np.arange(segments)).reshape(-1)
+    # Rows step along x and columns along z, and z × x = y.
+    return _mesh(vertices, _quads(a, a + 1, a + segments + 2, a + segments + 1), _SMOOTH)
+
+
+def box(size: Number | Sequence[Number] = (1.0, 1.0, 1.0)) -> Mesh:
+    """A box; `size` is its extent along x, y and z in world units, or one number for all three."""
+    extent = _three("box", "size", size)
+    vertices, faces = _box(extent, (0.0, extent[1] / 2, 0.0))
+    return _mesh(vertices, faces, _SHARP)
+
+
+def sphere(radius: Number = 0.5, subdivisions: int = 4) -> Mesh:
+    """A smoothly shaded icosphere: `radius` in world units, 20 · 4^`subdivisions` triangles (5,120)."""
+    _check_positive("sphere", radius=radius)
+    directions, faces = _icosphere("sphere", subdivisions)
+    return _mesh(radius * directions, faces, _SMOOTH)
+
+
+def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = True) -> Mesh:
+    """A sphere of few triangles (80), whose shading normals disagree with its facets near the terminator.
+
+    **Arguments:**
+
+    - `radius`: world units, of the sphere through its vertices.
+    - `subdivisions`: it has 20 · 4^`subdivisions` triangles.
+    - `smooth`: whether it is shaded as if it were round.
+    """
+    _check_positive("low_poly_sphere", radius=radius)
+    directions, faces = _icosphere("low_poly_sphere", subdivisions)
+    return _mesh(radius * directions, faces, _SMOOTH if smooth else 0.0)
+
+
+def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides: int = 32) -> Mesh:
+    """A torus that lies on the ground: `radius` of its ring and of its `tube` in world units."""
+    _check_positive("torus", radius=radius, tube=tube)
+    _check_count("torus", 3, segments=segments, sides=sides)
+    if tube >= radius:
+        raise ValueError(f"torus: the tube's radius {tube} is not below the ring's, {radius}: make the tube thinner")
+    angle = _turn(segments)
+    outwards = np.stack([np.cos(angle), np.zeros(segments), -np.sin(angle)], axis=-1)
+    upwards = np.broadcast_to([0.0, 1.0, 0.0], (segments, 3))
+    return _mesh(*_tube(radius * outwards, outwards, upwards, tube, sides), _SMOOTH)
+
+
+def torus_knot(
+    p: int = 2, q: int = 3, radius: Number = 0.28, tube: Number = 0.08, segments: int = 192, sides: int = 16
+) -> Mesh:
+    """An upright torus knot, by default a trefoil of 6,144 triangles.
+
+    **Arguments:**
+
+    - `p`, `q`: how often the curve winds round the axis of its torus, and through its hole. Without a common divisor.
+    - `radius`: of the torus' ring, world units; the torus is half as thick, so the knot is 3 · `radius` + 2 · `tube`
+        wide.
+    - `tube`: radius of the knot's tube, world units; strands run into each other if it is too thick.
+    - `segments`, `sides`: of the tube, along it and round it.
+    """
+    _check_positive("torus_knot", radius=radius, tube=tube)
+    _check_count("torus_knot", 3, segments=segments, sides=sides)
+    _check_count("torus_knot", 1, p=p, q=q)
+    if math.gcd(p, q) != 1:
+        raise ValueError(f"torus_knot: p = {p} and q = {q} have a common divisor; expected none, as in p = 2, q = 3")
+    t = _turn(segments)
+    # ((2 + cos qt) cos pt, (2 + cos qt) sin pt, -sin qt) · radius / 2
+    ring = (2 + np.cos(q * t)) * radius / 2
+    d_ring = -q * np.sin(q * t) * radius / 2
+    cos, sin = np.cos(p * t), np.sin(p * t)
+    curve = np.stack([ring * cos, ring * sin, -np.sin(q * t) * radius / 2], axis=-1)
+    tangent = np.stack(
+        [d_ring * cos - p * ring * sin, d_ring * sin + p * ring * cos, -q * np.cos(q * t) * radius / 2], -1
+    )
+    # The position is never parallel to the tangent, which winds round the axis; so the frame closes by itself.
+    side = _unit(np.cross(tangent, curve))
+    return _mesh(*_tube(curve, _unit(np.cross(tangent, side)), side, tube, sides), _SMOOTH)
+
+
+def fence(
+    width: Number = 1.0, height: Number = 1.0, slats: int = 10, slat_width: Number = 0.03, thickness: Number = 0.02
+) -> Mesh:
+    """A row of upright slats along x, which do not touch.
+
+    **Arguments:**
+
+    - `width`, `height`: of the whole fence, world units.
+    - `slats`: how many.
+    - `slat_width`, `thickness`: of each slat along x and z, world units.
+    """
+    _check_positive("fence", width=width, height=height, slat_width=slat_width, thickness=thickness)
+    _check_count("fence", 1, slats=slats)
+    if slats * slat_width >= width and not (slats == 1 and slat_width == width):
+        raise ValueError(
+            f"fence: {slats} slats of {slat_width} leave no gaps in a width of {width}: "
+            "take fewer or narrower slats, or a wider fence"
+        )
+    parts = [
+        _box((slat_width, height, thickness), (float(x), height / 2, 0.0))
+        for x in (np.linspace(-0.5, 0.5, slats) * (width - slat_width) if slats > 1 else [0.0])
+    ]
+    vertices = np.concatenate([part for part, _ in parts])
+    faces = np.concatenate([part + 8 * i for i, (_, part) in enumerate(parts)])
+    return _mesh(vertices, faces, _SHARP)
+
+
+def thin_wall(width: Number = 1.0, height: Number = 1.0, thickness: Number = 0.01) -> Mesh:
+    """A closed upright wall in the xy plane; all in world units. Light leaks through it where the bias is too large."""
+    _check_positive("thin_wall", width=width, height=height, thickness=thickness)
+    return box((width, height, thickness))
+
+
+def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, seed: int = 0) -> Mesh:
+    """A smooth, bumpy sphere that has hollows to shadow itself in.
+
+    **Arguments:**
+
+    - `radius`: mean radius, world units.
+    - `subdivisions`: it has 20 · 4^`subdivisions` triangles (5,120).
+    - `amplitude`: of the bumps as a share of the radius, in [0, 1).
+    - `seed`: which blob; one seed gives the same shape at any number of subdivisions.
+    """
+    _check_positive("blob", radius=radius)
+    _check_count("blob", 0, seed=seed)
+    if not 0 <= amplitude < 1:
+        raise ValueError(f"blob: the amplitude is {amplitude}; expected a share of the radius in [0, 1)")
+    directions, faces = _icosphere("blob", subdivisions)
+    rng = np.random.default_rng(seed)
+    # Plane waves of wavelengths near the radius; divided by their count's root they stay within about ±1.
+    waves = 12
+    frequency = 4.0 * _unit(rng.normal(size=(waves, 3))) * rng.uniform(0.5, 1.5, (waves, 1))
+    noise = np.cos(directions @ frequency.T + rng.uniform(0, 2 * np.pi, waves)).sum(axis=-1) * np.sqrt(2 / waves)
+    return _mesh((radius * (1 + amplitude * np.tanh(noise)))[:, None] * directions, faces, _SMOOTH)
+
+
+LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType(
+    {
+        piece.__name__: piece
+        for piece in (plane, box, sphere, low_poly_sphere, torus, torus_knot, fence, thin_wall, blob)
+    }
+)
+"""The pieces by name."""
+
+
+def library_mesh(name: str, **options: Any) -> Mesh:
+    """The library's piece called `name`, made with `options`, the arguments of the function of that name.
+
+    **Raises** `ValueError` if there is no such piece or option, or an option's value does not suit it.
+    """
+    if name not in LIBRARY:
+        raise ValueError(
+            f"there is no mesh called {name!r} in the library{_suggestion(name, LIBRARY)}; "
+            f"expected one of {', '.join(LIBRARY)}"
+        )
+    known = inspect.signature(LIBRARY[name]).parameters
+    for option, value in options.items():
+        if option not in known:
+            raise ValueError(
+                f"{name} has no option {option!r}{_suggestion(option, known)}; expected one of {', '.join(known)}"
+            )
+        _check_type(name, option, value, known[option].default)
+    return LIBRARY[name](**options)
+
+
+def _suggestion(word: str, words: Mapping[str, Any]) -> str:
+    near = difflib.get_close_matches(str(word), list(words), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def _check_type(name: str, option: str, value: Any, default: Any) -> None:
+    """**Raises** `ValueError` unless `value` is of the kind that the option's default is of."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    is_number = is_whole or isinstance(value, float)
+    if isinstance(default, bool):
+        suits, expected = isinstance(value, bool), "true or false"
+    elif isinstance(default, int):
+        suits, expected = is_whole, "a whole number"
+    elif isinstance(default, float):
+        suits, expected = is_number, "a number"
+    else:
+        suits = is_number or (isinstance(value, list | tuple) and all(isinstance(x, int | float) for x in value))
+        expected = "a number or three"
+    if not suits:
+        raise ValueError(f"{name}: {option} is {value!r}; expected {expected}, such as the default, {default}")
+
+
+def _check_positive(piece: str, **sizes: Any) -> None:
+    for option, value in sizes.items():
+        if not 0 < value < math.inf:
+            raise ValueError(f"{piece}: {option} is {value}; expected a positive number of world units")
+
+
+def _check_count(piece: str, least: int, **counts: int) -> None:
+    for option, value in counts.items():
+        if value < least:
+            raise ValueError(f"{piece}: {option} is {value}; expected {least} or more")
+
+
+def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[float, float, float]:
+    values = [value] * 3 if isinstance(value, float | int) else list(value)
+    if len(values) != 3:
+        raise ValueError(f"{piece}: {option} is {value}; expected one number, or three for x, y and z")
+    _check_positive(piece, **{f"{option} along {axis}": v for axis, v in zip("xyz", values, strict=True)})
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _mesh(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], crease_angle: float) -> Mesh:
+    """The mesh, set on the ground over the origin."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices = vertices - [(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]
+    return Mesh(vertices, faces, crease_normals(vertices, faces, crease_angle))
+
+
+def _quads(a, b, c, d) -> Int[HostArray, "f 3"]:
+    """Two triangles for each quad with the corners `a b c d`, anticlockwise."""
+    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+
+
+def _unit(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _turn(n: int) -> Float[HostArray, "n"]:
+    """`n` even angles of a full turn, radians."""
+    return 2 * np.pi * np.arange(n) / n
+
+
+def _box(extent: Sequence[float], centre: Sequence[float]) -> tuple[Float[HostArray, "8 3"], Int[HostArray, "12 3"]]:
+    # Vertex 4x + 2y + z lies on the greater side of the axes whose bit is set.
+    corners = (np.arange(8)[:, None] >> np.array([2, 1, 0])) & 1
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    return (corners - 0.5) * extent + centre, _quads(*quads.T)
+
+
+def _tube(
+    curve: Float[HostArray, "n 3"],
+    across: Float[HostArray, "n 3"],
+    side: Float[HostArray, "n 3"],
+    radius: float | int,
+    sides: int,
+) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
+    """A closed tube round a closed curve; `across` and `side` span its cross-section, `across × side` points back."""
+    n = len(curve)
+    angle = _turn(sides)
+    ring = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * side[:, None]
+    vertices = (curve[:, None] + radius * ring).reshape(-1, 3)
+    i, j = (index.reshape(-1) for index in np.meshgrid(np.arange(n), np.arange(sides), indexing="ij"))
+    next_i, next_j = (i + 1) % n, (j + 1) % sides
+    return vertices, _quads(i * sides + j, next_i * sides + j, next_i * sides + next_j, i * sides + next_j)
+
+
+def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
+    """Unit vertices and faces of an icosahedron, each of whose triangles is cut in four `subdivisions` times."""
+    if not 0 <= subdivisions <= 8:
+        raise ValueError(f"{piece}: subdivisions is {subdivisions}; expected 0 (20 triangles) to 8 (1.3 million)")
+    g = (1 + math.sqrt(5)) / 2
+    rectangle = np.array([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]])
+    vertices = _unit(np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)]))
+    hull_faces = _icosahedron_faces(vertices)
+    faces = hull_faces
+    for _ in range(subdivisions):
+        vertices, faces = _subdivide(vertices, faces)
+        vertices = _unit(vertices)
+    return vertices, faces
+
+
+def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20 3"]:
+    """All triples of mutual neighbours, anticlockwise seen from outside."""
+    near = vertices @ vertices.T > 0.4
+    i, j, k = (index.reshape(-1) for index in np.meshgrid(*[np.arange(12)] * 3, indexing="ij"))
+    # One of each triangle's three rotations: its least vertex first.
+    outside = np.linalg.det(np.stack([vertices[i], vertices[j], vertices[k]], axis=1)) > 0
+    return np.stack([i, j, k], axis=-1)[near[i, j] & near[j, k] & near[k, i] & outside & (i < j) & (i < k)]
+
+
+def _subdivide(
+    vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]
+) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"]]:
+    """Each triangle cut in four at the middles of its edges, which neighbours share."""
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=-1)
+    edges, inverse = np.unique(edges, axis=0, return_inverse=True)
+    middle = len(vertices) + inverse.reshape(-1, 3)
+    (a, b, c), (ab, bc, ca) = faces.T, middle.T
+    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=-1).reshape(-1, 3)
+    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), cut

@@ -1,0 +1,187 @@
+"""Results on disk, found again by what they were computed from.
+
+A key is a hash of everything that the result depends on, so an entry is never out of date; what changed has another
+key. Entries that were not used for longest go first when the folder grows too large.
+"""
+
+import contextlib
+import hashlib
+import os
+import re
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._types import HostArray
+from ._atomic import atomic_path
+from ._errors import FileError
+
+# Part of every key: to be raised when entries of older versions must no longer be read.
+_FORMAT = 1
+CACHE_LIMIT = 2 << 30
+"""Bytes beyond which the least recently used entries are removed."""
+# Entries, and the temporary files of writers that were killed. Nothing else in the folder is ours to remove.
+_ENTRY = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
+
+
+def cached_arrays(
+    key_parts: Any,
+    compute: Callable[[], Mapping[str, Any]],
+    folder: str | os.PathLike[str] | None = None,
+) -> dict[str, HostArray]:
+    """The arrays that `compute` returns, read from disk if they were computed before.
+
+    **Arguments:**
+
+    - `key_parts`: all that the result depends on: numbers, strings, `None`, arrays, and lists, tuples and mappings of
+        these. Include a version of the algorithm.
+    - `compute`: called without arguments if there is no entry; returns arrays by name.
+    - `folder`: where entries lie; by default `$DIFFSHADOW_CACHE`, or `diffshadow` in the user's cache folder
+        (`$XDG_CACHE_HOME` or `~/.cache`).
+
+    **Returns:** the arrays by name, in the host's memory. An entry that cannot be read is computed anew; where the
+    folder cannot be written to, a warning says so and the result is returned all the same.
+
+    **Raises** `ValueError` if `key_parts` holds something that cannot be hashed by its content.
+    """
+    key = cache_key(key_parts)
+    try:
+        where = cache_folder() if folder is None else Path(folder)
+        where.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:  # RuntimeError: no home folder can be found
+        _warn_of_no_cache(folder, error)
+        return _on_host(compute())
+    entry = where / f"{key}.npz"
+    found = _read(entry)
+    if found is not None:
+        return found
+    arrays = _on_host(compute())
+    try:
+        _write(entry, arrays)
+        prune_cache(where)
+    except (OSError, FileError) as error:
+        _warn_of_no_cache(where, error)
+    return arrays
+
+
+def cache_folder() -> Path:
+    """The folder for cached results, from the environment; it may not exist yet."""
+    chosen = os.environ.get("DIFFSHADOW_CACHE")
+    if chosen:
+        return Path(chosen).expanduser()
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "diffshadow"
+
+
+def cache_key(key_parts: Any) -> str:
+    """64 hexadecimal digits that stand for the content of `key_parts`, as `cached_arrays` takes them.
+
+    **Raises** `ValueError` if a part is of a kind whose content is not known.
+    """
+    digest = hashlib.sha256()
+    _feed(digest.update, ["diffshadow", _FORMAT, key_parts])
+    return digest.hexdigest()
+
+
+def prune_cache(folder: str | os.PathLike[str], limit: int = CACHE_LIMIT) -> None:
+    """Removes the least recently used entries of `folder` until the rest holds at most `limit` bytes.
+
+    The newest entry always stays, and so does every file that is no cache entry.
+    """
+    entries = []
+    for path in Path(folder).iterdir():
+        if _ENTRY.fullmatch(path.name):
+            with contextlib.suppress(FileNotFoundError):  # another process removed it
+                status = path.stat()
+                entries.append((status.st_mtime_ns, status.st_size, path))
+    entries.sort(reverse=True)
+    total = 0
+    for i, (_, size, path) in enumerate(entries):
+        total += size
+        if i > 0 and total > limit:
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+
+
+def _feed(update: Callable[[bytes], None], part: Any) -> None:
+    """Hashes one part; a tag and a length before each keep different parts from having the same bytes."""
+    match part:
+        # First, for some of NumPy's scalars are also Python's.
+        case np.ndarray() | np.generic() | jax.Array():
+            _feed_array(update, np.asarray(part))
+        case None | bool() | str():
+            _tagged(update, type(part).__name__, str(part).encode())
+        case int():
+            _tagged(update, "int", str(part).encode())
+        case float():
+            _tagged(update, "float", struct.pack("<d", part))
+        case bytes():
+            _tagged(update, "bytes", part)
+        case list() | tuple():
+            _tagged(update, "sequence", str(len(part)).encode())
+            for inner in part:
+                _feed(update, inner)
+        case Mapping():
+            _tagged(update, "mapping", str(len(part)).encode())
+            for name in sorted(part, key=str):
+                _feed(update, name)
+                _feed(update, part[name])
+        case _:
+            raise ValueError(
+                f"a cache key holds a {type(part).__name__}, whose content cannot be hashed; "
+                "expected numbers, strings, arrays, and lists or mappings of these"
+            )
+
+
+def _feed_array(update: Callable[[bytes], None], array: HostArray) -> None:
+    if array.dtype.hasobject:
+        raise ValueError(f"a cache key holds an array of {array.dtype}, whose content cannot be hashed")
+    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    _tagged(update, "array", f"{little.dtype.str}{little.shape}".encode())
+    update(np.ascontiguousarray(little).tobytes())
+
+
+def _tagged(update: Callable[[bytes], None], tag: str, data: bytes) -> None:
+    update(f"{tag}:{len(data)}:".encode())
+    update(data)
+
+
+def _on_host(arrays: Mapping[str, Any]) -> dict[str, HostArray]:
+    return {name: np.asarray(array) for name, array in arrays.items()}
+
+
+def _read(entry: Path) -> dict[str, HostArray] | None:
+    """The entry's arrays, or `None` if it is missing or damaged."""
+    try:
+        # Opened here, for `np.load` leaves a damaged file open.
+        with entry.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name.removeprefix("_"): stored[name] for name in stored.files}
+    except _UNREADABLE:
+        return None
+    # The time of change is the time of last use, which pruning goes by. It may belong to somebody else.
+    with contextlib.suppress(OSError):
+        os.utime(entry)
+    return arrays
+
+
+def _write(entry: Path, arrays: dict[str, HostArray]) -> None:
+    with atomic_path(entry) as temporary:
+        # The underscore keeps the names apart from those of `savez`'s own arguments.
+        np.savez(temporary, allow_pickle=False, **{f"_{name}": array for name, array in arrays.items()})
+
+
+def _warn_of_no_cache(folder: Any, error: Exception) -> None:
+    where = "the cache folder" if folder is None else f"the cache folder {folder}"
+    warnings.warn(
+        f"{where} cannot be used ({error}); results are computed anew each time: set DIFFSHADOW_CACHE to a folder "
+        "that can be written to",
+        stacklevel=3,
+    )

@@ -1,0 +1,166 @@
+"""Images from and to files.
+
+In memory row 0 is the bottom row; image files (PNG, EXR) begin with the top row, and are flipped here and nowhere
+else. A `.npy` file holds the array as it is in memory. Values are linear: nothing here applies a gamma curve.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import OpenEXR
+from jaxtyping import Float
+
+from .._types import HostArray
+from ._atomic import atomic_path
+from ._errors import FileError
+from ._paths import existing_file
+
+# Rounding may carry a mean of values in [0, 1] this far outside.
+_ROUNDING = 1e-5
+
+
+def write_png(path: str | os.PathLike[str], image: Any) -> None:
+    """Writes `image` with 8 bits a channel: (h, w) grey or (h, w, 3) colour, floats in [0, 1], row 0 the bottom row.
+
+    **Raises** `FileError` if the folder is missing or cannot be written to, and `ValueError` if the image has another
+    shape, or values that are NaN or outside [0, 1].
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[-1] != 3) or pixels.size == 0:
+        raise ValueError(f"the image to write has the shape {pixels.shape}; expected (h, w) or (h, w, 3)")
+    unit = _in_unit_range(pixels, "the image to write", ValueError)
+    _save(path, lambda file: iio.imwrite(file, np.rint(unit[::-1] * 255).astype(np.uint8), extension=".png"))
+
+
+def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
+    """A visibility image, 1 lit and 0 shadowed, from a `.npy`, `.png` or `.exr` file.
+
+    - `.npy`: an (h, w) array whose row 0 is the bottom row.
+    - `.png`: grey or colour of 1, 8 or 16 bits (colour of 16 is read as 8), taken as linear from 0 to 1; colour
+        channels are averaged, alpha is left aside.
+    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or whatever is the only channel.
+
+    **Returns:** (h, w), float32, row 0 the bottom row.
+
+    **Raises** `FileError` if the file is missing, of another format or damaged, if it holds anything but one image, or
+    values that are NaN or outside [0, 1].
+    """
+    file = existing_file(path, "visibility")
+    read = _for_suffix(file, _READERS)
+    try:
+        pixels = read(file)
+    except FileError:
+        raise
+    except Exception as error:  # each format's reader raises what it likes
+        reason = str(error).strip() or type(error).__name__
+        raise FileError(
+            f"the visibility file {file} is damaged or not of the format that its suffix says ({reason}); "
+            "write it again"
+        ) from error
+    if pixels.ndim != 2 or pixels.size == 0:
+        raise FileError(f"the visibility file {file} holds an array of shape {pixels.shape}; expected (h, w)")
+    return _in_unit_range(pixels, f"the visibility file {file}", FileError)
+
+
+def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
+    """Writes a visibility image (h, w) in [0, 1], row 0 the bottom row, as `read_visibility` reads it.
+
+    The suffix of `path` says how: `.npy` and `.exr` keep float32 to the bit, `.png` has 16 bits.
+
+    **Raises** `FileError` if the suffix is another, or the folder is missing or cannot be written to, and `ValueError`
+    if the image has another shape, or values that are NaN or outside [0, 1].
+    """
+    write = _for_suffix(Path(path), _WRITERS)
+    pixels = np.asarray(image)
+    if pixels.ndim != 2 or pixels.size == 0:
+        raise ValueError(f"the visibility image to write has the shape {pixels.shape}; expected (h, w)")
+    unit = _in_unit_range(pixels, "the visibility image to write", ValueError)
+    _save(path, lambda file: write(file, unit))
+
+
+def _read_png(file: Path) -> HostArray:
+    stored = iio.imread(file, extension=".png")
+    scale = 1 if stored.dtype == bool else np.iinfo(stored.dtype).max
+    pixels = stored.astype(np.float32) / scale
+    if pixels.ndim == 3 and 2 <= pixels.shape[-1] <= 4:
+        # Two channels are grey and alpha, four are colour and alpha.
+        pixels = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1].mean(axis=-1)
+    return pixels[::-1]
+
+
+def _read_exr(file: Path) -> HostArray:
+    with OpenEXR.File(str(file), separate_channels=True) as exr:
+        channels = {name: np.asarray(channel.pixels, np.float32) for name, channel in exr.channels().items()}
+    if "Y" in channels:
+        chosen = [channels["Y"]]
+    elif {"R", "G", "B"} <= channels.keys():
+        chosen = [channels[name] for name in "RGB"]
+    elif len(channels) == 1:
+        chosen = list(channels.values())
+    else:
+        raise FileError(
+            f"the visibility file {file} has the channels {', '.join(channels)}; expected Y, or R, G and B, or only one"
+        )
+    return np.mean(chosen, axis=0)[::-1]
+
+
+def _read_npy(file: Path) -> HostArray:
+    # Opened here, for `np.load` leaves a damaged file open.
+    with file.open("rb") as stream:
+        stored = np.load(stream, allow_pickle=False)
+    if stored.dtype.kind not in "bfiu":
+        raise FileError(f"the visibility file {file} holds values of type {stored.dtype}; expected real numbers")
+    return stored
+
+
+def _write_png16(file: Path, pixels: HostArray) -> None:
+    iio.imwrite(file, np.rint(pixels[::-1].astype(np.float64) * 65535).astype(np.uint16), extension=".png")
+
+
+def _write_exr(file: Path, pixels: HostArray) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"Y": np.ascontiguousarray(pixels[::-1])}) as exr:
+        exr.write(str(file))
+
+
+def _write_npy(file: Path, pixels: HostArray) -> None:
+    # To a stream, for given a path `np.save` adds a suffix where it finds none that it knows.
+    with file.open("wb") as stream:
+        np.save(stream, pixels, allow_pickle=False)
+
+
+_READERS: Mapping[str, Callable[[Path], HostArray]] = {".npy": _read_npy, ".png": _read_png, ".exr": _read_exr}
+_WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
+    ".npy": _write_npy,
+    ".png": _write_png16,
+    ".exr": _write_exr,
+}
+
+
+def _for_suffix[T](path: Path, table: Mapping[str, T]) -> T:
+    if path.suffix.lower() not in table:
+        raise FileError(f"the suffix of {path} is {path.suffix!r}; expected one of {', '.join(table)} for visibility")
+    return table[path.suffix.lower()]
+
+
+def _in_unit_range(pixels: HostArray, name: str, error: type[ValueError]) -> HostArray:
+    """`pixels` in float32, what rounding carried outside [0, 1] put back."""
+    values = pixels.astype(np.float32)
+    if not np.isfinite(values).all():
+        raise error(f"{name} has {np.count_nonzero(~np.isfinite(values))} pixels that are NaN or infinite")
+    low, high = float(values.min()), float(values.max())
+    if low < -_ROUNDING or high > 1 + _ROUNDING:
+        raise error(f"{name} has values from {low:g} to {high:g}; expected 0 to 1: scale or clip them first")
+    return np.clip(values, 0, 1)
+
+
+def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
+    with atomic_path(path) as temporary:
+        try:
+            write(temporary)
+        except OSError as error:
+            raise FileError(f"cannot write {os.path.abspath(path)}: {error.strerror or error}") from error

@@ -1,0 +1,29 @@
+"""Finding a file that a user named."""
+
+import difflib
+import os
+from pathlib import Path
+
+from ._errors import FileError
+
+
+def existing_file(path: str | os.PathLike[str], what: str) -> Path:
+    """The absolute path of `path`; `what` names its content in messages, as in "mesh".
+
+    **Raises** `FileError` if there is no such file; the message gives the absolute path looked at, and the nearest
+    name in that folder if there is one.
+    """
+    absolute = Path(os.path.abspath(path))
+    if absolute.is_dir():
+        raise FileError(f"{absolute} is a folder; expected a {what} file: give the name of a file in it")
+    if absolute.exists():
+        return absolute
+    if not absolute.parent.is_dir():
+        raise FileError(f"there is no {what} file {absolute}: the folder {absolute.parent} does not exist")
+    try:
+        names = {entry.name.lower(): entry.name for entry in absolute.parent.iterdir()}
+    except OSError:
+        names = {}
+    near = difflib.get_close_matches(absolute.name.lower(), list(names), n=1)
+    hint = f"did you mean {names[near[0]]!r}?" if near else "check the path"
+    raise FileError(f"there is no {what} file {absolute}; {hint}")

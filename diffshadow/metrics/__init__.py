@@ -1,0 +1,11 @@
+"""How good a shadow is: errors of a visibility image against its reference."""
+
+from ._differences import mae as mae
+from ._differences import psnr as psnr
+from ._differences import rmse as rmse
+from ._false_rates import false_light_rate as false_light_rate
+from ._false_rates import false_shadow_rate as false_shadow_rate
+from ._penumbra import penumbra_width as penumbra_width
+from ._ssim import ssim as ssim
+from ._summary import ShadowErrors as ShadowErrors
+from ._summary import measure_errors as measure_errors

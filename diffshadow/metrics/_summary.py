@@ -1,0 +1,42 @@
+"""All errors of a shadow at once."""
+
+import dataclasses
+
+from numpy.typing import ArrayLike
+
+from ._differences import mae, rmse
+from ._false_rates import false_light_rate, false_shadow_rate
+from ._ssim import ssim
+
+
+@dataclasses.dataclass(frozen=True)
+class ShadowErrors:
+    """How far a visibility image is from its reference; each field is what the function of its name measures."""
+
+    rmse: float
+    mae: float
+    ssim: float
+    false_shadow_rate: float
+    false_light_rate: float
+
+    def as_dict(self) -> dict[str, float]:
+        """The fields by name, in their order."""
+        return dataclasses.asdict(self)
+
+
+def measure_errors(
+    visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, band: int = 1
+) -> ShadowErrors:
+    """Every error of `visibility` (h, w) against `reference` (h, w) over `mask` (h, w).
+
+    `band` is the width, in pixels, of what the two rates leave out along a shadow's outline.
+
+    **Raises** `ValueError` if shapes differ, the mask is empty, a value in it is not finite, or `band` is negative.
+    """
+    return ShadowErrors(
+        rmse=rmse(visibility, reference, mask),
+        mae=mae(visibility, reference, mask),
+        ssim=ssim(visibility, reference, mask),
+        false_shadow_rate=false_shadow_rate(visibility, reference, mask, band),
+        false_light_rate=false_light_rate(visibility, reference, mask, band),
+    )

@@ -1,0 +1,93 @@
+"""Clipping of triangles that cross the near plane or leave the guard band.
+
+Most triangles need none: the viewport cuts their pixel boxes and the depth range is tested at each pixel. Those that
+reach behind the eye, or so far aside that fixed-point coordinates would overflow, are clipped in homogeneous
+coordinates (Sutherland & Hodgman 1974; Blinn & Newell 1978).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._types import Resolution
+from ._fixed import GUARD_BAND
+
+PLANES = 6
+# A plane adds at most one corner to a convex polygon; a polygon of k corners is a fan of k - 2 triangles.
+FAN = 3 + PLANES - 2
+
+
+def guard_ratio(resolution: Resolution) -> tuple[float, float]:
+    """The guard band as a multiple of the viewport's half width and half height."""
+    height, width = resolution
+    return 2 * GUARD_BAND / width, 2 * GUARD_BAND / height
+
+
+def needs_clipping(clip: Float[Array, "*n 4"], resolution: Resolution) -> Bool[Array, "*n"]:
+    """Whether a vertex lies before the near plane, behind the eye, or outside the guard band."""
+    x, y, z, w = (clip[..., k] for k in range(4))
+    gx, gy = guard_ratio(resolution)
+    return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
+
+
+def outside_frustum(corners: Float[Array, "n 3 4"]) -> Bool[Array, " n"]:
+    """Whether all three corners lie outside the same plane of the view frustum."""
+    x, y, z, w = (corners[..., k] for k in range(4))
+    outside = [x > w, x < -w, y > w, y < -w, z > w, z < -w]
+    return jnp.stack([jnp.all(side, axis=-1) for side in outside]).any(axis=0)
+
+
+def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Float[Array, "n fan 3 4"]:
+    """The parts of triangles inside the near plane and the guard band.
+
+    **Arguments:**
+
+    - `corners`: (n, 3, 4), clip coordinates.
+
+    **Returns:** (n, 7, 3, 4), a fan of triangles for each; those not needed have no area.
+    """
+    gx, gy = guard_ratio(resolution)
+    # Inside is where plane · (x, y, z, w) >= 0; the last keeps w off 0 where the projection puts no near plane there.
+    tiny = 1e-6
+    planes = jnp.array([[0, 0, 1, 1], [-1, 0, 0, gx], [1, 0, 0, gx], [0, -1, 0, gy], [0, 1, 0, gy], [0, 0, 0, 1]])
+    offsets = jnp.array([0, 0, 0, 0, 0, tiny])
+    return jax.vmap(lambda triangle: _clip_one(triangle, planes.astype(corners.dtype), offsets))(corners)
+
+
+def _clip_one(triangle: Float[Array, "3 4"], planes: Float[Array, "p 4"], offsets: Float[Array, " p"]) -> Array:
+    polygon, count = triangle, jnp.int32(3)
+    scale = jnp.max(jnp.abs(triangle[:, 3]))
+    for plane, offset in zip(planes, offsets, strict=True):
+        polygon, count = _clip_against(polygon, count, plane, offset * scale)
+    fan = jnp.arange(1, FAN + 1)
+    used = fan + 1 < count
+    first = jnp.broadcast_to(polygon[0], (FAN, 4))
+    second = jnp.where(used[:, None], polygon[fan], first)
+    third = jnp.where(used[:, None], polygon[fan + 1], first)
+    # An empty polygon leaves a point in the middle of the view, which covers nothing.
+    nothing = jnp.array([0.0, 0.0, 0.0, 1.0], triangle.dtype)
+    return jnp.where(count >= 3, jnp.stack([first, second, third], axis=1), nothing)
+
+
+def _clip_against(polygon: Float[Array, "m 4"], count: Array, plane: Float[Array, "4"], offset: Array):
+    slots = polygon.shape[0]
+    slot = jnp.arange(slots)
+    following = polygon[jnp.where(slot + 1 < count, slot + 1, 0)]
+    distance = polygon @ plane - offset
+    distance_following = following @ plane - offset
+    inside, inside_following = distance >= 0, distance_following >= 0
+    crosses = inside != inside_following
+    # From the inner corner outwards, so that two triangles that share the edge find the same point.
+    inner = jnp.where(inside[:, None], polygon, following)
+    outer = jnp.where(inside[:, None], following, polygon)
+    d_inner = jnp.where(inside, distance, distance_following)
+    d_outer = jnp.where(inside, distance_following, distance)
+    t = d_inner / jnp.where(crosses, d_inner - d_outer, 1)
+    crossing = inner + t[:, None] * (outer - inner)
+
+    used = slot < count
+    emitted = jnp.stack([used & inside, used & crosses], axis=1).reshape(-1)
+    corners = jnp.stack([polygon, crossing], axis=1).reshape(-1, 4)
+    place = jnp.where(emitted, jnp.cumsum(emitted) - 1, slots + 1)
+    clipped = jnp.zeros((slots + 1, 4), polygon.dtype).at[place].set(corners, mode="drop")
+    return clipped, jnp.sum(emitted).astype(jnp.int32)

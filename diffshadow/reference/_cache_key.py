@@ -1,0 +1,40 @@
+"""What a reference depends on, as plain values, so that whoever keeps files can tell whether one is still right."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ..geometry import Scene
+from ._sampling import Sampler, check_sampling
+
+# Raise it whenever a change to this room changes the images it makes.
+_ALGORITHM = 1
+
+
+def cache_key(scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0) -> tuple[Any, ...]:
+    """A nested tuple of strings, numbers and NumPy arrays that determines what `trace_visibility` answers.
+
+    Equal keys mean equal references. Shading normals and albedo, which cast no shadows, are left out, and so are
+    samples, sampler and seed of a light without size.
+
+    **Raises** `ValueError` as `trace_visibility` does for `samples` and `sampler`.
+    """
+    check_sampling(samples, sampler)
+    sampling = (int(samples), str(sampler), int(seed)) if scene.light.has_size else (1, "centre", 0)
+    mesh = (np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces))
+    return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(scene.light))
+
+
+def _fields(module: Any) -> tuple[Any, ...]:
+    """The module's class and its fields by name."""
+    values = ((field.name, getattr(module, field.name)) for field in dataclasses.fields(module))
+    return (type(module).__qualname__, *((name, _plain(value)) for name, value in values))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bool | int | float | str | None):
+        return value
+    if isinstance(value, tuple):
+        return tuple(_plain(v) for v in value)
+    return np.asarray(value)

@@ -1,0 +1,131 @@
+"""The geometry that rays meet, in float64: the scene's triangles, the camera's rays and the points they hit.
+
+All of it lives in a *tracing frame*: world space moved to the scene's middle and scaled by a power of two, so that the
+scene lies in [-1, 1]³. There a float32 tracer's rounding has one size, whatever the scene's size and place, and the
+scaling itself rounds nothing.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float64, Int
+
+from .._types import HostArray
+from ..geometry import AbstractCamera, Mesh, View
+
+_DIAGONAL = np.sqrt(3.0)
+
+
+def in_float64(module: Any) -> Any:
+    """`module` with every floating array in float64; to be used under `jax.enable_x64`."""
+    widen = lambda x: jnp.asarray(x, dtype=np.float64) if eqx.is_inexact_array(x) else x
+    return jax.tree.map(widen, module)
+
+
+class Triangles:
+    """The scene's triangles in the tracing frame.
+
+    - `center`: (3,), the frame's origin in world space.
+    - `scale`: frame units per world unit, a power of two.
+    - `corners`: (f, 3, 3), each face's corners.
+    - `normals`: (f, 3), unit, outwards by the right-hand rule; 0 for a face without area.
+    - `areas`: (f,), in squared frame units.
+
+    **Raises** `ValueError` if all of the mesh is one point.
+    """
+
+    def __init__(self, mesh: Mesh):
+        world = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
+        low, high = world.min(axis=(0, 1)), world.max(axis=(0, 1))
+        extent = float(np.max(high - low)) / 2
+        if extent == 0:
+            raise ValueError(
+                f"all of the scene's {len(world)} triangles lie in the one point {low.tolist()}; "
+                "expected surfaces with an area: check the mesh, or the scaling applied to it"
+            )
+        self.center = (low + high) / 2
+        self.scale = float(2.0 ** -np.ceil(np.log2(extent)))
+        self.corners = self.to_frame(world)
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        normals = np.cross(b - a, c - a)
+        self.areas = np.linalg.norm(normals, axis=-1) / 2
+        self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
+
+    def to_frame(self, points: Float64[HostArray, "*n 3"]) -> Float64[HostArray, "*n 3"]:
+        """World `points` in the tracing frame."""
+        return (points - self.center) * self.scale
+
+    def to_world(self, points: Float64[HostArray, "*n 3"]) -> Float64[HostArray, "*n 3"]:
+        """Points of the tracing frame in world space."""
+        return points / self.scale + self.center
+
+
+class Rays(NamedTuple):
+    """Rays from `origin` (n, 3) along the unit `direction` (n, 3), as far as `reach` (n,), in the tracing frame."""
+
+    origin: Float64[HostArray, "n 3"]
+    direction: Float64[HostArray, "n 3"]
+    reach: Float64[HostArray, "n"]
+
+
+class CameraRays:
+    """The rays through a camera's pixel centres, from its near plane to its far plane."""
+
+    def __init__(self, camera: AbstractCamera, triangles: Triangles):
+        self.height, self.width = camera.resolution
+        self.view = _view(camera)
+        self._triangles = triangles
+        self._clip_to_eye = np.linalg.inv(np.asarray(self.view.eye_to_clip))
+        self._eye_to_world = np.linalg.inv(np.asarray(self.view.world_to_eye))
+
+    def pixels(self, first: int, count: int) -> Rays:
+        """The rays of pixels `first` to `first + count - 1`, counted along rows from the bottom left."""
+        row, column = np.divmod(np.arange(first, first + count), self.width)
+        x, y = 2 * (column + 0.5) / self.width - 1, 2 * (row + 0.5) / self.height - 1
+        begin, end = self._unproject(x, y, -1.0), self._unproject(x, y, 1.0)
+        along = end - begin
+        reach = np.linalg.norm(along, axis=-1)
+        direction = along / reach[:, None]
+        # Skip the empty way to the scene's bounding sphere: a float32 origin is exact only near the scene.
+        skipped = np.maximum(-np.sum(begin * direction, axis=-1) - 1.01 * _DIAGONAL, 0)
+        return Rays(begin + skipped[:, None] * direction, direction, reach - skipped)
+
+    def _unproject(self, x: Float64[HostArray, "n"], y: Float64[HostArray, "n"], z: float) -> Float64[HostArray, "n 3"]:
+        clip = np.stack([x, y, np.full_like(x, z), np.ones_like(x)], axis=-1)
+        eye = clip @ self._clip_to_eye.T
+        world = (eye / eye[:, 3:]) @ self._eye_to_world.T
+        return self._triangles.to_frame(world[:, :3])
+
+
+class Hits(NamedTuple):
+    """What rays hit.
+
+    - `position`: (n, 3), in the tracing frame.
+    - `normal`: (n, 3), the geometric unit normal of the side that the ray came to.
+    - `face`: (n,).
+    """
+
+    position: Float64[HostArray, "n 3"]
+    normal: Float64[HostArray, "n 3"]
+    face: Int[HostArray, "n"]
+
+
+def hits_on_planes(rays: Rays, faces: Int[HostArray, "n"], triangles: Triangles) -> Hits:
+    """The points, exact to float64, where `rays` meet the planes of `faces` (n,), all of which they hit."""
+    corners, normal = triangles.corners[faces], triangles.normals[faces]
+    facing = np.sum(normal * rays.direction, axis=-1)
+    plane = np.sum(normal * (corners[:, 0] - rays.origin), axis=-1)
+    distance = plane / np.where(facing == 0, 1, facing)
+    # A face seen nearly edge-on has an ill-conditioned plane, but its corners bound the distance.
+    along = np.einsum("nkd,nd->nk", corners - rays.origin[:, None], rays.direction)
+    distance = np.clip(distance, along.min(axis=1), along.max(axis=1))
+    position = rays.origin + distance[:, None] * rays.direction
+    return Hits(position, np.where(facing > 0, -1, 1)[:, None] * normal, faces)
+
+
+def _view(camera: AbstractCamera) -> View:
+    with jax.enable_x64(True):
+        return eqx.filter_jit(lambda c: c.view())(in_float64(camera))

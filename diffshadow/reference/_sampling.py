@@ -1,0 +1,123 @@
+"""Points of the unit disk, one set a pixel: which points of a light a pixel's shadow rays go to."""
+
+import difflib
+import math
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from scipy.stats import qmc
+
+from .._types import HostArray
+
+Sampler = Literal["sobol", "stratified"]
+"""How points of a light are chosen. Both converge alike; `"stratified"` wants samples that are nearly a square."""
+
+MAX_SAMPLES = 1 << 16
+"""More samples than this gain nothing in float32."""
+
+_ALL = slice(None)
+
+
+def check_sampling(samples: int, sampler: str) -> None:
+    """**Raises** `ValueError` unless `samples` is an integer in [1, 65536] and `sampler` is known."""
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 1 <= samples <= MAX_SAMPLES:
+        raise ValueError(
+            f"samples is {samples!r}; expected an integer from 1 to {MAX_SAMPLES}, the shadow rays of each pixel "
+            "(64 is usual, 1024 shows no noise)"
+        )
+    known = get_args(Sampler)
+    if sampler not in known:
+        near = difflib.get_close_matches(str(sampler).lower(), known, n=1, cutoff=0.4)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise ValueError(f"sampler is {sampler!r}; expected one of {', '.join(map(repr, known))}{hint}")
+
+
+def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:
+    """Maps the unit square to the unit disk; equal areas stay equal, and neighbours stay neighbours.
+
+    **Arguments:**
+
+    - `square`: (..., 2), in [0, 1].
+
+    **Returns:** (..., 2), of norm at most 1.
+
+    Shirley and Chiu, "A low distortion map between disk and square", Journal of Graphics Tools 2(3), 1997.
+    """
+    one = square.dtype.type(1)
+    a, b = np.moveaxis(2 * square - one, -1, 0)
+    # The radius is the coordinate of greater magnitude; the other one sweeps a quarter of the circle.
+    horizontal = np.abs(a) > np.abs(b)
+    radius = np.where(horizontal, a, b)
+    other = np.where(horizontal, b, a)
+    angle = other / np.where(radius == 0, one, radius) * square.dtype.type(math.pi / 4)
+    along, across = radius * np.cos(angle), radius * np.sin(angle)
+    disk = np.empty_like(square)
+    disk[..., 0] = np.where(horizontal, along, across)
+    disk[..., 1] = np.where(horizontal, across, along)
+    return disk
+
+
+class DiskSampler:
+    """Chooses the points of the unit disk for any range of pixels, the same ones whatever the range.
+
+    - `samples`: points a pixel.
+    - `sampler`: `"sobol"`, one Owen-scrambled Sobol sequence, shifted for each pixel by a random vector modulo 1
+      (Cranley and Patterson, "Randomization of number theoretic methods for multiple integration", SIAM Journal on
+      Numerical Analysis 13(6), 1976); or `"stratified"`, one random point in each cell of a grid that is as square
+      as `samples` divides.
+    - `seed`: of all random choices.
+
+    The first half of a pixel's points covers the disk as evenly as the second half does, so that the difference of
+    the two halves tells the error.
+    """
+
+    def __init__(self, samples: int, sampler: str, seed: int):
+        check_sampling(samples, sampler)
+        self.samples = int(samples)
+        self.seed = seed
+        if sampler == "sobol":
+            # Drawn by powers of two, which is what the sequence is balanced for, and cut.
+            sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng((seed, 0)))
+            points = sequence.random_base2(max(self.samples - 1, 0).bit_length())[: self.samples]
+            self._points, self._cell = points.astype(np.float32), None
+        else:
+            self._points, self._cell = _grid(self.samples)
+
+    def disk(self, first: int, count: int, chosen: Int[HostArray, "n"] | slice = _ALL) -> Float32[HostArray, "n s 2"]:
+        """The points of pixels `first` to `first + count - 1`, or of those `chosen` among them, (n, samples, 2)."""
+        if self._cell is None:
+            square = _planar(self._points + _uniform(self.seed, first, (count, 1, 2))[chosen])
+            square -= square >= 1
+        else:
+            jitter = _uniform(self.seed, first, (count, self.samples, 2))[chosen]
+            square = _planar(self._points + jitter * self._cell)
+        return concentric_disk(square)
+
+
+def _planar(points: Float32[HostArray, "n s 2"]) -> Float32[HostArray, "n s 2"]:
+    """`points` stored as all `x` and then all `y`, so that arithmetic on either runs over contiguous memory."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(points, -1, 0)), 0, -1)
+
+
+def _grid(samples: int) -> tuple[Float32[HostArray, "s 2"], Float32[HostArray, "2"]]:
+    """Least corners of the grid's cells, those of a chessboard's black fields first, and the size of a cell."""
+    rows = next(n for n in range(math.isqrt(samples), 0, -1) if samples % n == 0)
+    columns = samples // rows
+    row, column = np.divmod(np.arange(samples), columns)
+    order = np.argsort((row + column) % 2, kind="stable")
+    corners = np.stack([column / columns, row / rows], axis=-1)[order]
+    return corners.astype(np.float32), np.array([1 / columns, 1 / rows], dtype=np.float32)
+
+
+def _uniform(seed: int, first: int, shape: tuple[int, int, int]) -> Float32[HostArray, "n s 2"]:
+    """Uniform numbers in [0, 1) for pixels from `first` on; a pixel's numbers depend on `seed` and its index alone."""
+    count, samples, _ = shape
+    # One 64-bit draw holds a pair of 32-bit numbers; Philox makes four draws a step.
+    draws = first * samples
+    step, skip = divmod(draws, 4)
+    generator = np.random.Philox(key=np.random.SeedSequence((seed, 1)).generate_state(2, np.uint64))
+    generator.advance(step)
+    bits = generator.random_raw(skip + count * samples)[skip:].view(np.uint32)
+    # 24 bits are what a float32 in [0, 1) holds.
+    return ((bits >> 8).astype(np.float32) * np.float32(2.0**-24)).reshape(shape)

@@ -1,0 +1,233 @@
+"""Visibility of a light by rays: from the camera to the surface, from the surface to the light."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int
+
+from .._types import HostArray
+from ..geometry import Scene
+from ._embree import EmbreeTracer
+from ._lamp import Lamp
+from ._rays import CameraRays, Hits, Triangles, hits_on_planes
+from ._reference import Reference
+from ._sampling import DiskSampler, Sampler, check_sampling
+from ._tracer import AbstractTracer
+
+# Rays of one batch: few enough to stay in cache and to bound memory at some tens of megabytes a thread.
+_BATCH = 1 << 17
+# Shadow rays stop this share of their way short of a light at a finite distance, so that a lamp that lies on a surface
+# is not hidden by it.
+_SHORT_OF_LIGHT = 2.0**-20
+
+
+def trace_visibility(
+    scene: Scene,
+    samples: int = 64,
+    sampler: Sampler = "sobol",
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Reference:
+    """Traces how much of the scene's light is seen from each pixel of its camera.
+
+    A ray through each pixel's centre finds the surface between the camera's near and far distances; rays from there to
+    points of the light say which of them are hidden. Every surface is two-sided, and the light is seen only from the
+    side that faces the camera: what lies below that side's horizon counts as dark. A spot light's cone, near and far
+    are not obeyed: they are settings of a shadow map, and the truth has none.
+
+    **Arguments:**
+
+    - `scene`: concrete, not traced by JAX.
+    - `samples`: shadow rays a pixel, 1 to 65536. A light without size needs, and gets, just one, to its centre.
+    - `sampler`: `"sobol"` or `"stratified"`.
+    - `seed`: of the sample points; any integer that is not negative. The same arguments give the same image,
+      bit for bit.
+    - `progress`: called with the share of pixels done, in (0, 1], in the calling thread.
+
+    **Returns:** a `Reference`.
+
+    **Raises** `ValueError` if the camera sees no surface, `samples` or `seed` is out of range, or `sampler` is unknown.
+    """
+    return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress)
+
+
+def reference_from_image(visibility: Any, scene: Scene) -> Reference:
+    """A `Reference` whose visibility was made elsewhere; surfaces still come from camera rays.
+
+    **Arguments:**
+
+    - `visibility`: (h, w), in [0, 1], row 0 at the bottom; h and w are those of the scene's camera.
+
+    **Returns:** a `Reference` with `samples` 0 and `standard_error` 0.
+
+    **Raises** `ValueError` if the image's shape is not the camera's, a value lies outside [0, 1], or the camera sees no
+    surface.
+    """
+    image = np.asarray(visibility)
+    if image.shape != tuple(scene.camera.resolution):
+        raise ValueError(
+            f"the visibility image has shape {image.shape}, but the camera's resolution is "
+            f"{tuple(scene.camera.resolution)} (height, width); expected the same: resize the image, set the camera's "
+            "resolution, or pick one channel of a colour image"
+        )
+    image = image.astype(np.float32)
+    if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= 1):
+        raise ValueError(
+            f"the visibility image holds values from {image.min()} to {image.max()}; expected finite values from "
+            "0 (shadowed) to 1 (lit): divide 8-bit images by 255"
+        )
+    job = _Job(EmbreeTracer, scene, None)
+    job.run(None)
+    return job.reference(samples=0, visibility=np.where(job.face >= 0, image.reshape(-1), np.float32(1)))
+
+
+def trace_with(
+    make_tracer: Callable[[Triangles], AbstractTracer],
+    scene: Scene,
+    samples: int,
+    sampler: str,
+    seed: int,
+    progress: Callable[[float], None] | None,
+) -> Reference:
+    """`trace_visibility` by the tracer that `make_tracer` makes of the scene's triangles."""
+    check_sampling(samples, sampler)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
+    disk = DiskSampler(samples, sampler, int(seed)) if scene.light.has_size else _CENTRE
+    job = _Job(make_tracer, scene, disk)
+    job.run(progress)
+    return job.reference(samples=disk.samples, visibility=job.visibility)
+
+
+class _Centre:
+    """The one sample point of a light without size."""
+
+    samples = 1
+
+    def disk(self, first: int, count: int, chosen: Int[HostArray, "n"]) -> Float32[HostArray, "n 1 2"]:
+        return np.zeros((len(chosen), 1, 2), dtype=np.float32)
+
+
+_CENTRE = _Centre()
+
+
+class _Job:
+    """One image being traced; images are kept as flat lists of pixels. No shadow rays where `disk` is `None`."""
+
+    def __init__(
+        self,
+        make_tracer: Callable[[Triangles], AbstractTracer],
+        scene: Scene,
+        disk: DiskSampler | _Centre | None,
+    ):
+        self.scene, self.disk = scene, disk
+        self.triangles = Triangles(scene.mesh)
+        self.rays = CameraRays(scene.camera, self.triangles)
+        self.lamp = Lamp(scene.light, self.triangles)
+        self.tracer = make_tracer(self.triangles)
+        self.reach = np.inf if self.lamp.is_directional else 1 - _SHORT_OF_LIGHT
+        self.size = self.rays.height * self.rays.width
+        self.position, self.normal = (np.zeros((self.size, 3), dtype=np.float32) for _ in range(2))
+        self.face = np.full(self.size, -1, dtype=np.int32)
+        self.visibility = np.ones(self.size, dtype=np.float32)
+        self.standard_error = np.zeros(self.size, dtype=np.float32)
+
+    def run(self, progress: Callable[[float], None] | None) -> None:
+        """Traces all pixels, batch by batch, on all cores; the tracer and NumPy run outside the interpreter lock."""
+        step = max(1, _BATCH // (self.disk.samples if self.disk else 1))
+        starts = range(0, self.size, step)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            batches = [pool.submit(self._trace, first, min(step, self.size - first)) for first in starts]
+            try:
+                for done, batch in enumerate(as_completed(batches), start=1):
+                    batch.result()
+                    if progress is not None:
+                        progress(done / len(batches))
+            finally:
+                # An error, or an interrupt, must not wait for batches that have not begun.
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    def reference(self, samples: int, visibility: Float32[HostArray, "n"]) -> Reference:
+        """The finished image."""
+        mask = self.face >= 0
+        if not mask.any():
+            raise ValueError(_nothing_seen(self.scene, self.rays, self.triangles))
+        shape = (self.rays.height, self.rays.width)
+        return Reference(
+            visibility=visibility.reshape(shape),
+            mask=mask.reshape(shape),
+            position=self.position.reshape(*shape, 3),
+            normal=self.normal.reshape(*shape, 3),
+            face=self.face.reshape(shape),
+            samples=samples,
+            standard_error=self.standard_error.reshape(shape),
+        )
+
+    def _trace(self, first: int, count: int) -> None:
+        """Finds the surfaces of a batch of pixels and, where asked, how much of the light they see."""
+        rays = self.rays.pixels(first, count)
+        face = self.tracer.closest(rays)
+        seen = np.flatnonzero(face >= 0)
+        if not len(seen):
+            return
+        hits = hits_on_planes(type(rays)(*(x[seen] for x in rays)), face[seen], self.triangles)
+        pixel = first + seen
+        self.face[pixel] = hits.face
+        self.position[pixel] = self.triangles.to_world(hits.position)
+        self.normal[pixel] = hits.normal
+        if self.disk is None:
+            return
+        lit = self._lit(hits, self.disk.disk(first, count, seen))
+        self.visibility[pixel] = lit.mean(axis=1, dtype=np.float64)
+        self.standard_error[pixel] = self._standard_error(lit)
+
+    def _lit(self, hits: Hits, disk: Float32[HostArray, "n s 2"]) -> Bool[HostArray, "n s"]:
+        """Which of the points `disk` (n, s, 2) of the light each of `hits` sees, (n, s)."""
+        start = self.tracer.start(hits)
+        direction, height = self.lamp.vectors(start, hits.normal, disk.astype(self.tracer.dtype, copy=False))
+        # What lies below the horizon is dark: no ray needed.
+        lit = height > 0
+        if lit.all():
+            which, direction = np.repeat(np.arange(len(lit)), lit.shape[1]), direction.reshape(-1, 3)
+        else:
+            which, direction = np.nonzero(lit)[0], direction[lit]
+        if len(which):
+            lit[lit] = ~self.tracer.occluded(start, hits.face, which, direction, self.reach)
+        return lit
+
+    def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, "n"] | float:
+        """From the two halves of the samples: var(mean) = (difference of halves)² · n₁ n₂ / (n₁ + n₂)²."""
+        samples = lit.shape[1]
+        if samples == 1:
+            return 0.5 if self.lamp.has_size else 0.0
+        half = samples // 2
+        difference = lit[:, :half].mean(axis=1) - lit[:, half:].mean(axis=1)
+        return np.abs(difference) * np.sqrt(half * (samples - half)) / samples
+
+
+def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
+    """Says where the camera looks, where the scene is, and how to bring them together."""
+    world = triangles.to_world(triangles.corners).reshape(-1, 3)
+    low, high = world.min(axis=0), world.max(axis=0)
+    view, camera = rays.view, scene.camera
+    matrix = np.asarray(view.world_to_eye)
+    distance = -(world @ matrix[2, :3] + matrix[2, 3])
+    near, far = float(view.near), float(view.far)
+    brief = lambda values: [float(f"{v:.4g}") for v in np.asarray(values)]
+    if distance.max() < near or distance.min() > far:
+        remedy = (
+            "turn the camera round"
+            if distance.max() < 0
+            else "set near and far so that they enclose the scene, or move the camera"
+        )
+    else:
+        remedy = f"point its target at the scene, whose middle is {brief((low + high) / 2)}, or widen its view"
+    return (
+        f"the camera at {brief(camera.eye)}, which looks to {brief(camera.target)}, sees no surface: it sees "
+        f"distances {near:.4g} to {far:.4g} along its axis, and the scene spans {brief(low)} to {brief(high)}, "
+        f"at distances {distance.min():.4g} to {distance.max():.4g}; expected a surface at one or more of its "
+        f"{rays.height * rays.width} pixel centres: {remedy}"
+    )

@@ -1,0 +1,97 @@
+"""Depth comparisons: whether, or how far, a receiver lies behind what the map has seen."""
+
+import abc
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._misc import as_float, concrete
+from .._types import Scalar
+
+SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
+
+
+class AbstractCompare(eqx.Module):
+    """Compares stored depths with a receiver's."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, stored: Float[Array, "*n"], receiver: Float[Array, "*n"], depth_per_texel: Float[Array, "*n"]
+    ) -> Float[Array, "*n"]:
+        """Visibility in [0, 1]: 1 where the receiver is lit.
+
+        **Arguments:**
+
+        - `stored`: window depth in the map.
+        - `receiver`: window depth of the receiver, less its bias.
+        - `depth_per_texel`: window depth per texel's width at the receiver.
+        """
+
+
+class HardCompare(AbstractCompare):
+    """Lit or not, as hardware compares: its gradient is zero everywhere.
+
+    - `operator`: `"less_equal"`, lit where `receiver <= stored`, or `"less"`, lit where `receiver < stored`.
+    """
+
+    operator: Literal["less_equal", "less"] = eqx.field(static=True, default="less_equal")
+
+    def __check_init__(self):
+        if self.operator not in ("less_equal", "less"):
+            raise ValueError(f'the comparison is {self.operator!r}; expected "less_equal" or "less"')
+
+    def __call__(self, stored, receiver, depth_per_texel):
+        lit = receiver <= stored if self.operator == "less_equal" else receiver < stored
+        return lit.astype(stored.dtype)
+
+
+def _exponential(t: Array) -> Array:
+    return jnp.exp(jnp.minimum(t, 0))
+
+
+def _gaussian(t: Array) -> Array:
+    return jax.scipy.stats.norm.cdf(jnp.clip(t, -20, 20))
+
+
+def _linear(t: Array) -> Array:
+    return jnp.clip(0.5 * t + 0.5, 0, 1)
+
+
+def _smoothstep(t: Array) -> Array:
+    s = _linear(t)
+    return s * s * (3 - 2 * s)
+
+
+_KERNELS = {
+    "logistic": jax.nn.sigmoid,
+    "linear": _linear,
+    "smoothstep": _smoothstep,
+    "gaussian": _gaussian,
+    "exponential": _exponential,
+}
+
+
+class SoftCompare(AbstractCompare):
+    """A compare that rises smoothly from dark to lit, `k((stored - receiver) / width)`.
+
+    - `width`: in texels' widths along the light's axis, more than 0; towards 0 it becomes the hard compare.
+    - `kernel`: `"logistic"` 1 / (1 + exp(-t)); `"gaussian"`, the normal distribution function with standard
+        deviation `width`; `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"` min(1, exp(t)),
+        as in exponential shadow maps (Annen et al. 2008).
+    """
+
+    width: Scalar = eqx.field(converter=as_float)
+    kernel: SoftKernel = eqx.field(static=True, default="logistic")
+
+    def __check_init__(self):
+        if self.kernel not in _KERNELS:
+            raise ValueError(f"the soft compare's kernel is {self.kernel!r}; expected one of {', '.join(_KERNELS)}")
+        width = concrete(self.width)
+        if width is not None and not width > 0:
+            raise ValueError(f"the soft compare's width is {width}; expected more than 0 texels, or a HardCompare")
+
+    def __call__(self, stored, receiver, depth_per_texel):
+        return _KERNELS[self.kernel]((stored - receiver) / (self.width * depth_per_texel))

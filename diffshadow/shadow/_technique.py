@@ -1,0 +1,46 @@
+"""Shadow mapping: from a map and a surface to visibility."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import Mask, Visibility
+from ..raster import Surface
+from ._bias import AbstractBias
+from ._compare import AbstractCompare, HardCompare
+from ._map import ShadowMap
+from ._receiver import Lookup, look_up, receiver, within_frustum
+from .filters import AbstractFilter
+
+
+class ShadowMapping(eqx.Module):
+    """How a shadow map becomes visibility.
+
+    - `filter`: where the map is tapped.
+    - `bias`: what keeps surfaces from shadowing themselves.
+    - `compare`: how depths are compared.
+    """
+
+    filter: AbstractFilter
+    bias: AbstractBias
+    compare: AbstractCompare = HardCompare()
+
+    def visibility(self, shadow_map: ShadowMap, surface: Surface) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        A receiver beyond the map's border or its far plane is lit; one whose surface is turned away from the light's
+        centre is dark, since light would have to come through it. Pixels without a surface are lit.
+        """
+        lookup, cosine = self._look_up(shadow_map, surface)
+        lit = jnp.where(lookup.inside, self.filter(shadow_map, lookup, self.compare), 1)
+        return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
+
+    def covered(self, shadow_map: ShadowMap, surface: Surface) -> Mask:
+        """Pixels whose surface lies within the light's frustum, (h, w): those that the map can say something of."""
+        lookup, _ = self._look_up(shadow_map, surface)
+        return surface.mask & within_frustum(lookup, shadow_map)
+
+    def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
+        at = receiver(shadow_map, surface)
+        terms = self.bias(at)
+        position = surface.position + terms.displacement
+        return look_up(shadow_map, position, terms.depth, at.depth_per_texel), at.cosine

@@ -1,0 +1,18 @@
+"""What a filter is."""
+
+import abc
+
+import equinox as eqx
+
+from ..._types import Visibility
+from .._compare import AbstractCompare
+from .._map import ShadowMap
+from .._receiver import Lookup
+
+
+class AbstractFilter(eqx.Module):
+    """A way to turn a shadow map and a look-up into visibility: where it taps the map, and how it weighs the taps."""
+
+    @abc.abstractmethod
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        """Visibility in [0, 1] of each receiver, (h, w): 1 lit, 0 shadowed."""

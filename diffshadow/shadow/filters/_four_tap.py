@@ -1,0 +1,22 @@
+"""Four bilinear taps."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..._misc import as_float
+from ..._types import Scalar, Visibility
+from .._compare import AbstractCompare
+from .._map import ShadowMap
+from .._receiver import Lookup
+from .._taps import mean_of_taps
+from ._abstract import AbstractFilter
+
+
+class FourTap(AbstractFilter):
+    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all."""
+
+    radius: Scalar = eqx.field(converter=as_float, default=1.0)
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        corners = jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+        return mean_of_taps(shadow_map, lookup, compare, self.radius, corners, "bilinear")

@@ -1,0 +1,22 @@
+"""One look-up: the hardware's two filter modes."""
+
+from ..._types import Visibility
+from .._compare import AbstractCompare
+from .._map import ShadowMap
+from .._receiver import Lookup
+from .._taps import single_tap
+from ._abstract import AbstractFilter
+
+
+class Nearest(AbstractFilter):
+    """Compares with the one texel that a receiver falls into (Williams 1978)."""
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        return single_tap(shadow_map, lookup, compare, "nearest")
+
+
+class Bilinear(AbstractFilter):
+    """Compares with the four texels round a receiver and blends the results."""
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        return single_tap(shadow_map, lookup, compare, "bilinear")

@@ -1,0 +1,349 @@
+"""Transforms, views, cameras and meshes, against their definitions."""
+
+import itertools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffshadow.geometry import (
+    DirectionalLight,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    SpotLight,
+    face_normals,
+    library_mesh,
+    look_at,
+    merge,
+    orbit_eye,
+    orthographic,
+    perspective,
+    rotation,
+    scaling,
+    transform_points,
+    transform_vectors,
+    translation,
+)
+
+UP = jnp.array([0.0, 1.0, 0.0])
+SIDES = jnp.array([-1.0, 1.0])
+coordinate = st.floats(-1, 1, width=32)
+vector = st.tuples(coordinate, coordinate, coordinate).filter(lambda v: math.hypot(*v) > 0.1)
+many_examples = settings(max_examples=30, deadline=None)
+
+
+def divided(clip):
+    clip = np.asarray(clip, np.float64)
+    return clip[..., :3] / clip[..., 3:]
+
+
+def cloud(scale, n=200, seed=0):
+    """Points of a box about as large as `scale`, off the origin."""
+    rng = np.random.default_rng(seed)
+    return jnp.asarray(scale * (rng.uniform(-1, 1, (n, 3)) * [1, 0.5, 2] + [0.3, 0.5, -0.2]), jnp.float32)
+
+
+# Transforms
+
+
+@many_examples
+@given(vector, vector, vector)
+def test_look_at_is_rigid_and_puts_the_eye_at_the_origin_looking_along_minus_z(eye, forward, up):
+    eye, forward = jnp.array(eye), jnp.array(forward)
+    matrix = look_at(eye, forward, jnp.array(up))
+    rows = np.asarray(matrix[:3, :3], np.float64)
+    np.testing.assert_allclose(rows @ rows.T, np.eye(3), atol=1e-5)
+    assert np.linalg.det(rows) == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(transform_points(matrix, eye), [0, 0, 0, 1], atol=1e-6)
+    ahead = np.asarray(transform_points(matrix, eye + forward))
+    np.testing.assert_allclose(ahead, [0, 0, -np.linalg.norm(forward), 1], atol=1e-5)
+    # What is up lies in the upper half of the eye's yz plane, but where the view is along it.
+    upright = np.asarray(transform_vectors(matrix, jnp.array(up)))
+    if np.linalg.norm(np.cross(forward, up)) > 1e-2 * np.linalg.norm(forward) * np.linalg.norm(up):
+        assert upright[0] == pytest.approx(0, abs=1e-5)
+        assert upright[1] > 0
+
+
+@pytest.mark.parametrize("forward", [(0, 1, 0), (0, -1, 0), (0, -3, 0), (1e-5, -1, 0)])
+def test_look_at_along_its_up_direction_is_still_rigid(forward):
+    rows = np.asarray(look_at(jnp.zeros(3), jnp.array(forward, float), UP)[:3, :3])
+    np.testing.assert_allclose(rows @ rows.T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(rows) == pytest.approx(1, abs=1e-6)
+
+
+def test_perspective_maps_the_corners_of_its_frustum_to_those_of_the_clip_cube():
+    left_right, bottom_top, near, far = (-0.3, 0.7), (-0.2, 0.5), 0.5, 20.0
+    matrix = perspective(jnp.array(left_right), jnp.array(bottom_top), jnp.array(near), jnp.array(far))
+    for x, y, z in itertools.product((0, 1), repeat=3):
+        distance = (near, far)[z]
+        corner = jnp.array([left_right[x] * distance, bottom_top[y] * distance, -distance])
+        clip = transform_points(matrix, corner)
+        assert float(clip[3]) == pytest.approx(distance)
+        np.testing.assert_allclose(divided(clip), [2 * x - 1, 2 * y - 1, 2 * z - 1], atol=1e-5)
+
+
+def test_orthographic_maps_the_corners_of_its_box_to_those_of_the_clip_cube():
+    left_right, bottom_top, near, far = (-3.0, 7.0), (-2.0, 5.0), -1.0, 20.0
+    matrix = orthographic(jnp.array(left_right), jnp.array(bottom_top), jnp.array(near), jnp.array(far))
+    for x, y, z in itertools.product((0, 1), repeat=3):
+        clip = transform_points(matrix, jnp.array([left_right[x], bottom_top[y], -(near, far)[z]]))
+        np.testing.assert_allclose(clip, [2 * x - 1, 2 * y - 1, 2 * z - 1, 1], atol=1e-5)
+
+
+@many_examples
+@given(vector, st.floats(-6, 6))
+def test_rotation_turns_by_its_angle_about_its_axis(axis, angle):
+    unit = np.array(axis) / math.hypot(*axis)
+    turn = np.asarray(rotation(jnp.array(axis), angle)[:3, :3], np.float64)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-5)
+    np.testing.assert_allclose(turn @ unit, unit, atol=1e-5)
+    across = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    across /= np.linalg.norm(across)
+    # By the right-hand rule `across` moves towards `unit × across`.
+    expected = math.cos(angle) * across + math.sin(angle) * np.cross(unit, across)
+    np.testing.assert_allclose(turn @ across, expected, atol=1e-5)
+
+
+def test_translation_and_scaling_act_on_points_and_vectors():
+    point = jnp.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(transform_points(translation(jnp.array([4.0, 5.0, 6.0])), point), [5, 7, 9, 1])
+    np.testing.assert_allclose(transform_vectors(translation(jnp.array([4.0, 5.0, 6.0])), point), point)
+    np.testing.assert_allclose(transform_points(scaling(2.0), point), [2, 4, 6, 1])
+    np.testing.assert_allclose(transform_points(scaling(jnp.array([1.0, 0.0, -1.0])), point), [1, 0, -3, 1])
+
+
+def test_orbit_eye_measures_azimuth_from_z_to_x_and_elevation_upwards():
+    target = jnp.array([1.0, 2.0, 3.0])
+    for azimuth, elevation, towards in [
+        (0.0, 0.0, (0, 0, 1)),
+        (90.0, 0.0, (1, 0, 0)),
+        (0.0, 90.0, (0, 1, 0)),
+        (45.0, 30.0, (math.sqrt(0.375), 0.5, math.sqrt(0.375))),
+    ]:
+        np.testing.assert_allclose((orbit_eye(target, 2.0, azimuth, elevation) - target) / 2, towards, atol=1e-6)
+
+
+# Views
+
+
+def views():
+    eye, target = (1.0, 2.0, 3.0), (0.2, -0.3, 0.1)
+    points = cloud(1.0)
+    return {
+        "pinhole": PinholeCamera(eye, target, fov_y=40.0, near=0.5, far=9.0, resolution=(30, 50)).view(),
+        "orthographic": OrthographicCamera(eye, target, height=3.0, near=0.5, far=9.0, resolution=(30, 50)).view(),
+        "directional": DirectionalLight.around(jnp.array([0.3, -1.0, 0.2]), points).view(),
+        "spot": SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points).view(),
+    }
+
+
+VIEWS = ["pinhole", "orthographic", "directional", "spot"]
+
+
+def on_axis(view, distance):
+    """World points at `distance` along the view axis, by the inverse of the view's rigid part."""
+    eye = jnp.stack([jnp.zeros_like(distance), jnp.zeros_like(distance), -distance], axis=-1)
+    return transform_points(jnp.linalg.inv(view.world_to_eye), eye)[..., :3]
+
+
+def window_depth(view, points):
+    clip = view.clip(points)
+    return (clip[..., 2] / clip[..., 3] + 1) / 2
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_near_and_far_have_window_depth_0_and_1(name):
+    view = views()[name]
+    depth = window_depth(view, on_axis(view, jnp.stack([view.near, view.far])))
+    np.testing.assert_allclose(depth, [0, 1], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_eye_depth_inverts_the_projection(name):
+    with jax.enable_x64(True):
+        view = views()[name]
+        distance = jnp.linspace(view.near, view.far, 50)
+        np.testing.assert_allclose(view.eye_depth(window_depth(view, on_axis(view, distance))), distance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_depth_slope_is_the_derivative_of_window_depth(name):
+    with jax.enable_x64(True):
+        view = views()[name]
+        span = view.far - view.near
+        distance = view.near + span * jnp.linspace(0.05, 0.95, 20)
+        step = 1e-4 * span
+        above, below = (window_depth(view, on_axis(view, distance + s)) for s in (step, -step))
+        np.testing.assert_allclose(view.depth_slope(distance), (above - below) / (2 * step), rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("resolution", [(30, 50), (64, 16)])
+def test_texel_size_is_the_world_size_of_one_step_in_the_map(name, resolution):
+    with jax.enable_x64(True):
+        view = views()[name]
+        distance = jnp.linspace(max(view.near, 0.1), view.far, 7)
+        to_world = jnp.linalg.inv(view.world_to_eye)
+        steps = []
+        for axis, texels in ((0, resolution[1]), (1, resolution[0])):
+            step = 1e-3 * to_world[:3, axis]
+            start, end = (view.clip(on_axis(view, distance) + s) for s in (0 * step, step))
+            moved = (end / end[:, 3:] - start / start[:, 3:])[:, axis] / 2 * texels
+            steps.append(1e-3 / np.asarray(moved))
+        # The geometric mean of the width and the height of a texel.
+        np.testing.assert_allclose(view.texel_size(distance, resolution), np.sqrt(steps[0] * steps[1]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_clip_is_the_product_of_the_views_matrices(name):
+    view, points = views()[name], np.asarray(cloud(1.0), np.float64)
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=-1)
+    expected = homogeneous @ np.asarray(view.matrix, np.float64).T
+    np.testing.assert_allclose(view.clip(jnp.asarray(points, jnp.float32)), expected, atol=2e-5)
+    product = np.asarray(view.eye_to_clip, np.float64) @ np.asarray(view.world_to_eye, np.float64)
+    np.testing.assert_allclose(view.matrix, product, atol=1e-5)
+
+
+def products(function, *arguments):
+    """The precision of each matrix product that `function` is traced to."""
+    found, jaxprs = [], [jax.make_jaxpr(function)(*arguments).jaxpr]
+    while jaxprs:
+        for equation in jaxprs.pop().eqns:
+            if equation.primitive.name == "dot_general":
+                found.append(equation.params["precision"])
+            jaxprs += [inner.jaxpr for inner in equation.params.values() if hasattr(inner, "jaxpr")]
+    return found
+
+
+def test_no_product_is_left_to_a_backends_precision():
+    # Some backends round the factors of a plain float32 product to 10 bits, which would move an eye by 0.1 %.
+    eye = jnp.array([1.0, 2.0, 3.0])
+    directional = lambda d, points: DirectionalLight.around(d, points).view().matrix
+    camera = lambda e: PinholeCamera(e, jnp.zeros(3)).view().matrix
+    used = [
+        *products(rotation, eye, 0.5),
+        *products(look_at, eye, eye, UP),
+        *products(camera, eye),
+        *products(directional, eye, cloud(1.0)),
+    ]
+    assert used
+    assert all(precision == (jax.lax.Precision.HIGHEST,) * 2 for precision in used)
+
+
+# Cameras
+
+
+def test_pinhole_camera_sees_its_field_of_view():
+    camera = PinholeCamera((0, 0, 0), (0, 0, -1), fov_y=60.0, near=0.1, far=10.0, resolution=(100, 200))
+    tangent = math.tan(math.radians(30))
+    assert camera.aspect == 2
+    for x, y in itertools.product((-1, 1), repeat=2):
+        corner = jnp.array([2 * tangent * x, tangent * y, -1.0]) * 3
+        np.testing.assert_allclose(divided(camera.view().clip(corner))[:2], [x, y], atol=1e-5)
+
+
+def test_orthographic_camera_sees_its_height():
+    camera = OrthographicCamera((5, 0, 0), (0, 0, 0), height=4.0, resolution=(50, 100))
+    # From +x, `right` is -z.
+    np.testing.assert_allclose(divided(camera.view().clip(jnp.array([0.0, 2.0, -4.0])))[:2], [1, 1], atol=1e-5)
+
+
+BAD_CAMERAS = [
+    ({"eye": (1, 2, 3), "target": (1, 2, 3)}, r"eye and target are both \[1\.0, 2\.0, 3\.0\]"),
+    ({"eye": (math.nan, 0, 0)}, "expected finite coordinates"),
+    ({"near": 2.0, "far": 2.0}, "near = 2.0 and far = 2.0"),
+    ({"near": 3.0, "far": 2.0}, "near = 3.0 and far = 2.0"),
+    ({"far": math.inf}, "both finite"),
+    ({"near": -math.inf}, "both finite"),
+    ({"far": math.nan}, "both finite"),
+    ({"resolution": (0, 4)}, r"resolution is \(0, 4\)"),
+    ({"resolution": (4, 10_000)}, r"resolution is \(4, 10000\)"),
+]
+
+
+@pytest.mark.parametrize("kind", [PinholeCamera, OrthographicCamera])
+@pytest.mark.parametrize(("options", "message"), BAD_CAMERAS)
+def test_bad_cameras_are_refused(kind, options, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**({"eye": (0, 0, 1), "target": (0, 0, 0)} | options))
+
+
+def test_bad_openings_of_cameras_are_refused():
+    for fov in (0.0, 180.0, -3.0, math.nan):
+        with pytest.raises(ValueError, match="expected degrees between 0 and 180"):
+            PinholeCamera((0, 0, 1), (0, 0, 0), fov_y=fov)
+    for height in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="expected a positive size"):
+            OrthographicCamera((0, 0, 1), (0, 0, 0), height=height)
+    with pytest.raises(ValueError, match="expected 0 < near < far"):
+        PinholeCamera((0, 0, 1), (0, 0, 0), near=0.0)
+    # A parallel view may begin behind its eye.
+    OrthographicCamera((0, 0, 1), (0, 0, 0), near=-1.0)
+
+
+# Meshes
+
+
+def test_mesh_without_normals_is_shaded_flat_and_light_grey():
+    mesh = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    np.testing.assert_allclose(mesh.corner_normals, [[[0, 0, 1]] * 3])
+    np.testing.assert_allclose(mesh.albedo, [[0.8] * 3])
+    np.testing.assert_allclose(mesh.bounds, [[0, 0, 0], [1, 1, 0]])
+
+
+def test_bad_meshes_are_refused():
+    triangle = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    with pytest.raises(ValueError, match="has no faces"):
+        Mesh(np.zeros((3, 3)), np.zeros((0, 3), int))
+    with pytest.raises(ValueError, match=r"1 of the mesh's 3 vertices.*first is vertex 2"):
+        Mesh([*triangle[:2], [0, math.nan, 0]], [[0, 1, 2]])
+    for faces in ([[0, 1, 3]], [[-1, 0, 1]]):
+        with pytest.raises(ValueError, match=r"faces name vertices -?\d to \d, but it has 3"):
+            Mesh(triangle, faces)
+    with pytest.raises(ValueError, match="no meshes to merge"):
+        merge([])
+
+
+def outward(mesh, centre):
+    """Whether each face, and each corner's normal, looks away from `centre`; for a convex mesh."""
+    away = np.asarray(mesh.vertices)[np.asarray(mesh.faces)] - np.asarray(centre)
+    by_face = (np.asarray(face_normals(mesh)) * away.mean(axis=1)).sum(-1)
+    return (by_face > 0).all() and ((np.asarray(mesh.corner_normals) * away).sum(-1) > 0).all()
+
+
+@many_examples
+@given(vector, st.floats(-3, 3), st.tuples(*[st.sampled_from([-2.0, -0.5, 0.1, 1.0, 3.0])] * 3), vector)
+def test_transformed_mesh_keeps_its_outside_outside(axis, angle, factors, offset):
+    matrix = translation(jnp.array(offset)) @ rotation(jnp.array(axis), angle) @ scaling(jnp.array(factors))
+    mesh = library_mesh("low_poly_sphere")
+    moved = mesh.transformed(matrix)
+    assert outward(mesh, [0, 0.5, 0])
+    assert outward(moved, transform_points(matrix, jnp.array([0, 0.5, 0]))[:3])
+    np.testing.assert_allclose(np.linalg.norm(moved.corner_normals, axis=-1), 1, atol=1e-5)
+
+
+def test_normals_of_a_stretched_sphere_are_those_of_the_ellipsoid():
+    sphere = library_mesh("sphere", subdivisions=3).transformed(translation(jnp.array([0.0, -0.5, 0.0])))
+    factors = np.array([1.0, 3.0, -0.5])
+    mesh = sphere.transformed(scaling(jnp.asarray(factors)))
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+    # The gradient of x²/a² + y²/b² + z²/c².
+    gradient = corners / factors**2
+    gradient /= np.linalg.norm(gradient, axis=-1, keepdims=True)
+    assert (np.asarray(mesh.corner_normals) * gradient).sum(-1).min() > 0.999
+
+
+def test_merge_keeps_every_triangle_with_its_normals_and_colour():
+    box = library_mesh("box").transformed(translation(jnp.array([3.0, 0.0, 0.0])))
+    ball = eqx.tree_at(lambda m: m.albedo, library_mesh("low_poly_sphere"), jnp.full((80, 3), 0.25))
+    both = merge([box, ball])
+    triangles = np.concatenate([np.asarray(m.vertices)[np.asarray(m.faces)] for m in (box, ball)])
+    np.testing.assert_array_equal(np.asarray(both.vertices)[np.asarray(both.faces)], triangles)
+    np.testing.assert_array_equal(both.corner_normals[12:], ball.corner_normals)
+    np.testing.assert_allclose(both.albedo[:, 0], [0.8] * 12 + [0.25] * 80)

@@ -1,0 +1,219 @@
+"""Meshes from files: formats, scenes, and the message for each thing that can be wrong."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from diffshadow.geometry import face_normals, library_mesh
+from diffshadow.io import FileError, load_mesh
+
+SHARED = Path(__file__).parents[1] / ".." / "shared" / "meshes"
+
+
+def as_trimesh(mesh):
+    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+
+
+def volume(mesh):
+    return np.linalg.det(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]).sum() / 6
+
+
+def is_closed(mesh):
+    faces = np.asarray(mesh.faces)
+    edges = {tuple(e) for e in np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()}
+    return len(edges) == 3 * len(faces) and {(b, a) for a, b in edges} == edges
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off", "glb", "OBJ"])
+def test_a_closed_mesh_comes_back_closed_from_every_format(suffix, tmp_path):
+    torus = library_mesh("torus", segments=16, sides=8)
+    path = tmp_path / f"torus.{suffix}"
+    path.write_bytes(_bytes(as_trimesh(torus).export(file_type=suffix.lower())))
+    mesh = load_mesh(path)
+    # STL stores three vertices a triangle; welding makes them one again.
+    assert mesh.vertices.shape == torus.vertices.shape
+    assert mesh.faces.shape == torus.faces.shape
+    assert is_closed(mesh)
+    assert volume(mesh) == pytest.approx(volume(torus), rel=1e-5)
+
+
+def _bytes(exported):
+    return exported if isinstance(exported, bytes) else exported.encode()
+
+
+def test_crease_angle_decides_between_flat_and_smooth(tmp_path):
+    path = tmp_path / "box.stl"
+    path.write_bytes(_bytes(as_trimesh(library_mesh("box")).export(file_type="stl")))
+    sharp, smooth = load_mesh(str(path)), load_mesh(path, crease_angle=180)
+    flat = np.asarray(face_normals(sharp))[:, None]
+    np.testing.assert_allclose(sharp.corner_normals, np.broadcast_to(flat, (12, 3, 3)), atol=1e-6)
+    np.testing.assert_allclose((np.asarray(smooth.corner_normals) * flat).sum(-1), 3**-0.5, atol=1e-6)
+
+
+def test_texture_seams_are_welded_and_quads_cut(tmp_path):
+    path = write(
+        tmp_path / "seam.obj",
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+        "f 1/1 2/2 3/3 4/4\nf 2/1 5/2 6/3 3/4\n",
+    )
+    mesh = load_mesh(path)
+    assert mesh.vertices.shape == (6, 3)
+    assert mesh.faces.shape == (4, 3)
+
+
+def test_objects_of_a_scene_stand_where_their_nodes_put_them(tmp_path):
+    box = as_trimesh(library_mesh("box"))
+    scene = trimesh.Scene()
+    away = np.diag([2.0, 2.0, 2.0, 1.0])
+    away[:3, 3] = [10, 0, 0]
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    mirror[:3, 3] = [0, 0, 5]
+    scene.add_geometry(box, geom_name="box", transform=away)
+    scene.graph.update(frame_to="twin", matrix=mirror, geometry="box")
+    path = tmp_path / "scene.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    mesh = load_mesh(path)
+    assert mesh.faces.shape == (24, 3)
+    np.testing.assert_allclose(mesh.bounds, [[-0.5, 0, -1], [11, 2, 5.5]], atol=1e-6)
+    # The mirrored box is still wound outwards, or its volume would count negative.
+    assert is_closed(mesh)
+    assert volume(mesh) == pytest.approx(8 + 1)
+
+
+def test_points_beside_triangles_are_left_aside(tmp_path):
+    scene = trimesh.Scene([as_trimesh(library_mesh("box")), trimesh.PointCloud(np.full((4, 3), 9.0))])
+    path = tmp_path / "mixed.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    np.testing.assert_allclose(load_mesh(path).bounds, [[-0.5, 0, -0.5], [0.5, 1, 0.5]], atol=1e-6)
+
+
+def test_a_small_mesh_far_from_the_origin_keeps_its_vertices_apart(tmp_path):
+    sphere = as_trimesh(library_mesh("sphere", subdivisions=2))
+    sphere.vertices = sphere.vertices * 1e-3 + 1.0
+    path = write(tmp_path / "far.obj", sphere.export(file_type="obj", digits=12))
+    assert load_mesh(path).vertices.shape == (162, 3)
+
+
+# What can be wrong
+
+
+def test_missing_file_names_the_path_looked_at_and_a_near_name(tmp_path, monkeypatch):
+    write(tmp_path / "Bunny.ply", "")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileError, match=rf"no mesh file {tmp_path}/buny\.ply; did you mean 'Bunny\.ply'"):
+        load_mesh("buny.ply")
+    with pytest.raises(FileError, match=r"zzz\.obj; check the path"):
+        load_mesh("zzz.obj")
+    with pytest.raises(FileError, match=rf"the folder {tmp_path}/nowhere does not exist"):
+        load_mesh("nowhere/bunny.ply")
+
+
+def test_a_folder_is_no_mesh(tmp_path):
+    with pytest.raises(FileError, match="is a folder; expected a mesh file"):
+        load_mesh(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["mesh.txt", "mesh.png", "mesh"])
+def test_unknown_suffixes_are_refused_with_the_known_ones(name, tmp_path):
+    with pytest.raises(FileError, match=r"its suffix is .*expected one of .*\.glb.*\.obj.*\.ply.*\.stl"):
+        load_mesh(write(tmp_path / name, TRIANGLE))
+
+
+DAMAGED = {
+    "garbage.ply": "garbage",
+    "garbage.glb": "garbage",
+    "words.obj": "v 0 0 x\nf 1 2 3\n",
+    "index.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+    "short.off": "OFF\n3 1 0\n0 0 0\n1 0 0\n",
+    "index.off": "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n",
+    "index.ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n",
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_files_are_refused(name, tmp_path):
+    with pytest.raises(FileError, match=rf"mesh file .*{name} is damaged"):
+        load_mesh(write(tmp_path / name, DAMAGED[name]))
+
+
+def test_a_truncated_binary_file_is_refused(tmp_path):
+    whole = _bytes(as_trimesh(library_mesh("torus")).export(file_type="stl"))
+    path = tmp_path / "cut.stl"
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileError, match=r"is damaged|no triangles"):
+        load_mesh(path)
+
+
+POINTS_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    "0 0 0\n1 1 1\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "found"),
+    [
+        ("empty.obj", "", "no triangles"),
+        ("empty.stl", "", "no triangles|is damaged"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\n", "2 points but no triangles"),
+        ("points.ply", POINTS_PLY, "2 points but no triangles"),
+        ("points.xyz", "0 0 0\n1 1 1\n", "2 points but no triangles"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nf 1 2 2\n", "every triangle of .*two corners in one place"),
+        ("none.gltf", json.dumps({"asset": {"version": "2.0"}}), "no triangles"),
+    ],
+)
+def test_files_without_triangles_are_refused(name, text, found, tmp_path):
+    with pytest.raises(FileError, match=found):
+        load_mesh(write(tmp_path / name, text))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_vertices_that_are_not_finite_are_counted(value, tmp_path):
+    with pytest.raises(FileError, match=r"bad\.obj is damaged: 1 of the 3 vertices.*first is vertex 2"):
+        load_mesh(write(tmp_path / "bad.obj", TRIANGLE.replace("v 0 1 0", f"v 0 {value} 0")))
+
+
+def test_binary_stl_with_nan_is_refused(tmp_path):
+    path = tmp_path / "nan.stl"
+    values = [0, 0, 1, 0, 0, 0, 1, 0, 0, 0, float("nan"), 0]
+    path.write_bytes(bytes(80) + struct.pack("<I12fH", 1, *values, 0))
+    with pytest.raises(FileError, match="NaN or infinite"):
+        load_mesh(path)
+
+
+# Meshes that other people made
+
+
+@pytest.mark.parametrize(
+    ("name", "vertices", "faces", "closed", "extent"),
+    [
+        ("bunny.ply", 8146, 16301, False, (0.16, 0.15, 0.12)),
+        ("spot.obj", 2930, 5856, True, (0.9, 1.7, 1.7)),
+        ("teapot.obj", 3241, 6320, False, (6.4, 3.2, 4.0)),
+        ("fandisk.obj", 6475, 12946, True, (4.8, 5.2, 2.7)),
+    ],
+)
+def test_real_meshes_load(name, vertices, faces, closed, extent):
+    if not (SHARED / name).exists():
+        pytest.skip(f"no file ../shared/meshes/{name} beside the repository")
+    mesh = load_mesh(SHARED / name)
+    assert mesh.vertices.shape == (vertices, 3)
+    assert mesh.faces.shape[0] == faces
+    assert is_closed(mesh) == closed
+    low, high = np.asarray(mesh.bounds)
+    np.testing.assert_allclose(high - low, extent, atol=0.06, rtol=0.05)
+    lengths = np.linalg.norm(np.asarray(mesh.corner_normals), axis=-1)
+    np.testing.assert_allclose(lengths, 1, atol=1e-5)

@@ -1,0 +1,175 @@
+"""Metrics on images whose errors are known exactly."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffshadow.metrics import (
+    ShadowErrors,
+    false_light_rate,
+    false_shadow_rate,
+    mae,
+    measure_errors,
+    penumbra_width,
+    psnr,
+    rmse,
+    ssim,
+)
+
+ALL = [rmse, mae, psnr, ssim, false_shadow_rate, false_light_rate, measure_errors]
+
+
+def edge(columns=10, rows=10, lit_from=5):
+    """Dark on the left, lit on the right."""
+    return np.broadcast_to(np.where(np.arange(columns) >= lit_from, 1.0, 0.0), (rows, columns)).copy()
+
+
+def test_differences_of_known_images():
+    reference = np.array([[0.0, 1.0], [0.5, 1.0]])
+    image = np.array([[0.5, 1.0], [0.5, 0.0]])
+    assert mae(image, reference) == 1.5 / 4
+    assert rmse(image, reference) == pytest.approx(math.sqrt(1.25 / 4), rel=1e-15)
+    assert psnr(image, reference) == pytest.approx(-10 * math.log10(1.25 / 4), rel=1e-14)
+    mask = np.array([[True, True], [True, False]])
+    assert mae(image, reference, mask) == pytest.approx(0.5 / 3, rel=1e-15)
+    assert rmse(image, reference, mask) == pytest.approx(math.sqrt(0.25 / 3), rel=1e-15)
+
+
+def test_equal_images_have_no_error():
+    image = np.random.default_rng(0).uniform(size=(20, 30))
+    assert (mae(image, image), rmse(image, image), psnr(image, image)) == (0, 0, math.inf)
+    assert ssim(image, image) == pytest.approx(1, abs=1e-12)
+    assert (false_shadow_rate(image, image), false_light_rate(image, image)) == (0, 0)
+
+
+def test_ssim_of_constant_images_is_the_luminance_term():
+    a, b = 0.25, 0.75
+    expected = (2 * a * b + 1e-4) / (a * a + b * b + 1e-4)
+    assert ssim(np.full((16, 12), a), np.full((16, 12), b)) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_ssim_matches_its_definition_window_by_window(masked):
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(size=(2, 17, 14))
+    mask = rng.uniform(size=x.shape) < 0.6 if masked else np.ones(x.shape, bool)
+    values = []
+    for row, column in np.argwhere(mask):
+        r, c = np.ogrid[: x.shape[0], : x.shape[1]]
+        w = np.exp(-((r - row) ** 2 + (c - column) ** 2) / (2 * 1.5**2)) * mask
+        w = np.where((np.abs(r - row) <= 5) & (np.abs(c - column) <= 5), w, 0)
+        w /= w.sum()
+        mx, my = np.sum(w * x), np.sum(w * y)
+        vx, vy, cov = np.sum(w * (x - mx) ** 2), np.sum(w * (y - my) ** 2), np.sum(w * (x - mx) * (y - my))
+        top = (2 * mx * my + 0.01**2) * (2 * cov + 0.03**2)
+        values.append(top / ((mx**2 + my**2 + 0.01**2) * (vx + vy + 0.03**2)))
+    assert ssim(x, y, mask) == pytest.approx(np.mean(values), rel=1e-10)
+
+
+@pytest.mark.parametrize("metric", [rmse, mae, psnr, ssim, false_shadow_rate, false_light_rate])
+def test_what_lies_outside_the_mask_does_not_count(metric):
+    rng = np.random.default_rng(2)
+    reference, image = edge(), np.clip(edge() + rng.normal(0, 0.4, (10, 10)), 0, 1)
+    mask = rng.uniform(size=(10, 10)) < 0.7
+    spoilt = np.where(mask, image, np.nan)
+    assert metric(spoilt, np.where(mask, reference, np.inf), mask) == metric(image, reference, mask)
+    assert metric(image, reference, mask) != metric(image, reference)
+
+
+def test_false_rates_count_plainly_wrong_pixels_only():
+    reference, image = edge(), edge()
+    image[2, 8] = 0.0  # acne
+    image[3, 8] = 0.4  # acne, by the nearer side
+    image[4, 8] = 0.6  # merely dim
+    image[5, 1] = 1.0  # a leak
+    assert false_shadow_rate(image, reference) == 2 / 100
+    assert false_light_rate(image, reference) == 1 / 100
+
+
+@pytest.mark.parametrize(("band", "shadow", "light"), [(0, 10, 10), (1, 0, 10), (2, 0, 0)])
+def test_false_rates_leave_out_a_band_along_the_edge(band, shadow, light):
+    reference, image = edge(), edge()
+    image[:, 5] = 0  # in touch with the edge
+    image[:, 3] = 1  # one pixel further away
+    assert false_shadow_rate(image, reference, band=band) == shadow / 100
+    assert false_light_rate(image, reference, band=band) == light / 100
+
+
+def test_penumbra_belongs_to_the_band_and_the_mask_makes_no_edge():
+    reference = edge()
+    reference[:, 5] = 0.5
+    image = 1 - reference
+    # Columns 0-4 are dark, 6-9 lit; a band of 1 leaves out columns 4 and 6.
+    assert false_shadow_rate(image, reference) == 30 / 100
+    assert false_light_rate(image, reference) == 40 / 100
+    mask = np.zeros((10, 10), bool)
+    mask[:, 6:] = True
+    assert false_shadow_rate(image, reference, mask) == 1
+    assert false_light_rate(image, reference, mask) == 0
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_penumbra_width_of_a_ramp(turn):
+    # The ramp rises from 0 at x = 10 to 1 at x = 30.
+    profile = np.clip((np.arange(50) - 10) / 20, 0, 1)[::turn]
+    assert penumbra_width(profile) == pytest.approx(16, rel=1e-12)
+    assert penumbra_width(profile, spacing=0.25) == pytest.approx(4, rel=1e-12)
+    assert penumbra_width(profile, low=0.0, high=1.0) == pytest.approx(20, rel=1e-12)
+    assert penumbra_width(profile, low=0.33, high=0.41) == pytest.approx(1.6, rel=1e-12)
+
+
+def test_penumbra_width_of_a_hard_edge_is_within_a_sample():
+    assert penumbra_width(np.array([0.0, 0.0, 1.0, 1.0])) == pytest.approx(0.8)
+
+
+def test_penumbra_width_wants_a_step():
+    with pytest.raises(ValueError, match=r"runs from 0\.3 to 1 without a step from 0\.1 up to 0\.9"):
+        penumbra_width([0.3, 0.6, 1.0])
+    with pytest.raises(ValueError, match=r"shape \(2, 2\)"):
+        penumbra_width(np.zeros((2, 2)))
+    with pytest.raises(ValueError, match=r"low is 0\.9 and high is 0\.1"):
+        penumbra_width([0.0, 1.0], low=0.9, high=0.1)
+    with pytest.raises(ValueError, match="spacing is 0"):
+        penumbra_width([0.0, 1.0], spacing=0.0)
+
+
+def test_measure_errors_gathers_the_single_metrics():
+    rng = np.random.default_rng(3)
+    reference, image = edge(), rng.uniform(size=(10, 10))
+    mask = rng.uniform(size=(10, 10)) < 0.8
+    errors = measure_errors(jnp.asarray(image), jnp.asarray(reference), jnp.asarray(mask), band=2)
+    image = np.asarray(jnp.asarray(image))
+    assert isinstance(errors, ShadowErrors)
+    assert errors.as_dict() == {
+        "rmse": rmse(image, reference, mask),
+        "mae": mae(image, reference, mask),
+        "ssim": ssim(image, reference, mask),
+        "false_shadow_rate": false_shadow_rate(image, reference, mask, 2),
+        "false_light_rate": false_light_rate(image, reference, mask, 2),
+    }
+    assert all(type(value) is float for value in errors.as_dict().values())
+
+
+@pytest.mark.parametrize("metric", ALL)
+def test_unfit_images_are_refused(metric):
+    image = edge()
+    with pytest.raises(ValueError, match=r"shape \(10, 10\) and the reference \(10, 9\)"):
+        metric(image, image[:, 1:])
+    with pytest.raises(ValueError, match=r"shape \(10,\)"):
+        metric(image[0], image[0])
+    with pytest.raises(ValueError, match="none of the 100 pixels"):
+        metric(image, image, np.zeros((10, 10), bool))
+    with pytest.raises(ValueError, match="type float64; expected booleans"):
+        metric(image, image, np.ones((10, 10)))
+    spoilt = image.copy()
+    spoilt[3, 4] = np.nan
+    with pytest.raises(ValueError, match=r"visibility holds 1 NaN .*row 3, column 4"):
+        metric(spoilt, image)
+
+
+@pytest.mark.parametrize("rate", [false_shadow_rate, false_light_rate, measure_errors])
+def test_negative_band_is_refused(rate):
+    with pytest.raises(ValueError, match="band is -1"):
+        rate(edge(), edge(), band=-1)
