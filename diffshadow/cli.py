@@ -45,6 +45,7 @@ app = App(
     help_format="markdown",
     version=lambda: version("diffshadow"),
     result_action="return_value",
+    suppress_keyboard_interrupt=False,
 )
 
 
@@ -145,9 +146,10 @@ def _build_everything(config: Config) -> int:
     """Makes all that a run is made of, for its errors. **Returns** the scene's number of triangles."""
     from .config import build_fit, build_scene, build_technique
 
+    scene = build_scene(config)
     build_technique(config)
     build_fit(config)
-    return build_scene(config).mesh.faces.shape[0]
+    return scene.mesh.faces.shape[0]
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffshadow.config import (
@@ -28,6 +28,8 @@ from diffshadow.config import (
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.yaml"))
 QUICKSTART = next(path for path in CONFIGS if path.stem == "quickstart")
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
+# The machine may be busy, and each example is small.
+few = settings(max_examples=50, deadline=None)
 JARGON = ("type=", "Input should", "pydantic", "http", "union", "tuple", "dict", "NoneType", "<", "extra")
 
 
@@ -119,6 +121,7 @@ def test_switch_words_are_refused_with_the_right_one():
     assert said == "file.yaml:3: filter.early_out: is 'on'; expected true or false; write true"
 
 
+@few
 @given(text=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12))
 def test_any_text_survives_dump_and_load(text):
     try:
@@ -128,6 +131,7 @@ def test_any_text_survives_dump_and_load(text):
     assert parse_config(dump_resolved(config)).output == text
 
 
+@few
 @given(
     constant=st.floats(0, 1e30),
     seed=st.integers(0, 2**32 - 1),
@@ -140,14 +144,19 @@ def test_any_numbers_survive_overrides_dump_and_load(constant, seed, direction):
     assert parse_config(dump_resolved(config)) == config
 
 
+@few
 @given(key=st.text("abcdefgh._0123 ", max_size=20), value=st.text(max_size=12))
 def test_no_override_ends_in_another_error(key, value):
     try:
         parse_config(TINY, [f"{key}={value}"])
     except ConfigError as error:
-        assert all(str(problem).startswith("override ") for problem in error.problems)
+        problems = [str(problem) for problem in error.problems]
+    else:
+        problems = []
+    assert all(problem.startswith("override ") for problem in problems)
 
 
+@few
 @given(text=st.text(max_size=40))
 def test_no_text_ends_in_another_error(text):
     with pytest.raises(ConfigError):
@@ -227,7 +236,13 @@ BROKEN = {
     ),
     "text for a section": (
         "filter: pcf\n",
-        "2: filter: is 'pcf'; expected a section with the keys type; write its keys below it, indented",
+        "2: filter: is 'pcf'; expected a section with the keys type, radius, samples, pattern_size, lookup, early_out; "
+        "write {type: pcf}",
+    ),
+    "number for a section": (
+        "bias: 3\n",
+        "2: bias: is 3; expected a section with the keys constant, slope, normal_offset; "
+        "write its keys below it, indented",
     ),
     "prime samples": (
         "filter: {samples: 31}\n",
@@ -440,7 +455,7 @@ def test_what_is_no_configuration_is_told_with_its_line(text, expected):
 
 def test_aliases_cannot_blow_up():
     bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 9))
-    assert any("100,001th value" in line for line in faults(bomb))
+    assert any("10,001th value" in line for line in faults(bomb))
 
 
 def test_aliases_stand_for_what_they_repeat():
@@ -495,7 +510,7 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
 def test_fault_of_an_override_is_told_with_the_override(override, expected):
     with pytest.raises(ConfigError) as caught:
         load_config(QUICKSTART, [override])
-    assert str(caught.value).splitlines()[0].startswith(f"override {override!r}: {expected}")
+    assert any(line.startswith(f"override {override!r}: {expected}") for line in str(caught.value).splitlines())
 
 
 @pytest.mark.parametrize(
@@ -513,9 +528,7 @@ def test_fault_of_an_override_is_told_with_the_override(override, expected):
     ],
 )
 def test_override_replaces_one_value(override, key, value):
-    before, after = (
-        dict((row.key, row.value) for row in describe(load_config(QUICKSTART, o))) for o in ([], [override])
-    )
+    before, after = ({row.key: row.value for row in describe(load_config(QUICKSTART, o))} for o in ([], [override]))
     assert after[key] == value
     assert before.get(key) != value
     changed = {k for k in before.keys() & after.keys() if before[k] != after[k]}
@@ -543,6 +556,7 @@ def test_samples_factor_into_the_grid_nearest_to_a_square(samples, grid):
     assert RandomDiskConfig(samples=samples).grid == grid
 
 
+@few
 @given(st.integers(4, 4096))
 def test_suggested_sample_counts_are_accepted(samples):
     try:

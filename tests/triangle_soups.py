@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def _from_window(xy, z, w, resolution):
+def from_window(xy, z, w, resolution):
     """Clip coordinates of window positions (…, 2) in pixels, depth and w."""
     height, width = resolution
     ndc = np.concatenate([xy / [width, height], z[..., None]], axis=-1) * 2 - 1
@@ -22,16 +22,16 @@ def _w(rng):
 
 def tiny(rng, resolution):
     """A pixel across or less."""
-    return _from_window(_around(rng, 10 ** rng.uniform(-2, 0.5), resolution), rng.random(3), _w(rng), resolution)
+    return from_window(_around(rng, 10 ** rng.uniform(-2, 0.5), resolution), rng.random(3), _w(rng), resolution)
 
 
 def medium(rng, resolution):
-    return _from_window(_around(rng, rng.uniform(2, 20), resolution), rng.random(3), _w(rng), resolution)
+    return from_window(_around(rng, rng.uniform(2, 20), resolution), rng.random(3), _w(rng), resolution)
 
 
 def big(rng, resolution):
     """Larger than the view."""
-    return _from_window(_around(rng, 200, resolution), rng.random(3), _w(rng), resolution)
+    return from_window(_around(rng, 200, resolution), rng.random(3), _w(rng), resolution)
 
 
 def sliver(rng, resolution):
@@ -39,7 +39,7 @@ def sliver(rng, resolution):
     xy = _around(rng, rng.choice([5, 50, 2000]), resolution)
     t = rng.uniform(-0.5, 1.5)
     xy[2] = xy[0] + t * (xy[1] - xy[0]) + rng.normal(size=2) * 10 ** rng.uniform(-3, 0)
-    return _from_window(xy, rng.random(3), _w(rng), resolution)
+    return from_window(xy, rng.random(3), _w(rng), resolution)
 
 
 def huge(rng, resolution):
@@ -47,13 +47,13 @@ def huge(rng, resolution):
     xy = _around(rng, 10 ** rng.uniform(3, 6), resolution)
     if rng.random() < 0.5:
         xy[0] = rng.uniform([0, 0], resolution[::-1])
-    return _from_window(xy, rng.random(3), _w(rng), resolution)
+    return from_window(xy, rng.random(3), _w(rng), resolution)
 
 
 def on_centres(rng, resolution):
     """Corners and edges exactly on pixel centres, or on the borders of pixels; depths of few values."""
     xy = np.round(_around(rng, 12, resolution) * 2) / 2
-    return _from_window(xy, rng.integers(0, 5, 3) / 4, np.exp2(rng.integers(-2, 3, 3)), resolution)
+    return from_window(xy, rng.integers(0, 5, 3) / 4, np.exp2(rng.integers(-2, 3, 3)), resolution)
 
 
 def in_space(rng, resolution):
@@ -83,7 +83,7 @@ def anything(rng, resolution):
 def outside(rng, resolution):
     """Beyond the far plane, before the near plane, or beside the view, in part or wholly."""
     xy = _around(rng, rng.uniform(2, 60), resolution) + rng.choice([-80, 0, 80], 2)
-    return _from_window(xy, rng.uniform(-0.5, 1.5, 3) + rng.choice([-1, 0, 1]), _w(rng), resolution)
+    return from_window(xy, rng.uniform(-0.5, 1.5, 3) + rng.choice([-1, 0, 1]), _w(rng), resolution)
 
 
 def degenerate(rng, resolution):

@@ -43,9 +43,9 @@ _LEAST_NEAR = 1e-3
 class FitPlan(NamedTuple):
     """What is fitted, by which solver, and how the compare's width shrinks meanwhile."""
 
-    parameters: "list[fit.Parameter]"
-    solver: "fit.Solver"
-    anneal: "fit.Anneal"
+    parameters: list[fit.Parameter]
+    solver: fit.Solver
+    anneal: fit.Anneal
 
 
 def build_scene(config: Config) -> geometry.Scene:

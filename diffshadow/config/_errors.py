@@ -66,7 +66,8 @@ def show(value: Any) -> str:
         case dict():
             text = f"a section with the keys {', '.join(map(str, value))}" if value else "an empty section {}"
         case list() | tuple():
-            text = f"[{', '.join(show(item) for item in value)}]"
+            # More entries than characters are shown need not be spelt out.
+            text = f"[{', '.join(show(item) for item in value[:_LONGEST_SHOWN])}]"
         case str():
             text = repr(value)
         case _:

@@ -16,11 +16,18 @@ from ._section import Form, Section, Unit
 
 @dataclass(frozen=True)
 class Slot:
-    """A value of the schema: its bare type, the marks on it, and the field that holds it."""
+    """A value of the schema.
+
+    - `kind`: its bare type.
+    - `marks`: what its annotation says besides.
+    - `field`: that holds it.
+    - `siblings`: the variants, itself among them, of which `kind` is one.
+    """
 
     kind: Any
     marks: tuple[Any, ...] = ()
     field: FieldInfo | None = None
+    siblings: tuple[type[Section], ...] = ()
 
     @property
     def variants(self) -> tuple[type[Section], ...]:
@@ -81,16 +88,16 @@ def follow(location: Sequence[str | int]) -> Found:
     """Reads one of pydantic's locations, in which names of variants stand between the keys."""
     path: KeyPath = ()
     slot: Slot | None = ROOT
-    section, variants = None, ()
-    chosen: tuple[type[Section], ...] = ()
+    section: type[Section] | None = None
+    variants: tuple[type[Section], ...] = ()
     for step in location:
         among = slot.variants if slot is not None else ()
         if slot is not None and len(among) > 1:
-            chosen = among
-            slot = Slot(next(variant for variant in among if type_of(variant) == step), slot.marks, slot.field)
+            slot = Slot(next(variant for variant in among if type_of(variant) == step), slot.marks, slot.field, among)
             continue
-        section, variants = (among[0], chosen or among) if among else (None, ())
-        path, chosen = (*path, step), ()
+        section = among[0] if among else None
+        variants = (slot.siblings or among) if slot is not None else ()
+        path = (*path, step)
         slot = None if slot is None else _inside(slot, step)
     return Found(path, slot, section, variants)
 

@@ -73,8 +73,9 @@ def parse_config(
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
-        reported = {problem.key for problem in problems}
-        problems += [problem for problem in problems_of(error, origin) if problem.key not in reported]
+        # What could not be read left no value, of which nothing more is to be said.
+        reported = {(problem.key, problem.place.line) for problem in problems}
+        problems += [p for p in problems_of(error, origin) if (p.key, p.place.line) not in reported]
         raise ConfigError(problems) from None
     if problems:
         raise ConfigError(problems)

@@ -76,7 +76,8 @@ def _remedy(value: Any, slot: Slot) -> str:
     if slot.kind is str:
         return "put it in quotes" if isinstance(value, int | float) else "write text"
     if slot.variants:
-        return "write its keys below it, indented"
+        word = nearest(value, map(type_of, slot.siblings)) if isinstance(value, str) else None
+        return "write its keys below it, indented" if word is None else f"write {{type: {word}}}"
     if isinstance(slot.default, int | float):
         return f"give such a value (the default is {show(slot.default)})"
     return "give such a value"

@@ -24,7 +24,7 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 _KNOWN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("str", "seq", "map")}
 # Aliases of aliases grow exponentially; no honest configuration comes near this.
-_MOST_VALUES = 100_000
+_MOST_VALUES = 10_000
 _LONGEST_INTEGER = 40
 
 _HINTS = {
@@ -77,7 +77,7 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
         raise _syntax_error(error, locate) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        message = f"holds the character U+{ord(error.character):04X}; expected printable text; remove it"
+        message = f"holds the character U+{int(error.character):04X}; expected printable text; remove it"
         raise ConfigError([Problem(locate(line, 1), "", message)]) from None
     except RecursionError:
         message = "sections or lists are nested hundreds deep; expected a handful of levels; check the brackets"

@@ -87,7 +87,6 @@ def _count(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull,
 @partial(jax.jit, static_argnums=(2, 3, 4))
 def _rasterize(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Fragments:
     triangles, clipped = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
-    triangles = _check_capacity(triangles, triangles.counts(clipped), capacity)
     batches = _window_batches(triangles, resolution, capacity) + _block_batches(triangles, resolution, capacity)
 
     height, width = resolution
@@ -103,7 +102,8 @@ def _rasterize(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: C
         face = lax.scatter_min(face, corner, won, _WINDOW_SCATTER, mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS)
     depth, face = depth[:height, :width], face[:height, :width]
     seen = face != _INDEX_OF_NOTHING
-    return Fragments(jnp.where(seen, face, NO_FACE), jnp.where(seen, depth, 1))
+    fragments = Fragments(jnp.where(seen, face, NO_FACE), jnp.where(seen, depth, 1))
+    return _check_capacity(fragments, triangles.counts(clipped), capacity)
 
 
 _WINDOW_SCATTER = lax.ScatterDimensionNumbers(
@@ -155,18 +155,19 @@ def _block_batches(triangles: Triangles, resolution: Resolution, capacity: Capac
     return [(pixel[:, ::-1], depth, triangles.source[member][owner])]
 
 
-def _check_capacity(triangles: Triangles, counts: Counts, capacity: Capacity) -> Triangles:
-    checks = [("clipped", counts.clipped, capacity.clipped), ("large", counts.large, capacity.large)]
-    checks += [("blocks", counts.blocks, capacity.blocks)]
+def _check_capacity(fragments: Fragments, counts: Counts, capacity: Capacity) -> Fragments:
+    # Checked on the result: triangles for which there is no room at all are not read, and their check with them.
+    checks = [("clipped", counts.clipped, capacity.clipped)]
     checks += [
         (f"windows[{k}] ({side} x {side} pixels)", counts.windows[k], room)
         for k, (side, room) in enumerate(zip(WINDOWS, capacity.windows, strict=True))
     ]
-    for name, count, room in checks:
-        triangles = eqx.error_if(
-            triangles,
-            count > room,
-            f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
-            "expected at least as many as there are: call plan(...) on them, or give a larger Capacity",
-        )
-    return triangles
+    checks += [("large", counts.large, capacity.large), ("blocks", counts.blocks, capacity.blocks)]
+    messages = [
+        f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
+        "expected at least as many as there are: call plan(...) on them, or give a larger Capacity"
+        for name, _, room in checks
+    ]
+    # Clipping comes first, since without room for it the other counts are too low.
+    short = jnp.stack([count > room for _, count, room in checks])
+    return eqx.branched_error_if(fragments, jnp.any(short), jnp.argmax(short), messages)

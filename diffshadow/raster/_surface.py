@@ -3,8 +3,8 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._misc import normalize
-from .._types import FaceMap, Mask, VectorMap
+from .._misc import dot, normalize
+from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Capacity, Cull
 from ._interpolate import barycentrics, interpolate
@@ -41,22 +41,32 @@ def draw_surface(
 
     **Raises** `ValueError` if `capacity` is left out under a trace.
     """
-    view = camera.view()
-    clip = view.clip(mesh.vertices)
+    clip = _clip(mesh, camera)
     face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, capacity=capacity).face
-    return _surface(mesh, view.world_to_eye, face, clip, view.is_perspective)
+    return _surface(mesh, camera, face, clip)
 
 
-def _surface(mesh, world_to_eye, face, clip, is_perspective):
+@eqx.filter_jit
+def _clip(mesh: Mesh, camera: AbstractCamera) -> ClipVertices:
+    return camera.view().clip(mesh.vertices)
+
+
+@eqx.filter_jit
+def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertices) -> Surface:
     at = barycentrics(face, clip, mesh.faces)
+    seen = at.mask[..., None]
     position = interpolate(at, mesh.vertices, mesh.faces)
-    normal = jnp.where(at.mask[..., None], face_normals(mesh)[at.face], 0)
-    shading = jnp.sum(mesh.corner_normals[at.face] * at.weights[..., None], axis=-2)
-    shading = jnp.where(at.mask[..., None], normalize(shading), 0)
-    # The way to the camera: its eye, or against its axis.
-    eye = -world_to_eye[:3, :3].T @ world_to_eye[:3, 3]
-    to_camera = eye - position if is_perspective else world_to_eye[2, :3]
-    away = jnp.sum(normal * to_camera, axis=-1, keepdims=True) < 0
-    turn = jnp.where(away, -1, 1)
-    albedo = jnp.where(at.mask[..., None], mesh.albedo[at.face], 0)
-    return Surface(position, normal * turn, shading * turn, albedo, face, at.mask)
+    normal = jnp.where(seen, face_normals(mesh)[at.face], 0)
+    shading_normal = jnp.sum(mesh.corner_normals[at.face] * at.weights[..., None], axis=-2)
+    # The way to the camera: to its eye, or against its axis.
+    view = camera.view()
+    to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
+    turn = jnp.where(dot(normal, to_camera) < 0, -1, 1)[..., None]
+    return Surface(
+        position=position,
+        normal=normal * turn,
+        shading_normal=jnp.where(seen, normalize(shading_normal), 0) * turn,
+        albedo=jnp.where(seen, mesh.albedo[at.face], 0),
+        face=face,
+        mask=at.mask,
+    )

@@ -1,8 +1,10 @@
 """Which way a light lies, in float64 and without a call into JAX for each ray."""
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Array, Float, Float64
 
 from .._types import HostArray
 from ..geometry import AbstractLight
@@ -10,7 +12,7 @@ from ._rays import Triangles, in_float64
 
 
 class Lamp:
-    """A light as shadow rays want it: `centre(points)` and the vectors to points of its disk.
+    """A light as shadow rays want it: vectors from points of the scene to points of the light's disk.
 
     A light whose vector is `centre(point) + x · right + y · up` for the point `(x, y)` of its disk, as every flat or
     infinitely far disk's is, is evaluated in NumPy; any other one by its own `towards`.
@@ -21,17 +23,17 @@ class Lamp:
         self.is_directional = light.is_directional
         self._light = light
         self._triangles = triangles
-        # Probe the light at the frame's origin: its centre, and where the disk's axes lead.
-        probes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-        origin, right, up = self._towards(np.zeros((3, 3)), probes)
-        self._origin, self._axes = origin, np.stack([right - origin, up - origin])
-        self._is_flat = self._holds_elsewhere()
-
-    def centre(self, points: Float64[HostArray, "n 3"]) -> Float64[HostArray, "n 3"]:
-        """Vectors from `points` (n, 3) to the light's centre, in the tracing frame."""
-        if self._is_flat:
-            return np.broadcast_to(self._origin, points.shape) if self.is_directional else self._origin - points
-        return self._towards(points, np.zeros((len(points), 2)))
+        # Probe the light at the frame's origin, for its centre and the ends of its disk's axes, and at a few other
+        # points of the scene and of the disk, where these must foretell the vectors.
+        rng = np.random.default_rng(0)
+        points = np.concatenate([np.zeros((3, 3)), rng.uniform(-1, 1, (8, 3))])
+        disk = np.concatenate([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], rng.uniform(-0.7, 0.7, (8, 2))])
+        found = self._towards(points, disk)
+        self._origin = found[0]
+        self._axes = found[1:3] - found[0]
+        foretold = self._origin - (0 if self.is_directional else points) + disk @ self._axes
+        scale = 1 + float(np.abs(foretold).max())
+        self._is_flat = bool(np.abs(found - foretold).max() < 1e-9 * scale)
 
     def vectors(
         self,
@@ -53,7 +55,7 @@ class Lamp:
             spread = np.broadcast_to(points[:, None], (*disk.shape[:2], 3))
             exact = self._towards(spread, disk.astype(np.float64))
             return exact.astype(dtype), np.einsum("nsd,nd->ns", exact, normals).astype(dtype)
-        centre = self.centre(points)
+        centre = np.broadcast_to(self._origin, points.shape) if self.is_directional else self._origin - points
         x, y = disk[..., 0], disk[..., 1]
         # Project before rounding: on a surface that is edge-on to the light, only the sign is left.
         right, up = (normals @ self._axes.T).astype(dtype).T
@@ -69,13 +71,12 @@ class Lamp:
     ) -> Float64[HostArray, "*n 3"]:
         with jax.enable_x64(True):
             world = self._triangles.to_world(points)
-            towards = np.asarray(in_float64(self._light).towards(jax.numpy.asarray(world), jax.numpy.asarray(disk)))
+            towards = np.asarray(_compiled_towards(in_float64(self._light), jnp.asarray(world), jnp.asarray(disk)))
         return towards if self.is_directional else towards * self._triangles.scale
 
-    def _holds_elsewhere(self) -> bool:
-        """Whether the form found at the origin holds at a few other points of the scene and of the disk."""
-        rng = np.random.default_rng(0)
-        points, disk = rng.uniform(-1, 1, (8, 3)), rng.uniform(-0.7, 0.7, (8, 2))
-        expected = self._origin - (0 if self.is_directional else points) + disk @ self._axes
-        scale = 1 + float(np.abs(expected).max())
-        return bool(np.abs(self._towards(points, disk) - expected).max() < 1e-9 * scale)
+
+@eqx.filter_jit
+def _compiled_towards(
+    light: AbstractLight, points: Float[Array, "*n 3"], disk: Float[Array, "*n 2"]
+) -> Float[Array, "*n 3"]:
+    return light.towards(points, disk)

@@ -126,6 +126,12 @@ def hits_on_planes(rays: Rays, faces: Int[HostArray, "n"], triangles: Triangles)
     return Hits(position, np.where(facing > 0, -1, 1)[:, None] * normal, faces)
 
 
+@eqx.filter_jit
+def _compiled_view(camera: AbstractCamera) -> View:
+    # Compiled as a whole: its operations one by one would each cost a compilation in float64.
+    return camera.view()
+
+
 def _view(camera: AbstractCamera) -> View:
     with jax.enable_x64(True):
-        return eqx.filter_jit(lambda c: c.view())(in_float64(camera))
+        return _compiled_view(in_float64(camera))

@@ -18,7 +18,7 @@ from ._sampling import DiskSampler, Sampler, check_sampling
 from ._tracer import AbstractTracer
 
 # Rays of one batch: few enough to stay in cache and to bound memory at some tens of megabytes a thread.
-_BATCH = 1 << 17
+_BATCH = 1 << 16
 # Shadow rays stop this share of their way short of a light at a finite distance, so that a lamp that lies on a surface
 # is not hidden by it.
 _SHORT_OF_LIGHT = 2.0**-20

@@ -9,6 +9,7 @@ from ._bias import SlopeBias as SlopeBias
 from ._compare import AbstractCompare as AbstractCompare
 from ._compare import HardCompare as HardCompare
 from ._compare import SoftCompare as SoftCompare
+from ._compare import SoftKernel as SoftKernel
 from ._map import ShadowMap as ShadowMap
 from ._map import draw_shadow_map as draw_shadow_map
 from ._receiver import Lookup as Lookup

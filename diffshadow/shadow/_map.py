@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._types import DepthMap, Resolution
+from .._types import ClipVertices, DepthMap, FaceMap, Resolution
 from ..geometry import AbstractLight, Mesh, View
 from ..raster import Capacity, Cull, barycentrics, interpolate_depth, rasterize
 
@@ -48,6 +48,16 @@ def draw_shadow_map(
     - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones; only for closed meshes.
     - `capacity`: as for `rasterize`; needed under a trace.
     """
-    clip = light.view().clip(mesh.vertices)
+    clip = _clip(mesh, light)
     face = rasterize(clip, mesh.faces, resolution, cull=cull, capacity=capacity).face
-    return ShadowMap(interpolate_depth(barycentrics(face, clip, mesh.faces), clip, mesh.faces), light)
+    return ShadowMap(_depth(face, clip, mesh), light)
+
+
+@eqx.filter_jit
+def _clip(mesh: Mesh, light: AbstractLight) -> ClipVertices:
+    return light.view().clip(mesh.vertices)
+
+
+@eqx.filter_jit
+def _depth(face: FaceMap, clip: ClipVertices, mesh: Mesh) -> DepthMap:
+    return interpolate_depth(barycentrics(face, clip, mesh.faces), clip, mesh.faces)

@@ -1,0 +1,104 @@
+"""What is fitted: numbers inside a module, named by dotted path and kept within bounds."""
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from .._misc import as_float
+
+# How far inside its bounds a fit starts at the least, as a share of their distance: on a bound itself the
+# reparametrisation has no slope.
+_INSET = 0.01
+
+
+class Parameter(eqx.Module):
+    """A number to fit.
+
+    - `name`: dotted path to it, such as `"filter.radius"`. A path may stop at a module that holds one number:
+        `"bias.constant"` means `"bias.constant.value"`.
+    - `initial`, `lower`, `upper`: where it starts, and the bounds it keeps.
+    - `unit`: of all three, for reports.
+
+    **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
+    """
+
+    name: str = eqx.field(static=True)
+    initial: float = eqx.field(static=True)
+    lower: float = eqx.field(static=True)
+    upper: float = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="texels")
+
+    def __check_init__(self):
+        if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
+            raise ValueError(
+                f"the bounds of {self.name} are {self.lower} and {self.upper}; expected finite numbers, lower < upper"
+            )
+        if not self.lower <= self.initial <= self.upper:
+            raise ValueError(
+                f"{self.name} starts at {self.initial}; expected a value within its bounds, {self.lower} to "
+                f"{self.upper}: change initial, or widen the bounds"
+            )
+
+
+class Bounds(eqx.Module):
+    """The bounds of several parameters, and the smooth map onto them from all real numbers.
+
+    With `x = lower + (upper - lower) (1 + sin y) / 2` (James & Roos 1975) every `y` is allowed, and the bounds
+    themselves can be reached.
+    """
+
+    lower: Float[Array, " p"]
+    upper: Float[Array, " p"]
+
+    def to_bounded(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Values within the bounds."""
+        return self.lower + (self.upper - self.lower) * (1 + jnp.sin(y)) / 2
+
+    def to_free(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The inverse of `to_bounded`, for values moved off the bounds by at least 1 % of their distance."""
+        share = jnp.clip((x - self.lower) / (self.upper - self.lower), _INSET, 1 - _INSET)
+        return jnp.arcsin(2 * share - 1)
+
+
+def bounds_of(parameters: Sequence[Parameter]) -> Bounds:
+    """The bounds of `parameters`."""
+    return Bounds(as_float([p.lower for p in parameters]), as_float([p.upper for p in parameters]))
+
+
+def resolve(module: PyTree, name: str) -> Any:
+    """The leaf of `module` that the dotted path `name` means.
+
+    **Raises** `ValueError` if there is none, or if the path stops at a module that holds several numbers.
+    """
+    try:
+        found = reduce(getattr, name.split("."), module)
+    except AttributeError as error:
+        raise ValueError(
+            f"there is no parameter {name!r} in a {type(module).__name__}; expected one of "
+            f"{', '.join(parameter_names(module))}"
+        ) from error
+    leaves = jax.tree.leaves(found)
+    if len(leaves) != 1:
+        raise ValueError(
+            f"the parameter {name!r} names {len(leaves)} numbers; expected one: {', '.join(parameter_names(module))}"
+        )
+    return leaves[0]
+
+
+def parameter_names(module: PyTree) -> list[str]:
+    """Dotted paths of every single number in `module` that could be fitted."""
+    paths = jax.tree_util.tree_leaves_with_path(eqx.filter(module, eqx.is_inexact_array))
+    names = [".".join(key.name for key in path if hasattr(key, "name")) for path, leaf in paths if leaf.ndim == 0]
+    return [name.removesuffix(".value") for name in names]
+
+
+def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]) -> PyTree:
+    """`module` with the numbers that `names` mean replaced by `values` (p,)."""
+    where = lambda module: [resolve(module, name) for name in names]
+    return eqx.tree_at(where, module, [values[k] for k in range(len(names))])

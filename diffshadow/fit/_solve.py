@@ -1,0 +1,314 @@
+"""Fitting a technique to a reference, by least squares under a soft compare that hardens.
+
+The hard compare has no gradient, so the fit runs in phases under a soft one whose width shrinks geometrically, each
+phase starting from the last. What counts is the hard compare: it judges the start and the end of every phase, and the
+best of them is the result, so a fit never ends worse than it began.
+"""
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from .._misc import as_float
+from ..shadow import HardCompare, ShadowMapping, SoftCompare, SoftKernel
+from ._parameters import Bounds, Parameter, bounds_of, with_values
+from ._residuals import Problem, residual_at
+
+SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs"]
+_SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs")
+
+
+class Solver(NamedTuple):
+    """Which optimistix solver runs, and when a phase ends.
+
+    - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"` or `"lbfgs"`.
+    - `max_steps`: of each phase.
+    - `rtol`, `atol`: a phase ends when both parameters and loss change by less.
+    """
+
+    name: SolverName = "levenberg_marquardt"
+    max_steps: int = 30
+    rtol: float = 1e-4
+    atol: float = 1e-6
+
+
+class Anneal(NamedTuple):
+    """How the soft compare hardens: `phases` widths from `start` to `end` texels, in geometric steps."""
+
+    start: float = 2.0
+    end: float = 0.05
+    phases: int = 4
+    kernel: SoftKernel = "logistic"
+
+    @property
+    def widths(self) -> list[float]:
+        """The width of each phase, in texels."""
+        return [float(w) for w in np.geomspace(self.start, self.end, self.phases)]
+
+
+class Step(NamedTuple):
+    """One evaluation of the loss during a fit.
+
+    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels.
+    - `loss`: the mean square error under that compare; `values`: of the parameters there.
+    """
+
+    phase: int
+    step: int
+    width: float
+    loss: float
+    values: tuple[float, ...]
+
+
+class Outcome(NamedTuple):
+    """How a phase ended.
+
+    - `width`: of its soft compare, in texels.
+    - `steps`: the solver took.
+    - `result`: what the solver said, `"successful"` or its name for what went wrong.
+    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
+    - `hard_loss`: the mean square error under the hard compare at the phase's end; `values`: the parameters there.
+    """
+
+    width: float
+    steps: int
+    result: str
+    gradient_norm: float
+    hard_loss: float
+    values: tuple[float, ...]
+
+
+class FitResult(NamedTuple):
+    """What a fit found.
+
+    - `technique`: the fitted technique, with the hard compare.
+    - `initial`, `fitted`: values by name.
+    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best.
+    - `history`: every evaluation, in order.
+    - `flat`: names of the parameters whose gradient was zero at every phase's start; they were not fitted.
+    - `seconds_compiling`, `seconds_running`: of the whole fit.
+    """
+
+    technique: ShadowMapping
+    initial: dict[str, float]
+    fitted: dict[str, float]
+    phases: list[Outcome]
+    chosen: int
+    history: list[Step]
+    flat: list[str]
+    seconds_compiling: float
+    seconds_running: float
+
+    @property
+    def steps(self) -> int:
+        """Solver steps of all phases."""
+        return sum(phase.steps for phase in self.phases)
+
+
+def fit(
+    problem: Problem,
+    parameters: Sequence[Parameter],
+    *,
+    solver: Solver | None = None,
+    anneal: Anneal | None = None,
+    on_step: Callable[[Step], None] | None = None,
+) -> FitResult:
+    """Fits numbers of `problem.technique` so that its visibility comes closest to the reference.
+
+    **Arguments:**
+
+    - `parameters`: what is fitted, and within which bounds.
+    - `solver`, `anneal`: defaults if left out.
+    - `on_step`: called with every evaluation of the loss, while the fit runs.
+
+    **Raises** `ValueError` if there are no parameters, one does not exist or is named twice, no pixel counts, or the
+    visibility is not finite at the start.
+    """
+    solver, anneal = solver or Solver(), anneal or Anneal()
+    names = tuple(p.name for p in parameters)
+    _check(problem, names, solver)
+    hard = eqx.tree_at(lambda p: p.technique.compare, problem, _hard(problem.technique))
+    soft = eqx.tree_at(
+        lambda p: p.technique.compare, problem, SoftCompare(anneal.start, anneal.kernel)
+    )
+    initial = as_float([p.initial for p in parameters])
+    bounds = bounds_of(parameters)
+
+    history: list[Step] = []
+    reporter = _Reporter(history, on_step)
+    started = time.perf_counter()
+    compiled = _compile(soft, names, bounds, bounds.to_free(initial), solver, reporter.token)
+    hard_loss = _hard_loss.lower(hard, names, initial).compile()
+    seconds_compiling = time.perf_counter() - started
+
+    started = time.perf_counter()
+    phases: list[Outcome] = []
+    best_loss, best, chosen = float(hard_loss(hard, names, initial)), initial, -1
+    if not np.isfinite(best_loss):
+        raise ValueError("the visibility is not finite at the initial values; expected numbers: check mesh and light")
+    y, slopes = bounds.to_free(initial), np.zeros(len(names))
+    with reporter:
+        for number, width in enumerate(anneal.widths):
+            reporter.begin(number, width)
+            soft = eqx.tree_at(lambda p: p.technique.compare.width, soft, as_float(width))
+            solution = compiled(soft, names, bounds, y, solver, reporter.token)
+            jax.effects_barrier()
+            if bool(jnp.all(jnp.isfinite(solution.value))):
+                y = solution.value
+            slopes = np.maximum(slopes, np.abs(np.asarray(solution.first_gradient)))
+            values = bounds.to_bounded(y)
+            loss = float(hard_loss(hard, names, values))
+            phases.append(_outcome(solution, width, loss, values))
+            if loss < best_loss:
+                best_loss, best, chosen = loss, values, number
+    flat = [name for name, slope in zip(names, slopes, strict=True) if slope == 0]
+    return FitResult(
+        technique=with_values(hard.technique, names, best),
+        initial=dict(zip(names, initial.tolist(), strict=True)),
+        fitted=dict(zip(names, best.tolist(), strict=True)),
+        phases=phases,
+        chosen=chosen,
+        history=history,
+        flat=flat,
+        seconds_compiling=seconds_compiling,
+        seconds_running=time.perf_counter() - started,
+    )
+
+
+class _Solution(NamedTuple):
+    """The end of a phase, as arrays."""
+
+    value: Float[Array, " p"]
+    gradient: Float[Array, " p"]
+    first_gradient: Float[Array, " p"]
+    steps: Array
+    result: optx.RESULTS
+
+
+def _phase(problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array) -> _Solution:
+    def residual(y: Array, args: tuple[Problem, Bounds]) -> Array:
+        problem, bounds = args
+        return residual_at(problem, names, bounds, y)
+
+    args = (problem, bounds)
+    # Least squares want a Jacobian, minimisers a gradient; with few parameters and many pixels both go forward.
+    options = {"jac": "fwd"} if solver.name in ("levenberg_marquardt", "dogleg") else {"autodiff_mode": "fwd"}
+    solution = optx.least_squares(
+        residual, _optimistix(solver, token), y, args, options, max_steps=solver.max_steps, throw=False
+    )
+    # The gradient per unit of each parameter's share of its bounds: comparable, and free of the reparametrisation.
+    def gradient(y: Array) -> Array:
+        share = (bounds.to_bounded(y) - bounds.lower) / (bounds.upper - bounds.lower)
+        at = lambda share: bounds.lower + share * (bounds.upper - bounds.lower)
+        loss = lambda share: problem.mean_square_error(with_values(problem.technique, names, at(share)))
+        return jax.jacfwd(loss)(share)
+
+    return _Solution(
+        solution.value, gradient(solution.value), gradient(y), solution.stats["num_steps"], solution.result
+    )
+
+
+_run_phase = eqx.filter_jit(_phase)
+_hard_loss = eqx.filter_jit(
+    lambda problem, names, values: problem.mean_square_error(with_values(problem.technique, names, values))
+)
+
+
+def _compile(*args):
+    return _run_phase.lower(*args).compile()
+
+
+def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
+    report = _Report(token)
+    tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
+    match solver.name:
+        case "levenberg_marquardt":
+            return optx.LevenbergMarquardt(**tolerances, linear_solver=lx.QR())
+        case "dogleg":
+            return optx.Dogleg(**tolerances, linear_solver=lx.QR())
+        case "bfgs":
+            return optx.BFGS(**tolerances)
+        case "lbfgs":
+            return optx.LBFGS(**tolerances)
+
+
+def _hard(technique: ShadowMapping) -> HardCompare:
+    return technique.compare if isinstance(technique.compare, HardCompare) else HardCompare()
+
+
+def _outcome(solution: _Solution, width: float, hard_loss: float, values: Array) -> Outcome:
+    result = "successful" if solution.result == optx.RESULTS.successful else optx.RESULTS[solution.result]
+    gradient_norm = float(jnp.linalg.norm(solution.gradient))
+    if not np.isfinite(gradient_norm):
+        result = "the loss is not finite near the solution"
+    return Outcome(width, int(solution.steps), result, gradient_norm, hard_loss, tuple(values.tolist()))
+
+
+def _check(problem: Problem, names: tuple[str, ...], solver: Solver) -> None:
+    if not names:
+        raise ValueError("got no parameters to fit; expected at least one, such as bias.constant")
+    if len(set(names)) < len(names):
+        raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
+    if solver.name not in _SOLVERS:
+        raise ValueError(f"the solver is {solver.name!r}; expected one of {', '.join(_SOLVERS)}")
+    if not bool(jnp.any(problem.mask)):
+        raise ValueError(
+            "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
+            "light to see the same part of the scene: move one of them"
+        )
+    with_values(problem.technique, names, jnp.zeros(len(names)))
+
+
+class _Report(eqx.Module):
+    """What optimistix calls at every step: hands the numbers to the reporter that `token` names."""
+
+    token: Array
+
+    def __call__(self, *, loss_this_step, y, **_):
+        jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=False)
+
+
+_REPORTERS: dict[int, "_Reporter"] = {}
+_TOKENS = itertools.count()
+
+
+def _dispatch(token, loss, y):
+    reporter = _REPORTERS.get(int(token))
+    if reporter is not None:
+        reporter.add(float(loss), y)
+
+
+class _Reporter:
+    """Collects the steps of one fit. A compiled phase outlives it, so it is found by number."""
+
+    def __init__(self, history: list[Step], on_step: Callable[[Step], None] | None):
+        self.history, self.on_step = history, on_step
+        self.number = next(_TOKENS)
+        self.token = jnp.asarray(self.number, jnp.int32)
+        self.phase, self.width, self.step = 0, 0.0, 0
+
+    def begin(self, phase: int, width: float) -> None:
+        self.phase, self.width, self.step = phase, width, 0
+
+    def add(self, loss: float, y: np.ndarray) -> None:
+        step = Step(self.phase, self.step, self.width, loss, tuple(np.asarray(y).tolist()))
+        self.step += 1
+        self.history.append(step)
+        if self.on_step is not None:
+            self.on_step(step)
+
+    def __enter__(self) -> "_Reporter":
+        _REPORTERS[self.number] = self
+        return self
+
+    def __exit__(self, *_) -> None:
+        _REPORTERS.pop(self.number, None)

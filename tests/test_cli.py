@@ -1,0 +1,204 @@
+"""The command line: exit codes, messages, and how soon they come."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import diffshadow.study
+from diffshadow.cli import main
+from diffshadow.config import Config, load_config
+
+QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
+
+
+def run(*arguments: object) -> int:
+    """The exit code of the command, run in this process."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(argument) for argument in arguments])
+    assert isinstance(caught.value.code, int)
+    return caught.value.code
+
+
+def process(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, in `folder`."""
+    command = [sys.executable, "-m", "diffshadow", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture
+def runner(monkeypatch):
+    """Stands in for `run_fit` and `run_render`; holds the configurations it was given."""
+    seen: list[Config] = []
+
+    def work(config, *, console):
+        console.print("working")
+        seen.append(config)
+        return Path("runs/a folder of a name so long that a terminal of eighty columns would have to wrap it somewhere")
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", work, raising=False)
+    monkeypatch.setattr(diffshadow.study, "run_render", work, raising=False)
+    return seen
+
+
+@pytest.mark.parametrize("command", ["fit", "render"])
+def test_command_runs_the_config_with_its_overrides(command, runner, capsys):
+    assert run(command, QUICKSTART, "filter.samples=64", "bias.slope=1e-1") == 0
+    assert runner == [load_config(QUICKSTART, ["filter.samples=64", "bias.slope=0.1"])]
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == "working"
+    assert out.splitlines()[-1].endswith("somewhere")
+    assert err == ""
+
+
+@pytest.mark.parametrize("command", ["fit", "render", "validate"])
+def test_mistakes_are_told_on_stderr_before_any_work(command, runner, capsys):
+    assert run(command, QUICKSTART, "filter.sampels=64") == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: override 'filter.sampels=64': filter.sampels: is no key of filter")
+    assert len(err.splitlines()) == 1
+    assert runner == []
+
+
+def test_every_problem_of_a_file_is_in_the_one_message(tmp_path, capsys):
+    file = tmp_path / "c.yaml"
+    file.write_text("seed: -1\nscene: {meshes: []}\n")
+    assert run("fit", file, "bias.slope=x") == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.removeprefix("error: ").split(": ")[0] for line in lines] == [
+        f"{file}:1",
+        f"{file}:2",
+        "override 'bias.slope=x'",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["fit"], "CONFIG"),
+        (["fti", QUICKSTART], 'Did you mean "fit"?'),
+        (["fit", "--fast", QUICKSTART], "--fast"),
+        (["fit", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
+        (["fit", "."], "cannot be read"),
+    ],
+)
+def test_wrong_arguments_are_told_on_one_line(arguments, said, runner, capsys):
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert runner == []
+
+
+def test_interrupt_exits_with_130(monkeypatch, capsys):
+    def interrupted(config, *, console):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", interrupted, raising=False)
+    assert run("fit", QUICKSTART) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
+
+
+def test_disk_trouble_is_told_without_a_traceback(monkeypatch, capsys):
+    def full(config, *, console):
+        raise OSError(28, "No space left on device", "runs/x")
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", full, raising=False)
+    assert run("fit", QUICKSTART) == 2
+    assert "No space left on device: 'runs/x'" in capsys.readouterr().err
+
+
+def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsys):
+    def strict(config, *, console):
+        from diffshadow.geometry import merge
+
+        merge([])
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", strict, raising=False)
+    assert run("fit", QUICKSTART) == 2
+    assert capsys.readouterr().err.startswith("error: got no meshes to merge")
+
+
+@pytest.mark.parametrize("error", [ValueError("from a library"), TypeError("a bug"), AssertionError("a bug")])
+def test_internal_errors_keep_their_traceback(error, monkeypatch):
+    def broken(config, *, console):
+        raise error
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", broken, raising=False)
+    with pytest.raises(type(error), match=str(error)):
+        main(["fit", str(QUICKSTART)])
+
+
+def test_validate_lists_settings_with_units(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.chdir(tmp_path)
+    assert run("validate", QUICKSTART, "filter.radius=3") == 0
+    out = capsys.readouterr().out
+    (radius,) = (line for line in out.splitlines() if " filter.radius " in line)
+    assert radius.split()[1::2] == ["filter.radius", "3.0", "texels"]
+    assert "is valid; its scene has 6,146 triangles" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_validate_finds_what_only_building_shows(tmp_path, capsys):
+    (tmp_path / "empty.obj").write_text("v 0 0 0\n")
+    file = tmp_path / "c.yaml"
+    file.write_text("scene:\n  meshes:\n    - path: empty.obj\n")
+    assert run("validate", file) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"error: {file}:3: scene.meshes.0: ")
+
+
+def test_help_tells_of_commands_and_overrides_with_examples(capsys):
+    assert run("--help") == 0
+    out = capsys.readouterr().out
+    for word in ("fit", "render", "validate", "KEY=VALUE", "diffshadow fit configs/quickstart.yaml filter.samples=64"):
+        assert word in out
+    for command in ("fit", "render", "validate"):
+        assert run(command, "--help") == 0
+        assert f"diffshadow {command} configs/quickstart.yaml" in capsys.readouterr().out
+
+
+def test_version_is_the_package_s(capsys):
+    from importlib.metadata import version
+
+    assert run("--version") == 0
+    assert capsys.readouterr().out.strip() == version("diffshadow")
+
+
+def test_process_fails_cleanly_and_leaves_nothing(tmp_path):
+    result = process(tmp_path, "fit", QUICKSTART, "filter.type=pcf4")
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert "did you mean 'pcf'?" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["fit", "--help"], ["--version"], ["validate", "broken.yaml"], ["fit", "broken.yaml"]]
+)
+def test_help_and_mistakes_come_without_loading_jax(arguments, tmp_path):
+    (tmp_path / "broken.yaml").write_text("scene: {meshes: [path: builtin:box]}\nsead: 3\n")
+    check = "import sys; print(sorted({'jax', 'trimesh', 'matplotlib', 'scipy'} & set(sys.modules)), file=sys.stderr)"
+    program = f"import atexit; atexit.register(lambda: exec({check!r})); from diffshadow.cli import main; main()"
+    before = os.times()
+    result = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    after = os.times()
+    assert result.stderr.splitlines()[-1] == "[]"
+    assert result.returncode == (2 if "broken.yaml" in arguments else 0)
+    # Seconds of the processor, about 0.6 of which are needed: those of the clock depend on what else the machine does.
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    assert spent < 1.5
