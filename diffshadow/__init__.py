@@ -1,0 +1,41 @@
+"""A differentiable shadow-mapping research toolkit.
+
+Its rooms, each a module with its public names on one page:
+
+- `geometry`: meshes, cameras, lights. `raster`: which face each pixel sees. `shadow`: maps, biases, compares, filters.
+- `shading`: lit images. `fit`: settings by gradient. `reference`: traced truth. `metrics`: errors of shadows.
+- `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
+
+A room is loaded, and JAX with it, when it is first asked for.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from . import config as config
+    from . import fit as fit
+    from . import geometry as geometry
+    from . import io as io
+    from . import metrics as metrics
+    from . import raster as raster
+    from . import reference as reference
+    from . import shading as shading
+    from . import shadow as shadow
+    from . import study as study
+
+__version__ = version("diffshadow")
+
+_ROOMS = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in _ROOMS:
+        return import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_ROOMS])

@@ -1,9 +1,10 @@
 """A brute-force rasterizer in NumPy that shares no code with the package: every face at every pixel, exactly.
 
-Faces that need no clipping are drawn with 64-bit integers from the same snapped corners as any rasterizer of 1/256
-pixel must use, so their coverage is exact. Faces that reach before the near plane or leave the guard band are never
+Faces that need no clipping are drawn with 64-bit integers from corners snapped to 1/256 pixel, so their coverage is
+exact; their depth is that of the plane through the corners before they snap. Faces that reach before the near plane or leave the guard band are never
 cut: a pixel centre `(x, y, 1)` is a positive mix `Σ c_i (x_i, y_i, w_i)` of the corners just where it is inside, and its
-depth is then `Σ c_i z_i` (Olano & Greer 1997). A rasterizer that clips rounds its new corners, so near their edges,
+depth is then `Σ c_i z_i` (Olano & Greer 1997). A rasterizer that clips rounds its new corners, and one that multiplies
+by `1 / w` may snap a corner that lies midway between two sub-pixels to the other one; so near the edges of such faces,
 within `slack`, either answer is right.
 """
 
@@ -16,16 +17,18 @@ GUARD_BAND = 4096
 EPSILON = float(np.finfo(np.float32).eps)
 # Two corners a half sub-pixel off in x and in y, and twice that for the second rounding.
 SNAPPING_SLACK = 1 / 128
+# How far the depth of a centre may run beyond that of the corners, as a share of their range.
+OVERSHOOT = 0.02
 
 
 class Layers(NamedTuple):
     """What every face is at every pixel, whether or not another hides it.
 
-    - `inside`: (f, h, w), whether the face covers the centre, its depth in [0, 1] and its side not culled.
+    - `inside`: (f, h, w), whether the face covers the centre, at any depth, and its side is not culled.
     - `depth`: (f, h, w), window depth of its plane.
     - `margin`: (f, h, w), distance in pixels of the centre from the face's outline, positive inside.
     - `depth_error`: (f, h, w), what rounding to float32 may change of the depth.
-    - `slack`: (f,), what rounding may move of the outline, in pixels; 0 for faces that need no clipping.
+    - `slack`: (f,), how far rounding may move the outline, in pixels; 0 for most faces that need no clipping.
     - `clipped`: (f,), whether the face needs clipping.
     """
 
@@ -57,7 +60,7 @@ class Exact(NamedTuple):
 def rasterize_exact(clip, faces, resolution, cull="none") -> Exact:
     """Draws `faces` (f, 3) of `clip` (v, 4), clip coordinates that are rounded to float32."""
     layers = draw_layers(clip, faces, resolution, cull)
-    depth = np.where(layers.inside, layers.depth, np.inf)
+    depth = np.where(layers.inside & (layers.depth >= 0) & (layers.depth < 1), layers.depth, np.inf)
     face = np.argmin(depth, axis=0)
     two = np.sort(np.concatenate([depth, np.full_like(depth[:2], np.inf)]), axis=0)[:2]
     seen = two[0] < np.inf
@@ -67,10 +70,10 @@ def rasterize_exact(clip, faces, resolution, cull="none") -> Exact:
 
 
 def acceptable(drawn, layers: Layers) -> np.ndarray:
-    """Where (h, w) a face map `drawn` (h, w) is right up to rounding of depths, and of edges that clipping made.
+    """Where (h, w) a face map `drawn` (h, w) is right up to rounding of depths, and of outlines that have slack.
 
-    A face may be seen if it covers the centre, or nearly so if it was clipped; and only if none that surely covers
-    the centre is surely nearer.
+    A face may be seen if it covers the centre, or nearly so if its outline has slack; and only if none that surely
+    covers the centre is surely nearer.
     """
     slack = layers.slack[:, None, None]
     surely = layers.inside & ((layers.margin > slack) | (slack == 0)) & _in_range(layers, -1)
@@ -84,10 +87,8 @@ def acceptable(drawn, layers: Layers) -> np.ndarray:
 
 def _in_range(layers: Layers, sign: int) -> np.ndarray:
     """Whether the depth lies in [0, 1], made larger (sign 1) or smaller (sign -1) by its rounding."""
-    # Only where a depth is near the range's end does its rounding matter.
-    error = np.where(layers.depth_error > 0, sign * layers.depth_error, 0)
-    inner = (layers.depth >= -error) & (layers.depth <= 1 + error)
-    return inner
+    error = sign * layers.depth_error
+    return (layers.depth >= -error) & (layers.depth < 1 + error)
 
 
 def draw_layers(clip, faces, resolution, cull="none") -> Layers:
@@ -113,13 +114,16 @@ def _needs_clipping(corners, resolution):
 
 
 def _draw_snapped(corners, resolution, cull):
-    """Exact coverage of faces (n, 3, 4) that need no clipping."""
+    """Coverage of faces (n, 3, 4) that need no clipping, in whole numbers."""
     height, width = resolution
-    half = np.float32(0.5)
-    ndc = corners[..., :3] / corners[..., 3:]
-    window = (ndc * half + half) * np.array([width, height, 1], np.float32)
-    xy = np.rint(window[..., :2] * np.float32(SUBPIXELS)).astype(np.int64)
-    z = window[..., 2].astype(np.float64)
+    corners = corners.astype(np.float64)
+    window = (corners[..., :3] / corners[..., 3:] * 0.5 + 0.5) * [width, height, 1]
+    sub_pixels = window[..., :2] * SUBPIXELS
+    xy = np.rint(sub_pixels).astype(np.int64)
+    # The last digits of a float32 x / w decide to which of two a corner midway between them snaps.
+    off_midway = np.abs(sub_pixels - np.floor(sub_pixels) - 0.5)
+    midway = off_midway <= 2 * EPSILON * (np.abs(sub_pixels) + SUBPIXELS * max(resolution))
+    slack = np.where(midway.any(axis=(1, 2)), SNAPPING_SLACK, 0)
 
     following = np.roll(xy, -1, axis=1) - xy
     area = following[:, 0, 0] * -following[:, 2, 1] + following[:, 0, 1] * following[:, 2, 0]
@@ -136,29 +140,42 @@ def _draw_snapped(corners, resolution, cull):
     edge = dx * from_y - dy * from_x
     inside = ((edge > 0) | ((edge == 0) & owns)).all(axis=1) & facing[:, None, None]
 
-    # Corner k lies opposite the edge from k + 1.
-    size = np.maximum(np.abs(area), 1)[:, None, None]
-    weights = np.roll(edge, -1, axis=1) / size[:, None]
-    depth = np.sum(weights * z[:, :, None, None], axis=1)
-    low, high = z.min(axis=1)[:, None, None], z.max(axis=1)[:, None, None]
-    depth = np.clip(depth, low, high)
-
-    # A float32 plane rounds in proportion to what is added up in it: slopes, times the way from the first corner.
-    rise = np.abs(z - z[:, :1])
-    slope_x, slope_y = (
-        SUBPIXELS * np.sum(rise * np.abs(np.roll(following[..., k], -1, axis=1)), axis=1)[:, None, None] / size
-        for k in (1, 0)
-    )
-    way_x, way_y = np.abs(from_x[:, 0]) / SUBPIXELS + 64, np.abs(from_y[:, 0]) / SUBPIXELS + 64
-    error = 4 * EPSILON * (np.abs(z).max(axis=1)[:, None, None] + slope_x * way_x + slope_y * way_y)
-    error = np.minimum(error, high - low + EPSILON)
-
     # Distance from each edge as a segment.
     length = np.maximum(dx * dx + dy * dy, 1)
     along = np.clip((from_x * dx + from_y * dy) / length, 0, 1)
     distance = np.hypot(from_x - along * dx, from_y - along * dy).min(axis=1) / SUBPIXELS
-    margin = np.where((edge >= 0).all(axis=1), distance, -distance)
-    return inside & (depth >= 0) & (depth <= 1), depth, margin, error, np.zeros(len(corners))
+    margin = np.where((edge >= 0).all(axis=1) & facing[:, None, None], distance, -distance)
+    depth, error = _plane(window, resolution)
+    return inside, depth, margin, error, slack
+
+
+def _plane(window, resolution):
+    """Depth (n, h, w) of the planes of triangles (n, 3, 3) in window coordinates, and what float32 may change of it."""
+    height, width = resolution
+    x, y, z = (a[:, :, None, None] for a in np.moveaxis(window, -1, 0))
+    (dx1, dx2), (dy1, dy2), (dz1, dz2) = ((a[:, 1] - a[:, 0], a[:, 2] - a[:, 0]) for a in (x, y, z))
+    area = dx1 * dy2 - dx2 * dy1
+    safe = np.where(area == 0, 1, area)
+    slope_x, slope_y = (dz1 * dy2 - dz2 * dy1) / safe, (dz2 * dx1 - dz1 * dx2) / safe
+    px, py = np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
+    low, high = z.min(axis=1), z.max(axis=1)
+    # A centre on a sliver may lie off it before it was snapped, and its depth far beyond the corners'.
+    beyond = OVERSHOOT * (high - low)
+    depth = np.clip(z[:, 0] + slope_x * (px - x[:, 0]) + slope_y * (py - y[:, 0]), low - beyond, high + beyond)
+
+    # What float32 makes of places, products, the area and the slopes, in this order.
+    place = EPSILON * (np.abs(window[..., :2]).max(axis=(1, 2))[:, None, None] + max(resolution))
+    sides = np.abs(dx1) + np.abs(dx2) + np.abs(dy1) + np.abs(dy2)
+    size = np.abs(safe)
+    of_area = (4 * place * sides + 4 * EPSILON * (np.abs(dx1 * dy2) + np.abs(dx2 * dy1))) / size
+    rise = np.abs(dz1) + np.abs(dz2)
+    largest_x = (np.abs(dz1 * dy2) + np.abs(dz2 * dy1)) / size
+    largest_y = (np.abs(dz1 * dx2) + np.abs(dz2 * dx1)) / size
+    of_slope = (4 * place * rise + 4 * EPSILON * sides * np.abs(z).max(axis=1)) / size
+    error_x, error_y = ((of_area + 4 * EPSILON) * largest + of_slope for largest in (largest_x, largest_y))
+    error = error_x * np.abs(px - x[:, 0]) + error_y * np.abs(py - y[:, 0])
+    error += 4 * EPSILON * (1 + largest_x * (np.abs(x[:, 0]) + px) + largest_y * (np.abs(y[:, 0]) + py))
+    return depth, np.where(of_area > 0.25, high - low + 2 * beyond, error) + place * (largest_x + largest_y)
 
 
 def _draw_homogeneous(corners, resolution, cull):
@@ -171,40 +188,40 @@ def _draw_homogeneous(corners, resolution, cull):
     lines = np.cross(np.roll(rows, -1, axis=1), np.roll(rows, -2, axis=1))
     determinant = np.sum(rows[:, 0] * lines[:, 0], axis=-1)
     facing = {"none": determinant != 0, "back": determinant > 0, "front": determinant < 0}[cull]
-    safe = np.where(determinant == 0, 1, determinant)[:, None, None]
-    lines = lines / safe
-    # The near plane, Σ c_i z_i >= -1, is a fourth line.
+    lines = lines / np.where(determinant == 0, 1, determinant)[:, None, None]
     depth_line = np.sum(lines * z[..., None], axis=1, keepdims=True)
-    sides = np.concatenate([lines, depth_line + np.array([0, 0, 1.0])], axis=1)
 
     px, py = (np.arange(width) + 0.5), (np.arange(height) + 0.5)[:, None]
-    value = sides[..., 0, None, None] * px + sides[..., 1, None, None] * py + sides[..., 2, None, None]
-    steepness = np.hypot(sides[..., 0], sides[..., 1])[..., None, None]
-    far_off = np.where(value >= 0, np.inf, -np.inf)
-    distance = np.where(steepness > 0, value / np.where(steepness > 0, steepness, 1), far_off)
+    at_centres = lambda line: line[..., 0, None, None] * px + line[..., 1, None, None] * py + line[..., 2, None, None]
+    value, depth = at_centres(lines), at_centres(depth_line)[:, 0] * 0.5 + 0.5
+    steepness = np.hypot(lines[..., 0], lines[..., 1])[..., None, None]
+    distance = np.where(steepness > 0, value / np.where(steepness > 0, steepness, 1), np.copysign(np.inf, value))
     margin = np.where(facing[:, None, None], distance.min(axis=1), -np.inf)
-    depth = (value[:, 3] - 1) * 0.5 + 0.5
-    inside = (value >= 0).all(axis=1) & facing[:, None, None] & (depth <= 1)
+    inside = (value >= 0).all(axis=1) & facing[:, None, None]
 
-    slack = SNAPPING_SLACK + _clip_rounding(corners, resolution)
-    error = 0.5 * steepness[:, 3] * slack[:, None, None] + 8 * EPSILON
-    return inside, depth, margin, np.broadcast_to(error, depth.shape), slack
+    moved, deepened = _clip_rounding(corners, resolution)
+    slope = np.abs(depth_line[:, 0, :2]).sum(axis=-1) / 2
+    at_middle = 1 + np.abs(depth_line[:, 0] @ [width / 2, height / 2, 1])
+    error = slope * moved + deepened * at_middle + 8 * EPSILON
+    return inside, depth, margin, np.broadcast_to(error[:, None, None], depth.shape), SNAPPING_SLACK + moved
 
 
 def _clip_rounding(corners, resolution):
-    """How far, in pixels, float32 may move the corners that the near plane and the guard band make; (n,)."""
+    """How far float32 may move, in pixels and in depth, the corners that near plane and guard band make; (n,) each."""
     guard_x, guard_y = (2 * GUARD_BAND / n for n in resolution[::-1])
     planes = np.array([[0, 0, 1, 1], [1, 0, 0, guard_x], [-1, 0, 0, guard_x], [0, 1, 0, guard_y], [0, -1, 0, guard_y]])
-    outer = np.roll(corners, -1, axis=1)
-    largest = np.maximum(np.abs(corners).max(axis=-1), np.abs(outer).max(axis=-1))
-    moved = np.zeros(len(corners))
-    for plane in planes:
-        d, d_outer = corners @ plane, outer @ plane
-        crosses = (d >= 0) != (d_outer >= 0)
-        t = d / np.where(crosses, d - d_outer, 1)
-        new = corners + t[..., None] * (outer - corners)
-        w = np.where(crosses & (new[..., 3] > 0), new[..., 3], np.inf)
-        aside = 1 + np.minimum(np.abs(new[..., :2]).max(axis=-1) / w, max(guard_x, guard_y))
-        # Subtracting numbers of size `largest` leaves w, and with it the place x / w, this far off.
-        moved = np.maximum(moved, (4 * EPSILON * largest / w * aside * max(resolution) / 2).max(axis=1))
-    return moved
+    moved = deepened = np.zeros(len(corners))
+    for start, end in ((corners, np.roll(corners, -1, axis=1)), (np.roll(corners, -1, axis=1), corners)):
+        for plane in planes:
+            d_inner, d_outer = start @ plane, end @ plane
+            crosses = (d_inner >= 0) & (d_outer < 0)
+            way = (d_inner / np.where(crosses, d_inner - d_outer, 1))[..., None] * (end - start)
+            new = start + way
+            w = np.where(crosses & (new[..., 3] > 0), new[..., 3], np.inf)
+            # Numbers that cancel leave this behind.
+            left = 4 * EPSILON * (np.abs(start) + np.abs(way)) / w[..., None]
+            aside = np.maximum(np.abs(new[..., :2]).max(axis=-1) / w, 2)
+            # An error of w moves a corner to or from the middle of the view, which hardly moves an edge in view.
+            moved = np.maximum(moved, (left[..., :2].max(axis=-1) + 2 * left[..., 3]).max(axis=1) * max(resolution) / 2)
+            deepened = np.maximum(deepened, (left[..., 2] * 2 / aside + left[..., 3]).max(axis=1))
+    return moved, deepened

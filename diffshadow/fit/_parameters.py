@@ -74,20 +74,20 @@ def bounds_of(parameters: Sequence[Parameter]) -> Bounds:
 def resolve(module: PyTree, name: str) -> Any:
     """The leaf of `module` that the dotted path `name` means.
 
-    **Raises** `ValueError` if there is none, or if the path stops at a module that holds several numbers.
+    **Raises** `ValueError` if there is none, if the path stops at a module that holds several numbers, or if what it
+    names is no single number that has a gradient.
     """
     try:
         found = reduce(getattr, name.split("."), module)
     except AttributeError as error:
         raise ValueError(
-            f"there is no parameter {name!r} in a {type(module).__name__}; expected one of "
-            f"{', '.join(parameter_names(module))}"
+            f"there is no parameter {name!r} in a {type(module).__name__}; expected one of {_listed(module)}"
         ) from error
     leaves = jax.tree.leaves(found)
     if len(leaves) != 1:
-        raise ValueError(
-            f"the parameter {name!r} names {len(leaves)} numbers; expected one: {', '.join(parameter_names(module))}"
-        )
+        raise ValueError(f"the parameter {name!r} names {len(leaves)} numbers; expected one: {_listed(module)}")
+    if not eqx.is_inexact_array(leaves[0]) or leaves[0].ndim > 0:
+        raise ValueError(f"{name!r} names no single number that could be fitted; expected one of {_listed(module)}")
     return leaves[0]
 
 
@@ -98,7 +98,13 @@ def parameter_names(module: PyTree) -> list[str]:
     return [name.removesuffix(".value") for name in names]
 
 
+def _listed(module: PyTree) -> str:
+    return ", ".join(parameter_names(module))
+
+
 def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]) -> PyTree:
     """`module` with the numbers that `names` mean replaced by `values` (p,)."""
-    where = lambda module: [resolve(module, name) for name in names]
+    for name in names:
+        resolve(module, name)
+    where = lambda module: [jax.tree.leaves(reduce(getattr, name.split("."), module))[0] for name in names]
     return eqx.tree_at(where, module, [values[k] for k in range(len(names))])

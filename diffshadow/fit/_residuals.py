@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from .._types import Mask, Scalar, Visibility
 from ..raster import Surface
 from ..shadow import ShadowMap, ShadowMapping
-from ._parameters import Bounds, with_values
+from ._parameters import Bounds, resolve, with_values
 
 
 class Problem(eqx.Module):
@@ -39,8 +39,39 @@ class Problem(eqx.Module):
         return jnp.sum(self.residual(technique) ** 2)
 
 
-def residual_at(
-    problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]
-) -> Float[Array, "h w"]:
+def residual_at(problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]) -> Float[Array, "h w"]:
     """The residual with the named parameters at the free values `y` (p,)."""
     return problem.residual(with_values(problem.technique, names, bounds.to_bounded(y)))
+
+
+def check_problem(problem: Problem, names: tuple[str, ...], bounds: Bounds) -> None:
+    """**Raises** `ValueError` unless each of `names` can be fitted, and some pixel counts."""
+    if not names:
+        raise ValueError("got no parameters to fit; expected at least one, such as bias.constant")
+    technique = problem.technique
+    numbers = [resolve(technique, name) for name in names]
+    if len({id(number) for number in numbers}) < len(names):
+        raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
+    annealed = [name for name in names if name.split(".")[0] == "compare"]
+    if annealed:
+        raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
+    for end in (bounds.lower, bounds.upper):
+        _check_allowed(with_values(technique, names, end))
+    if not bool(jnp.any(problem.mask)):
+        raise ValueError(
+            "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
+            "light to see the same part of the scene: move one of them"
+        )
+
+
+def _check_allowed(technique: ShadowMapping) -> None:
+    """Asks the filter of a technique, at the ends of its bounds, whether it can be made so."""
+    check = getattr(technique.filter, "__check_init__", None)
+    if check is None:
+        return
+    try:
+        check()
+    except ValueError as error:
+        raise ValueError(
+            f"a parameter's bounds go further than its filter allows: {error}, or narrow the bounds"
+        ) from error

@@ -5,10 +5,9 @@ phase starting from the last. What counts is the hard compare: it judges the sta
 best of them is the result, so a fit never ends worse than it began.
 """
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,54 +18,11 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._misc import as_float
-from ..shadow import HardCompare, ShadowMapping, SoftCompare, SoftKernel
+from ..shadow import HardCompare, ShadowMapping, SoftCompare
+from ._history import Report, Reporter, Step
 from ._parameters import Bounds, Parameter, bounds_of, with_values
-from ._residuals import Problem, residual_at
-
-SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs"]
-_SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs")
-
-
-class Solver(NamedTuple):
-    """Which optimistix solver runs, and when a phase ends.
-
-    - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"` or `"lbfgs"`.
-    - `max_steps`: of each phase.
-    - `rtol`, `atol`: a phase ends when both parameters and loss change by less.
-    """
-
-    name: SolverName = "levenberg_marquardt"
-    max_steps: int = 30
-    rtol: float = 1e-4
-    atol: float = 1e-6
-
-
-class Anneal(NamedTuple):
-    """How the soft compare hardens: `phases` widths from `start` to `end` texels, in geometric steps."""
-
-    start: float = 2.0
-    end: float = 0.05
-    phases: int = 4
-    kernel: SoftKernel = "logistic"
-
-    @property
-    def widths(self) -> list[float]:
-        """The width of each phase, in texels."""
-        return [float(w) for w in np.geomspace(self.start, self.end, self.phases)]
-
-
-class Step(NamedTuple):
-    """One evaluation of the loss during a fit.
-
-    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels.
-    - `loss`: the mean square error under that compare; `values`: of the parameters there.
-    """
-
-    phase: int
-    step: int
-    width: float
-    loss: float
-    values: tuple[float, ...]
+from ._residuals import Problem, check_problem, residual_at
+from ._settings import Anneal, Solver, check_anneal, check_solver
 
 
 class Outcome(NamedTuple):
@@ -74,7 +30,7 @@ class Outcome(NamedTuple):
 
     - `width`: of its soft compare, in texels.
     - `steps`: the solver took.
-    - `result`: what the solver said, `"successful"` or its name for what went wrong.
+    - `result`: `"successful"`, `"max_steps reached"`, or what the solver says went wrong.
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
     - `hard_loss`: the mean square error under the hard compare at the phase's end; `values`: the parameters there.
     """
@@ -130,21 +86,22 @@ def fit(
     - `solver`, `anneal`: defaults if left out.
     - `on_step`: called with every evaluation of the loss, while the fit runs.
 
-    **Raises** `ValueError` if there are no parameters, one does not exist or is named twice, no pixel counts, or the
-    visibility is not finite at the start.
+    **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
+    technique does not allow, `solver` or `anneal` hold values that make no sense, no pixel counts, or the visibility is
+    not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
     names = tuple(p.name for p in parameters)
-    _check(problem, names, solver)
-    hard = eqx.tree_at(lambda p: p.technique.compare, problem, _hard(problem.technique))
-    soft = eqx.tree_at(
-        lambda p: p.technique.compare, problem, SoftCompare(anneal.start, anneal.kernel)
-    )
-    initial = as_float([p.initial for p in parameters])
     bounds = bounds_of(parameters)
+    check_solver(solver)
+    check_anneal(anneal)
+    check_problem(problem, names, bounds)
+    hard = eqx.tree_at(lambda p: p.technique.compare, problem, _hard(problem.technique))
+    soft = eqx.tree_at(lambda p: p.technique.compare, problem, SoftCompare(anneal.start, anneal.kernel))
+    initial = as_float([p.initial for p in parameters])
 
     history: list[Step] = []
-    reporter = _Reporter(history, on_step)
+    reporter = Reporter(bounds, history, on_step)
     started = time.perf_counter()
     compiled = _compile(soft, names, bounds, bounds.to_free(initial), solver, reporter.token)
     hard_loss = _hard_loss.lower(hard, names, initial).compile()
@@ -154,7 +111,10 @@ def fit(
     phases: list[Outcome] = []
     best_loss, best, chosen = float(hard_loss(hard, names, initial)), initial, -1
     if not np.isfinite(best_loss):
-        raise ValueError("the visibility is not finite at the initial values; expected numbers: check mesh and light")
+        raise ValueError(
+            "the visibility or the reference is not finite at the initial values; expected numbers: check the mesh, the "
+            "light and the reference"
+        )
     y, slopes = bounds.to_free(initial), np.zeros(len(names))
     with reporter:
         for number, width in enumerate(anneal.widths):
@@ -194,7 +154,9 @@ class _Solution(NamedTuple):
     result: optx.RESULTS
 
 
-def _phase(problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array) -> _Solution:
+def _phase(
+    problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array
+) -> _Solution:
     def residual(y: Array, args: tuple[Problem, Bounds]) -> Array:
         problem, bounds = args
         return residual_at(problem, names, bounds, y)
@@ -205,6 +167,7 @@ def _phase(problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Array, s
     solution = optx.least_squares(
         residual, _optimistix(solver, token), y, args, options, max_steps=solver.max_steps, throw=False
     )
+
     # The gradient per unit of each parameter's share of its bounds: comparable, and free of the reparametrisation.
     def gradient(y: Array) -> Array:
         share = (bounds.to_bounded(y) - bounds.lower) / (bounds.upper - bounds.lower)
@@ -228,7 +191,7 @@ def _compile(*args):
 
 
 def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
-    report = _Report(token)
+    report = Report(token)
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":
@@ -246,69 +209,13 @@ def _hard(technique: ShadowMapping) -> HardCompare:
 
 
 def _outcome(solution: _Solution, width: float, hard_loss: float, values: Array) -> Outcome:
-    result = "successful" if solution.result == optx.RESULTS.successful else optx.RESULTS[solution.result]
+    if solution.result == optx.RESULTS.successful:
+        result = "successful"
+    elif solution.result == optx.RESULTS.nonlinear_max_steps_reached:
+        result = "max_steps reached"
+    else:
+        result = optx.RESULTS[solution.result]
     gradient_norm = float(jnp.linalg.norm(solution.gradient))
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"
     return Outcome(width, int(solution.steps), result, gradient_norm, hard_loss, tuple(values.tolist()))
-
-
-def _check(problem: Problem, names: tuple[str, ...], solver: Solver) -> None:
-    if not names:
-        raise ValueError("got no parameters to fit; expected at least one, such as bias.constant")
-    if len(set(names)) < len(names):
-        raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
-    if solver.name not in _SOLVERS:
-        raise ValueError(f"the solver is {solver.name!r}; expected one of {', '.join(_SOLVERS)}")
-    if not bool(jnp.any(problem.mask)):
-        raise ValueError(
-            "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
-            "light to see the same part of the scene: move one of them"
-        )
-    with_values(problem.technique, names, jnp.zeros(len(names)))
-
-
-class _Report(eqx.Module):
-    """What optimistix calls at every step: hands the numbers to the reporter that `token` names."""
-
-    token: Array
-
-    def __call__(self, *, loss_this_step, y, **_):
-        jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=False)
-
-
-_REPORTERS: dict[int, "_Reporter"] = {}
-_TOKENS = itertools.count()
-
-
-def _dispatch(token, loss, y):
-    reporter = _REPORTERS.get(int(token))
-    if reporter is not None:
-        reporter.add(float(loss), y)
-
-
-class _Reporter:
-    """Collects the steps of one fit. A compiled phase outlives it, so it is found by number."""
-
-    def __init__(self, history: list[Step], on_step: Callable[[Step], None] | None):
-        self.history, self.on_step = history, on_step
-        self.number = next(_TOKENS)
-        self.token = jnp.asarray(self.number, jnp.int32)
-        self.phase, self.width, self.step = 0, 0.0, 0
-
-    def begin(self, phase: int, width: float) -> None:
-        self.phase, self.width, self.step = phase, width, 0
-
-    def add(self, loss: float, y: np.ndarray) -> None:
-        step = Step(self.phase, self.step, self.width, loss, tuple(np.asarray(y).tolist()))
-        self.step += 1
-        self.history.append(step)
-        if self.on_step is not None:
-            self.on_step(step)
-
-    def __enter__(self) -> "_Reporter":
-        _REPORTERS[self.number] = self
-        return self
-
-    def __exit__(self, *_) -> None:
-        _REPORTERS.pop(self.number, None)

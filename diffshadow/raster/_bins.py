@@ -71,14 +71,13 @@ class Counts(eqx.Module):
 class Triangles(eqx.Module):
     """Triangles in window space, those made by clipping behind the mesh's own.
 
-    - `fixed`: (v, 2) snapped window coordinates in sub-pixels; `depth`: (v,) window depth.
+    - `window`: (v, 3) window coordinates: x and y in pixels, not snapped, and depth.
     - `faces`: (n, 3) indices into them; `source`: (n,) the mesh's face that each is, or is a part of.
     - `size_class`: (n,) index into `WINDOWS`, `len(WINDOWS)` for a large triangle, -1 for one that draws nothing.
     - `blocks`: (n,) how many blocks the box of a large triangle touches, else 0.
     """
 
-    fixed: Int[Array, "v 2"]
-    depth: Float[Array, " v"]
+    window: Float[Array, "v 3"]
     faces: Int[Array, "n 3"]
     source: Int[Array, " n"]
     size_class: Int[Array, " n"]
@@ -105,8 +104,10 @@ def to_window(clip: Float[Array, "*n 4"], resolution: Resolution) -> Float[Array
     """Window coordinates (x and y in pixels, depth in [0, 1]) of clip coordinates; `w = 0` maps to 0."""
     height, width = resolution
     w = clip[..., 3:4]
-    ndc = jnp.where(w == 0, 0, clip[..., :3] / jnp.where(w == 0, 1, w))
-    return (ndc * 0.5 + 0.5) * jnp.array([width, height, 1], dtype=clip.dtype)
+    # By the reciprocal, and scaled before it is shifted, as graphics hardware does.
+    ndc = clip[..., :3] * jnp.where(w == 0, 0, 1 / jnp.where(w == 0, 1, w))
+    half = jnp.array([width / 2, height / 2, 0.5], dtype=clip.dtype)
+    return ndc * half + half
 
 
 def bin_triangles(
@@ -121,21 +122,18 @@ def bin_triangles(
     visible = (c0 & c1 & c2 & 0b111111) == 0
     clipped = visible & (((c0 | c1 | c2) >> 6) != 0)
 
-    window = to_window(clip, resolution)
+    window, drawn = to_window(clip, resolution), visible & ~clipped
     source = jnp.arange(faces.shape[0], dtype=jnp.int32)
-    fixed, depth, drawn = snap(window[:, :2]), window[:, 2], visible & ~clipped
     if clip_capacity:
         chosen = compact(clipped, clip_capacity)
         parts = clip_triangles(clip[faces[chosen]], resolution).reshape(-1, 4)
-        window = to_window(parts, resolution)
         new_faces = clip.shape[0] + jnp.arange(parts.shape[0], dtype=jnp.int32).reshape(-1, 3)
-        fixed = jnp.concatenate([fixed, snap(window[:, :2])])
-        depth = jnp.concatenate([depth, window[:, 2]])
+        window = jnp.concatenate([window, to_window(parts, resolution)])
         faces = jnp.concatenate([faces, new_faces])
         source = jnp.concatenate([source, jnp.repeat(chosen, FAN)])
         drawn = jnp.concatenate([drawn, jnp.repeat(chosen >= 0, FAN)])
-    size_class, blocks = _classify(fixed, faces, drawn, resolution, cull)
-    return Triangles(fixed, depth, faces, source, size_class, blocks), jnp.sum(clipped)
+    size_class, blocks = _classify(snap(window[:, :2]), faces, drawn, resolution, cull)
+    return Triangles(window, faces, source, size_class, blocks), jnp.sum(clipped)
 
 
 def pixel_box(xy: Int[Array, "n 3 2"], resolution: Resolution) -> tuple[Int[Array, "n 2"], Int[Array, "n 2"]]:

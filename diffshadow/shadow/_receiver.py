@@ -10,6 +10,9 @@ from ..geometry import View
 from ..raster import Surface
 from ._map import ShadowMap
 
+# Points nearer to a spot light's plane than this share of its near distance count as behind it.
+_BESIDE = 1e-3
+
 
 class Receiver(eqx.Module):
     """What a bias needs to know of the surface.
@@ -73,9 +76,11 @@ def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
 
 def look_up(shadow_map: ShadowMap, position: VectorMap, bias: DepthMap, depth_per_texel: DepthMap) -> Lookup:
     """Projects `position` (h, w, 3) by the shadow matrix, and takes `bias` (h, w), in window depth, off its depth."""
-    clip = shadow_map.view.clip(position)
+    view = shadow_map.view
+    clip = view.clip(position)
     w = clip[..., 3:]
-    before = w > 0
+    # Beside a spot light the divide overflows; so near to it, nothing casts a shadow.
+    before = w > (_BESIDE * view.near if view.is_perspective else 0)
     window = jnp.where(before, clip[..., :3] / jnp.where(before, w, 1), 2.0) * 0.5 + 0.5
     height, width = shadow_map.resolution
     texel = window[..., :2] * jnp.array([width, height], dtype=window.dtype)

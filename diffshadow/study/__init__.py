@@ -1,0 +1,4 @@
+"""Runs: from a configuration to a folder of numbers, images and a report."""
+
+from ._fit_run import run_fit as run_fit
+from ._render_run import run_render as run_render

@@ -67,6 +67,7 @@ class PercentageCloser(AbstractFilter):
     def _share(self, position: Float[Array, "h w"], offset: Array | int) -> Float[Array, "h w"]:
         """Share of the box's width that lies in the texel `offset` away from the one `position` is in."""
         radius = jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius)
-        left = jnp.floor(position) + offset
-        overlap = jnp.minimum(position + radius, left + 1) - jnp.maximum(position - radius, left)
+        # Measured from the position's own texel, so that shares add up to 1 however far away that is.
+        within = position - jnp.floor(position)
+        overlap = jnp.minimum(within + radius, offset + 1) - jnp.maximum(within - radius, offset)
         return jnp.maximum(overlap, 0) / (2 * radius)

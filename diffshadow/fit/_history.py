@@ -1,0 +1,80 @@
+"""The steps of a fit, told while it runs."""
+
+import itertools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from .._misc import as_int
+from ._parameters import Bounds
+
+
+class Step(NamedTuple):
+    """One evaluation of the loss during a fit.
+
+    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels.
+    - `loss`: the mean square error under that compare; `values`: of the parameters there.
+    """
+
+    phase: int
+    step: int
+    width: float
+    loss: float
+    values: tuple[float, ...]
+
+
+class Report(eqx.Module):
+    """What optimistix calls at every step: hands the numbers to the reporter that `token` names."""
+
+    token: Array
+
+    def __call__(self, *, loss_this_step, y, **_):
+        # Optimistix minimises half the sum of squares.
+        jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=True)
+
+
+_REPORTERS: dict[int, "Reporter"] = {}
+_TOKENS = itertools.count()
+
+
+def _dispatch(token, loss, y):
+    reporter = _REPORTERS.get(int(token))
+    if reporter is not None:
+        reporter.add(float(loss), y)
+
+
+class Reporter:
+    """Collects the steps of one fit. A compiled phase outlives it, so it is found by number."""
+
+    def __init__(self, bounds: Bounds, history: list[Step], on_step: Callable[[Step], None] | None):
+        self.lower, self.upper = np.asarray(bounds.lower), np.asarray(bounds.upper)
+        self.history, self.on_step = history, on_step
+        self.number = next(_TOKENS)
+        self.token = as_int(self.number)
+        self.phase, self.width, self.step = 0, 0.0, 0
+
+    def begin(self, phase: int, width: float) -> None:
+        """Steps from here on belong to `phase`, whose soft compare is `width` texels wide."""
+        self.phase, self.width, self.step = phase, width, 0
+
+    def add(self, loss: float, y: np.ndarray) -> None:
+        """One more evaluation, at the free values `y` (p,)."""
+        # In NumPy, for a callback must not wait for JAX.
+        lower, upper = self.lower, self.upper
+        values = lower + (upper - lower) * (1 + np.sin(y)) / 2
+        step = Step(self.phase, self.step, self.width, loss, tuple(values.tolist()))
+        self.step += 1
+        self.history.append(step)
+        if self.on_step is not None:
+            self.on_step(step)
+
+    def __enter__(self) -> "Reporter":
+        _REPORTERS[self.number] = self
+        return self
+
+    def __exit__(self, *_) -> None:
+        _REPORTERS.pop(self.number, None)

@@ -1,0 +1,69 @@
+"""How a fit runs: its solver, and how its soft compare hardens."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..shadow import SoftKernel
+
+SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs"]
+_SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs")
+
+
+class Solver(NamedTuple):
+    """Which optimistix solver runs, and when a phase ends.
+
+    - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"` or `"lbfgs"`.
+    - `max_steps`: of each phase.
+    - `rtol`, `atol`: a phase ends when both parameters and loss change by less.
+    """
+
+    name: SolverName = "levenberg_marquardt"
+    max_steps: int = 30
+    rtol: float = 1e-4
+    atol: float = 1e-6
+
+
+class Anneal(NamedTuple):
+    """How the soft compare hardens: `phases` widths from `start` to `end` texels, in geometric steps.
+
+    A single phase has the width `end`.
+    """
+
+    start: float = 2.0
+    end: float = 0.05
+    phases: int = 4
+    kernel: SoftKernel = "logistic"
+
+    @property
+    def widths(self) -> list[float]:
+        """The width of each phase, in texels."""
+        # Downwards from the end, so that a single width is the end's.
+        return [float(w) for w in np.geomspace(self.end, self.start, self.phases)[::-1]]
+
+
+def check_solver(solver: Solver) -> None:
+    """**Raises** `ValueError` unless `solver` is known and its numbers make sense."""
+    if solver.name not in _SOLVERS:
+        raise ValueError(f"the solver is {solver.name!r}; expected one of {', '.join(_SOLVERS)}")
+    if solver.max_steps < 1:
+        raise ValueError(f"the solver's max_steps is {solver.max_steps}; expected 1 or more")
+    for name, value in (("rtol", solver.rtol), ("atol", solver.atol)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"the solver's {name} is {value}; expected a finite number above 0, such as 1e-4")
+
+
+def check_anneal(anneal: Anneal) -> None:
+    """**Raises** `ValueError` unless the widths are positive and shrink, in at least one phase."""
+    if anneal.phases < 1:
+        raise ValueError(f"the anneal has {anneal.phases} phases; expected 1 or more")
+    for name, value in (("start", anneal.start), ("end", anneal.end)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(
+                f"the anneal's {name} is {value} texels; expected a finite width above 0: a fit ends with the hard "
+                "compare in any case"
+            )
+    if anneal.end > anneal.start:
+        raise ValueError(
+            f"the anneal widens from {anneal.start} to {anneal.end} texels; expected end at most start: swap the two"
+        )

@@ -1,0 +1,58 @@
+"""How a depth buffer stores and compares depths, as OpenGL defines it."""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+_STEPS = {"unorm24": (1 << 24) - 1, "unorm16": (1 << 16) - 1}
+
+
+class DepthTest(NamedTuple):
+    """A depth buffer's format, comparison and clear value.
+
+    - `format`: `"float32"`, or `"unorm24"` and `"unorm16"`, which round to the nearest of their steps (ties to even).
+    - `compare`: `"less"`, by which the first of several equal depths is seen, or `"less_equal"`, by which the last is.
+    - `clear`: what the buffer holds at first, in [0, 1]; a fragment must pass the comparison against it too.
+
+    **Raises** `ValueError` from `rasterize` for anything else.
+    """
+
+    format: Literal["float32", "unorm24", "unorm16"] = "float32"
+    compare: Literal["less", "less_equal"] = "less"
+    clear: float = 1.0
+
+    def check(self) -> None:
+        """**Raises** `ValueError` if a field is not one of its choices."""
+        if self.format not in ("float32", *_STEPS):
+            raise ValueError(f'the depth format is {self.format!r}; expected "float32", "unorm24" or "unorm16"')
+        if self.compare not in ("less", "less_equal"):
+            raise ValueError(f'the depth comparison is {self.compare!r}; expected "less" or "less_equal"')
+        if not 0 <= self.clear <= 1:
+            raise ValueError(f"the depth buffer's clear value is {self.clear}; expected window depth in [0, 1]")
+
+    def encode(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """What the buffer stores for window `depth`: itself, or the number of steps, which float32 holds exactly."""
+        return depth if self.format == "float32" else jnp.round(depth * _STEPS[self.format])
+
+    def decode(self, stored: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Window depth as it is read back from the buffer."""
+        if self.format == "float32":
+            return stored
+        return stored * jnp.asarray(1 / _STEPS[self.format], stored.dtype)
+
+    def passes_clear(self, stored: Float[Array, "*n"]) -> Array:
+        """Whether what is `stored` passes the comparison against an empty buffer."""
+        clear = self.encode(jnp.asarray(self.clear, stored.dtype))
+        return stored < clear if self.compare == "less" else stored <= clear
+
+    def resolution_at(self, greatest: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """The unit of polygon offset, window depth, for a triangle whose greatest depth is `greatest`.
+
+        OpenGL asks for the smallest difference that the buffer is sure to resolve: here two steps of a fixed-point
+        one, as in Mesa, and a unit in the last place of the greatest depth in a float one.
+        """
+        if self.format == "float32":
+            _, exponent = jnp.frexp(greatest)
+            return jnp.ldexp(jnp.ones_like(greatest), exponent - 24)
+        return jnp.full_like(greatest, 2 / _STEPS[self.format])

@@ -1,0 +1,50 @@
+"""What a run shows while it works, and how long each of its stages took."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+
+class Stages:
+    """A line of progress that vanishes when the work is done, and nothing at all where nobody watches.
+
+    - `seconds`: how long each finished stage took, by name, in their order.
+    """
+
+    def __init__(self, console: Console):
+        self.seconds: dict[str, float] = {}
+        self._progress = Progress(
+            SpinnerColumn(finished_text=" "),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[detail]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task("", total=None, detail="")
+
+    def __enter__(self) -> "Stages":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Names the work inside, and times it."""
+        self.show(name)
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+
+    def show(self, name: str, detail: str = "", share: float | None = None) -> None:
+        """Shows the stage `name` with `detail`, and a bar filled to `share` in [0, 1] if it is known."""
+        total = None if share is None else 1.0
+        self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=share)

@@ -1,0 +1,85 @@
+"""A run's folder, which is there whole or not at all."""
+
+import contextlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from .. import io
+from ..config import Config, ConfigError, Problem
+
+RESULT = "result.json"
+
+
+def folder_of(config: Config, suffix: str = "") -> Path:
+    """Where the run of `config` is to be written: `<output>/<name><suffix>`.
+
+    **Raises** `ConfigError` if it cannot be written there, or something lies there that is no run.
+    """
+    output, folder = Path(config.output).expanduser(), Path(config.output).expanduser() / f"{config.name}{suffix}"
+    try:
+        io.check_writable(output)
+    except io.FileError as error:
+        raise _error(config, "output", str(error)) from error
+    if os.path.lexists(folder) and not _is_run(folder):
+        raise _error(
+            config,
+            "name",
+            f"{folder} exists and is no run's folder: it has no {RESULT}; expected a free name: move it, or change "
+            "name or output",
+        )
+    return folder
+
+
+def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
+    """Makes `folder` of what `write` puts into the empty folder that it is given.
+
+    Until `write` has ended, an earlier run at `folder` stays as it was; then its files go, and any others that lie
+    beside them move over. Where `write` raises, nothing is left of it.
+    """
+    made = [level for level in folder.parents if not level.exists()]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    token = secrets.token_hex(6)
+    draft, old = (folder.with_name(f".{folder.name}-{token}{end}") for end in ("", "-old"))
+    try:
+        draft.mkdir()
+        write(draft)
+        if not folder.exists():
+            draft.rename(folder)
+            return
+        folder.rename(old)
+        try:
+            draft.rename(folder)
+        except OSError:
+            old.rename(folder)
+            raise
+        _keep_others(old, folder)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+        if not folder.exists():
+            with contextlib.suppress(OSError):
+                for level in made:
+                    level.rmdir()
+
+
+def _is_run(folder: Path) -> bool:
+    return folder.is_dir() and ((folder / RESULT).is_file() or not any(folder.iterdir()))
+
+
+def _keep_others(old: Path, new: Path) -> None:
+    """Moves what `old` holds beside the files of its run to `new`."""
+    try:
+        written = set(json.loads((old / RESULT).read_text(encoding="utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        written = set()
+    for entry in old.iterdir():
+        if entry.name not in written and not os.path.lexists(new / entry.name):
+            entry.rename(new / entry.name)
+
+
+def _error(config: Config, key: str, what: str) -> ConfigError:
+    return ConfigError([Problem(config.origin.place((key,)), key, what)])

@@ -1,0 +1,67 @@
+"""The tables that a run prints at its end. They read as well without colour."""
+
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ..fit import Parameter
+
+ERRORS = {
+    "rmse": "RMSE",
+    "mae": "MAE",
+    "ssim": "SSIM",
+    "false_shadow_rate": "false shadow (acne)",
+    "false_light_rate": "false light (leaks, Peter-panning)",
+}
+"""Every error's name in tables and reports; all but SSIM are better the smaller they are."""
+
+
+def number(name: str, value: float) -> str:
+    """The error `name` as text."""
+    return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
+
+
+def noise_text(noise_floor: float | None) -> str:
+    """What is known of the reference's own error."""
+    if noise_floor is None:
+        return "the reference's own error is not known: it was given, not traced"
+    return f"the reference's own noise is {noise_floor:.4f} RMSE"
+
+
+def print_fit(
+    console: Console,
+    name: str,
+    parameters: Sequence[Parameter],
+    fitted: Mapping[str, float],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+) -> None:
+    """Parameters from start to end, and errors under the hard compare before and after."""
+    table = Table("", "before", "after", "unit", title=Text(name), title_justify="left")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for p in parameters:
+        table.add_row(Text(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
+    table.add_section()
+    for key, label in ERRORS.items():
+        unit = "of pixels" if key.endswith("_rate") else ("visibility" if key in ("rmse", "mae") else "")
+        table.add_row(label, number(key, before[key]), number(key, after[key]), unit)
+    console.print(table)
+
+
+def print_errors(console: Console, name: str, errors: Mapping[str, float]) -> None:
+    """The errors of one image."""
+    table = Table("", "error", title=Text(name), title_justify="left")
+    table.columns[1].justify = "right"
+    for key, label in ERRORS.items():
+        table.add_row(label, number(key, errors[key]))
+    console.print(table)
+
+
+def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
+    """Sentences under a table; warnings say that they are."""
+    for line in lines:
+        text = Text.assemble(("warning: ", "bold yellow"), line) if warn else Text(line)
+        console.print(text, soft_wrap=True)

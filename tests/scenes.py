@@ -1,0 +1,134 @@
+"""Small scenes, maps and look-ups whose shadows are known, shared by the tests of shadows and fits."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffshadow.fit import Problem
+from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, Scene, SpotLight, merge
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import AbstractFilter, Bias, HardCompare, Lookup, ShadowMap, ShadowMapping, draw_shadow_map
+
+SLANTED = (0.5, -1.0, -0.3)
+"""The way the sun shines in these scenes."""
+LAMP = (-1.2, 3.0, 0.9)
+"""Where the spot light stands in these scenes."""
+
+
+def quad(center: Any, right: Any, up: Any) -> Mesh:
+    """Two triangles; `right` and `up` are half of its sides."""
+    c, r, u = (np.asarray(x, dtype=float) for x in (center, right, up))
+    return Mesh([c - r - u, c + r - u, c + r + u, c - r + u], [[0, 1, 2], [0, 2, 3]])
+
+
+def floor_and_card(card_half: float = 0.5, height: float = 1.0) -> Mesh:
+    """A floor 6 world units wide in y = 0, and a square card that hovers over its middle."""
+    card = quad((0, height, 0), (card_half, 0, 0), (0, 0, -card_half))
+    return merge([quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), card])
+
+
+def floor_camera(half: float = 1.5, resolution: tuple[int, int] = (96, 96)) -> OrthographicCamera:
+    """Looks down on the floor from just above it: it sees the card's shadow but not the card."""
+    return OrthographicCamera(
+        (0, 0.5, 0), (0, 0, 0), (0, 0, -1), height=2 * half, near=0.1, far=1.0, resolution=resolution
+    )
+
+
+def side_camera(resolution: tuple[int, int] = (64, 64)) -> PinholeCamera:
+    """Sees the card, its shadow and a good part of the floor."""
+    return PinholeCamera((2.2, 2.6, 3.2), (0.2, 0.3, -0.2), fov_y=40.0, near=0.5, far=12.0, resolution=resolution)
+
+
+def sun(mesh: Mesh, direction: Any = SLANTED, angular_radius: float = 0.0) -> DirectionalLight:
+    return DirectionalLight.around(direction, mesh.vertices, angular_radius)
+
+
+def lamp(mesh: Mesh, position: Any = LAMP) -> SpotLight:
+    return SpotLight.around(position, mesh.vertices)
+
+
+LIGHTS: dict[str, Callable[[Mesh], Any]] = {"directional": sun, "spot": lamp}
+
+
+def placed(scene: Scene, matrix: Any) -> Scene:
+    """The scene's mesh, a pinhole camera and a light moved by a similarity `matrix` (4, 4)."""
+    matrix = np.asarray(matrix, dtype=float)
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    point = lambda p: matrix[:3, :3] @ np.asarray(p, dtype=float) + matrix[:3, 3]
+    way = lambda d: matrix[:3, :3] @ np.asarray(d, dtype=float)
+    mesh, camera, light = scene.mesh, scene.camera, scene.light
+    moved = Mesh(np.asarray(mesh.vertices, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3], mesh.faces)
+    camera = PinholeCamera(
+        point(camera.eye),
+        point(camera.target),
+        way(camera.up),
+        camera.fov_y,
+        camera.near * scale,
+        camera.far * scale,
+        camera.resolution,
+    )
+    if isinstance(light, SpotLight):
+        light = SpotLight(
+            point(light.position), way(light.direction), light.outer_angle, light.near * scale, light.far * scale
+        )
+    else:
+        light = DirectionalLight(
+            way(light.direction), point(light.center), light.extent * scale, light.near * scale, light.far * scale
+        )
+    return Scene(moved, camera, light)
+
+
+def problem(
+    technique: ShadowMapping,
+    light: str = "directional",
+    image: int = 64,
+    texels: int = 64,
+    target: ShadowMapping | None = None,
+) -> Problem:
+    """The card over the floor seen from the side; the reference is what `target` makes of it, or all lit."""
+    mesh = floor_and_card()
+    surface = draw_surface(mesh, side_camera((image, image)))
+    shadow_map = draw_shadow_map(mesh, LIGHTS[light](mesh), (texels, texels))
+    reference = jnp.ones_like(surface.position[..., 0])
+    if target is not None:
+        reference = target.visibility(shadow_map, surface)
+    return Problem(technique, shadow_map, surface, reference, technique.covered(shadow_map, surface))
+
+
+def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0, compare=None) -> ShadowMapping:
+    return ShadowMapping(kernel, Bias(constant, slope, normal_offset), compare or HardCompare())
+
+
+def map_of(depth: Any) -> ShadowMap:
+    """A map with `depth` (h, w); its light does not matter, for look-ups into it are made by hand."""
+    return ShadowMap(jnp.asarray(depth, dtype=jnp.result_type(float)), DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1))
+
+
+def random_map(rng: np.random.Generator, shape: tuple[int, int] = (11, 14), empty: float = 0.2) -> ShadowMap:
+    """Depths in [0.2, 0.8], of which a share is `empty`."""
+    depth = rng.uniform(0.2, 0.8, shape)
+    return map_of(np.where(rng.random(shape) < empty, 1.0, depth))
+
+
+def lookups_at(x: Any, y: Any, depth: Any = 0.5, depth_per_texel: float = 0.05) -> Lookup:
+    """Look-ups at texels (x, y), broadcast to (h, w)."""
+    x, y, depth = (np.atleast_2d(v) for v in np.broadcast_arrays(x, y, depth))
+    as_float = lambda v: jnp.asarray(v, dtype=jnp.result_type(float))
+    texel = as_float(np.stack([x, y], axis=-1))
+    return Lookup(texel, as_float(depth), jnp.full(x.shape, depth_per_texel, texel.dtype), jnp.ones(x.shape, bool))
+
+
+def random_lookups(
+    rng: np.random.Generator, shape: tuple[int, int] = (9, 13), size: tuple[int, int] = (11, 14)
+) -> Lookup:
+    """Look-ups over a map of `size` and a few texels round it, at depths of its range."""
+    height, width = size
+    x, y = rng.uniform(-4, width + 4, shape), rng.uniform(-4, height + 4, shape)
+    return lookups_at(x, y, rng.uniform(0.2, 0.8, shape))
+
+
+def same(a: jax.Array, b: jax.Array) -> bool:
+    return bool(jnp.array_equal(a, b))

@@ -1,0 +1,190 @@
+"""Shadow mapping against formulas: tilted planes, squares over a floor, half-planes under wide filters."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import LIGHTS, floor_and_card, floor_camera, lookups_at, map_of, placed, quad, side_camera, technique
+
+from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, Scene, merge
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import (
+    ConstantBias,
+    HardCompare,
+    Nearest,
+    PercentageCloser,
+    RandomDisk,
+    ShadowMapping,
+    SlopeBias,
+    draw_shadow_map,
+)
+
+TEXELS, PIXELS = 32, 257
+"""Coprime, so that pixels fall on 257 different places of a texel along each axis: within 1/514 of its corners."""
+SNAPPING = 1 / 128
+"""Texels by which snapping to 1/256 texel may move an edge, with room for rounding."""
+
+
+def tilted_plane(angle, azimuth):
+    """A plane that faces `+z`, whose depth along `-z` rises by tan(angle) along the direction `azimuth`, degrees."""
+    tilt, turn = np.radians([angle, azimuth])
+    along = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), -np.sin(tilt)])
+    across = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    return quad((0, 0, 0), 12 * along, 12 * across)
+
+
+@eqx.filter_jit
+def false_shadows(bias, shadow_map, surface):
+    visibility = ShadowMapping(Nearest(), bias).visibility(shadow_map, surface)
+    return jnp.sum(surface.mask & (visibility < 1))
+
+
+def least_bias(make_bias, angle, azimuth):
+    """The least value, in texels, that leaves no false shadow on a tilted plane lit along -z."""
+    mesh = tilted_plane(angle, azimuth)
+    light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -10, 10)
+    camera = OrthographicCamera((0, 0, 9), (0, 0, 0), height=1.9, near=0.1, far=18.0, resolution=(PIXELS, PIXELS))
+    surface = draw_surface(mesh, camera)
+    shadow_map = draw_shadow_map(mesh, light, (TEXELS, TEXELS))
+    assert bool(jnp.all(surface.mask))
+    low, high = 0.0, 8.0
+    for _ in range(14):
+        middle = (low + high) / 2
+        if int(false_shadows(make_bias(middle), shadow_map, surface)):
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@pytest.mark.parametrize("azimuth", [0, 45, 160])
+@pytest.mark.parametrize("angle", [0, 20, 45, 60, 75])
+def test_least_acne_free_constant_bias_of_a_tilted_plane(angle, azimuth):
+    slope = np.tan(np.radians(angle)) * np.abs([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    exact = slope.sum() / 2
+    found = least_bias(ConstantBias, angle, azimuth)
+    # Finitely many pixels come within 1 % of the corners of texels; depths are rounded to a thousandth of a texel.
+    assert 0.985 * exact - 2e-3 <= found <= exact + 2e-3
+
+
+@pytest.mark.parametrize(("azimuth", "exact"), [(0, 0.5), (45, np.sqrt(0.5))])
+def test_least_acne_free_slope_bias_does_not_depend_on_the_angle(azimuth, exact):
+    for angle in (30, 70):
+        assert least_bias(SlopeBias, angle, azimuth) == pytest.approx(exact, rel=0.015)
+
+
+def inside_of_quad(points, corners):
+    """How far `points` (..., 2) lie inside a convex quad (4, 2), in the maximum norm: the least over its edges."""
+    inside = []
+    for a, b, c in zip(corners, np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0), strict=True):
+        normal = np.array([a[1] - b[1], b[0] - a[0]])
+        normal *= np.sign((c - a) @ normal) / np.abs(normal).sum()
+        inside.append((points - a) @ normal)
+    return np.min(inside, axis=0)
+
+
+def texels_of(light, points, resolution):
+    """Where world `points` fall on the light's map, in texels."""
+    clip = np.asarray(light.view().clip(jnp.asarray(points, jnp.float32)), np.float64)
+    return (clip[..., :2] / clip[..., 3:] * 0.5 + 0.5) * np.array(resolution[::-1])
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_shadow_of_a_square_lies_where_geometry_says(light):
+    mesh = floor_and_card(0.5, height=1.0)
+    light = LIGHTS[light](mesh)
+    surface = draw_surface(mesh, floor_camera(1.5, (160, 160)))
+    resolution = (96, 80)
+    visibility = np.asarray(technique(Nearest(), slope=1.0).visibility(draw_shadow_map(mesh, light, resolution), surface))
+
+    # Where each ray to the light pierces the card's plane, by similar triangles.
+    position = np.asarray(surface.position, np.float64)
+    to_light = np.asarray(light.towards(surface.position), np.float64)
+    pierced = position + to_light / to_light[..., 1:2]
+    truth = ~(np.abs(pierced[..., ::2]).max(axis=-1) < 0.5)
+
+    distance = np.abs(inside_of_quad(texels_of(light, position, resolution), texels_of(light, mesh.vertices[4:], resolution)))
+    assert 0.05 < np.mean(~truth) < 0.5
+    assert (visibility == truth)[distance > 0.5 + SNAPPING].all()
+    # And the texel's width shows: nearest look-ups are wrong somewhere along the outline.
+    assert (visibility != truth).any()
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0, 2.5, 3.3])
+def test_pcf_of_half_plane_is_a_ramp_as_wide_as_its_box(radius):
+    x = np.linspace(8, 24, 321)
+    depth = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((12, 1))
+    visibility = PercentageCloser(radius)(map_of(depth), lookups_at(x, 6.3), HardCompare())
+    np.testing.assert_allclose(visibility[0], np.clip((x - 16 + radius) / (2 * radius), 0, 1), atol=3e-6)
+
+
+@pytest.mark.parametrize("early_out", [False, True])
+def test_random_disk_of_half_plane_is_a_circular_segment(early_out):
+    radius, x = 6.0, np.linspace(8, 24, 65)
+    depth = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((96, 1))
+    disk = RandomDisk(radius, (8, 8), pattern_size=64, lookup="nearest", early_out=early_out)
+    visibility = disk(map_of(depth), lookups_at(x, np.full((64, 1), 48.0)), HardCompare())
+    s = np.clip((x - 16) / radius, -1, 1)
+    exact = 0.5 + (s * np.sqrt(1 - s * s) + np.arcsin(s)) / np.pi
+    # 64 x 64 stratified samples: their error is below that of independent ones, whose 4.5 standard errors are allowed.
+    noise = 4.5 * np.sqrt(exact * (1 - exact) / 4096)
+    error = np.abs(np.mean(visibility, axis=0) - exact)
+    if early_out:  # the outermost eight may agree where a few inner ones would not
+        noise = noise + 0.03
+    assert (error <= noise + 1e-6).all()
+    assert np.ptp(visibility[0]) == 1
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_hard_map_agrees_with_rays_away_from_outlines(light):
+    box = Mesh(*_box_corners())
+    mesh = merge([quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), box])
+    scene = Scene(mesh, side_camera((80, 80)), LIGHTS[light](mesh))
+    reference = trace_visibility(scene)
+    surface = draw_surface(mesh, scene.camera)
+    shadow_map = draw_shadow_map(mesh, scene.light, (192, 192))
+    wide = technique(PercentageCloser(1.5), constant=0.2, slope=2.5).visibility(shadow_map, surface)
+    nearest = technique(Nearest(), constant=0.2, slope=0.8).visibility(shadow_map, surface)
+    mask = np.asarray(surface.mask) & reference.mask
+    # A pixel whose 3 x 3 texels agree lies more than a texel from an outline.
+    far = mask & ((np.asarray(wide) == 0) | (np.asarray(wide) == 1))
+    assert far.sum() > 0.8 * mask.sum()
+    assert (np.asarray(nearest) != reference.visibility)[far].sum() <= 2  # pixels on the box's own edges
+    assert 0.05 < np.mean(reference.visibility[far]) < 0.98
+
+
+def _box_corners():
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
+    faces += [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return signs * 0.45 + [0.0, 1.0, 0.0], faces
+
+
+SIMILARITIES = {
+    "hundredth": 0.01 * np.eye(3),
+    "hundredfold": 100 * np.eye(3),
+    "turned": np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]]),
+}
+
+
+@pytest.mark.parametrize("kernel", [Nearest(), PercentageCloser(2.3)], ids=["nearest", "pcf"])
+@pytest.mark.parametrize("light", LIGHTS)
+def test_visibility_does_not_change_with_scale_or_rigid_motion(light, kernel):
+    mesh = floor_and_card()
+    scene = Scene(mesh, side_camera(), LIGHTS[light](mesh))
+    mapping = technique(kernel, constant=0.3, slope=0.4, normal_offset=0.7)
+
+    def shadows(scene):
+        surface = draw_surface(scene.mesh, scene.camera)
+        return np.asarray(mapping.visibility(draw_shadow_map(scene.mesh, scene.light, (64, 64)), surface))
+
+    before = shadows(scene)
+    for name, linear in SIMILARITIES.items():
+        matrix = np.eye(4)
+        matrix[:3, :3] = linear
+        matrix[:3, 3] = [3.0, -1.0, 2.0] if name == "turned" else 0
+        changed = np.abs(shadows(placed(scene, matrix)) - before) > 2e-3
+        # Rounding moves pixels that lie on the border of a texel or of the card.
+        assert changed.sum() <= 8, name
+    assert 0.02 < 1 - before.mean() < 0.5

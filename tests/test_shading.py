@@ -1,0 +1,158 @@
+"""Shading against values worked out by hand."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffshadow.geometry import DirectionalLight, OrthographicCamera, PinholeCamera, SpotLight
+from diffshadow.raster import Surface
+from diffshadow.shading import Attenuation, Phong
+
+ALBEDO = (0.5, 0.25, 1.0)
+UP = (0.0, 1.0, 0.0)
+
+
+def surface(position=(0.0, 0.0, 0.0), normal=UP, mask=True) -> Surface:
+    """A single pixel of surface."""
+    row = lambda x: jnp.asarray(x, jnp.float32).reshape(1, 1, 3)
+    seen = jnp.asarray([[mask]])
+    return Surface(row(position), row(normal), row(normal), row(ALBEDO), jnp.where(seen, 0, -1), seen)
+
+
+def sun(direction=(0.0, -1.0, 0.0)) -> DirectionalLight:
+    return DirectionalLight.around(jnp.asarray(direction), jnp.asarray([[-1.0, -1, -1], [1, 1, 1]]))
+
+
+def spot(height: float, outer_angle: float = 30.0) -> SpotLight:
+    return SpotLight((0, height, 0), (0, -1, 0), outer_angle, 0.1, 10.0)
+
+
+def camera(eye=(0.0, 2.0, 0.0)) -> PinholeCamera:
+    return PinholeCamera(eye, (0, 0, 0), up=(0, 0, 1), resolution=(1, 1))
+
+
+def pixel(phong: Phong, surface: Surface, light, *, visibility=1.0, eye=None) -> np.ndarray:
+    return np.asarray(phong(surface, jnp.full((1, 1), visibility), light, eye or camera()))[0, 0]
+
+
+def test_facing_lit_plane_is_ambient_plus_diffuse_plus_specular():
+    phong = Phong(ambient=0.2, intensity=(1.0, 0.5, 0.25), specular=0.3)
+    expected = np.multiply(ALBEDO, 0.2) + np.multiply((1.0, 0.5, 0.25), np.add(ALBEDO, 0.3))
+    np.testing.assert_allclose(pixel(phong, surface(), sun()), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [10.0, 45.0, 80.0])
+def test_diffuse_falls_with_the_cosine(angle):
+    a = math.radians(angle)
+    light = sun((math.sin(a), -math.cos(a), 0.0))
+    seen = pixel(Phong(ambient=0, intensity=1, specular=0), surface(), light)
+    np.testing.assert_allclose(seen, np.multiply(ALBEDO, math.cos(a)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("model", "cosine"), [("blinn_phong", math.cos(math.pi / 8)), ("phong", math.sqrt(0.5))])
+def test_highlight_off_the_mirror_direction(model, cosine):
+    # Light from 45°, eye overhead: H lies at 22.5° of the normal, R at 45° of the eye.
+    light = sun((1.0, -1.0, 0.0))
+    black = eqx.tree_at(lambda s: s.albedo, surface(), jnp.zeros((1, 1, 3)))
+    seen = pixel(Phong(ambient=0, intensity=1, specular=1, shininess=20, model=model), black, light)
+    np.testing.assert_allclose(seen, cosine**20, rtol=1e-4)
+
+
+def test_orthographic_eye_looks_along_its_axis_everywhere():
+    eye = OrthographicCamera((0, 2, 0), (0, 0, 0), up=(0, 0, 1), resolution=(1, 1))
+    phong = Phong(ambient=0, intensity=1, specular=1)
+    far_off = pixel(phong, surface(position=(5.0, 0.0, 3.0)), sun(), eye=eye)
+    np.testing.assert_allclose(far_off, np.add(ALBEDO, 1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("light", [sun(), spot(3.0)])
+def test_shadow_never_touches_ambient(light):
+    phong = Phong(ambient=(0.1, 0.2, 0.3), intensity=5.0, specular=1.0, inner_angle=10)
+    np.testing.assert_array_equal(
+        pixel(phong, surface(), light, visibility=0.0), np.multiply(ALBEDO, np.float32([0.1, 0.2, 0.3]))
+    )
+
+
+def test_half_shadow_halves_what_comes_from_the_light():
+    phong = Phong(ambient=0, intensity=1)
+    half, full = (pixel(phong, surface(), sun(), visibility=v) for v in (0.5, 1.0))
+    np.testing.assert_allclose(half, full / 2, rtol=1e-6)
+
+
+def test_surface_turned_away_has_neither_diffuse_nor_highlight():
+    # Grazing: the halfway vector is still on the normal's side.
+    light, eye = sun((1.0, 0.1, 0.0)), camera((1.0, 1.0, 0.0))
+    seen = pixel(Phong(ambient=0.2, intensity=1, specular=1, shininess=1), surface(), light, eye=eye)
+    np.testing.assert_allclose(seen, np.multiply(ALBEDO, 0.2), rtol=1e-6)
+
+
+def test_attenuation_with_distance():
+    phong = Phong(ambient=0, intensity=1, specular=0, attenuation=Attenuation(0.5, 0.25, 0.125))
+    np.testing.assert_allclose(
+        pixel(phong, surface(), spot(4.0)), np.multiply(ALBEDO, 1 / (0.5 + 1.0 + 2.0)), rtol=1e-6
+    )
+    np.testing.assert_allclose(pixel(phong, surface(), sun()), ALBEDO, rtol=1e-6)
+
+
+def test_cone_is_full_inside_dark_outside_and_half_between():
+    phong = Phong(ambient=0, intensity=1, specular=0, inner_angle=10)
+    middle = math.acos((math.cos(math.radians(10)) + math.cos(math.radians(30))) / 2)
+    for angle, share in ((0.0, 1.0), (math.radians(9.9), 1.0), (middle, 0.5), (math.radians(30.1), 0.0)):
+        x = 2 * math.tan(angle)
+        cosine = math.cos(angle)
+        np.testing.assert_allclose(
+            pixel(phong, surface(position=(x, 0, 0)), spot(2.0)), np.multiply(ALBEDO, cosine * share), atol=2e-4
+        )
+
+
+def test_background_shows_where_there_is_no_surface():
+    phong = Phong(background=(0.1, 0.2, 0.3))
+    nothing = surface(normal=(0, 0, 0), mask=False)
+    np.testing.assert_allclose(pixel(phong, nothing, sun()), (0.1, 0.2, 0.3), rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["blinn_phong", "phong"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        surface(),
+        surface(normal=(0, 0, 0), mask=False),
+        surface(position=(0, 2, 0)),  # at the eye and at the light
+        surface(normal=(1, 0, 0)),  # at right angles to light and eye
+    ],
+)
+def test_gradients_are_finite_everywhere(model, where):
+    def brightness(phong, position, normal, visibility, light):
+        at = Surface(position, normal, normal, where.albedo, where.face, where.mask)
+        return jnp.sum(phong(at, visibility, light, camera()))
+
+    phong = Phong(model=model, inner_angle=10, attenuation=Attenuation(1, 1, 1))
+    for light in (sun(), spot(2.0)):
+        at = (phong, where.position, where.shading_normal, jnp.ones((1, 1)), light)
+        gradients = eqx.filter_grad(lambda args: brightness(*args))(at)
+        assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradients))
+
+
+def test_gradient_by_visibility_is_the_light_s_share():
+    phong, at = Phong(ambient=0.2, intensity=0.5, specular=0.1), surface()
+    light = jax.grad(lambda v: jnp.sum(phong(at, v, sun(), camera())))(jnp.ones((1, 1)))
+    assert float(light[0, 0]) == pytest.approx(0.5 * (sum(ALBEDO) + 3 * 0.1), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Phong(model="lambert"), "lambert"),
+        (lambda: Phong(shininess=0.0), "shininess"),
+        (lambda: Phong(inner_angle=90.0), "inner_angle"),
+        (lambda: Attenuation(0.0, 1.0, 1.0), "attenuation"),
+        (lambda: Attenuation(1.0, -1.0, 0.0), "attenuation"),
+    ],
+)
+def test_nonsense_is_refused_by_name(make, said):
+    with pytest.raises((ValueError, TypeError), match=said):
+        make()
