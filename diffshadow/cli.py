@@ -3,6 +3,7 @@
 It imports as little as it can: a mistake in a configuration is told in a fraction of a second, before JAX is loaded.
 """
 
+import contextlib
 import sys
 import traceback
 from collections.abc import Sequence
@@ -65,6 +66,7 @@ def fit(config: Path, /, *overrides: str) -> None:
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
     settings = load_config(config, overrides)
+    _keep_compiled_programs()
     from . import study
 
     _console().print(Text(str(study.run_fit(settings, console=_console()))), soft_wrap=True)
@@ -86,6 +88,7 @@ def render(config: Path, /, *overrides: str) -> None:
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
     settings = load_config(config, overrides)
+    _keep_compiled_programs()
     from . import study
 
     _console().print(Text(str(study.run_render(settings, console=_console()))), soft_wrap=True)
@@ -150,6 +153,19 @@ def _build_everything(config: Config) -> int:
     build_technique(config)
     build_fit(config)
     return scene.mesh.faces.shape[0]
+
+
+def _keep_compiled_programs() -> None:
+    """Lets JAX keep compiled programs in the cache folder, so that the next run starts sooner. Not being able is fine."""
+    import jax
+
+    from . import io
+
+    with contextlib.suppress(OSError, RuntimeError, io.FileError):
+        folder = io.cache_folder() / "xla"
+        io.check_writable(folder)
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:

@@ -202,7 +202,9 @@ def _draw_homogeneous(corners, resolution, cull):
     moved, deepened = _clip_rounding(corners, resolution)
     slope = np.abs(depth_line[:, 0, :2]).sum(axis=-1) / 2
     at_middle = 1 + np.abs(depth_line[:, 0] @ [width / 2, height / 2, 1])
-    error = slope * moved + deepened * at_middle + 8 * EPSILON
+    # A corner that moves turns the plane; that of a sliver it turns far.
+    turned = np.sum(steepness[..., 0, 0] * (np.abs(z) + np.abs(w)), axis=1) * (2 * moved + 16 * EPSILON * GUARD_BAND)
+    error = slope * SNAPPING_SLACK + turned + deepened * at_middle + 8 * EPSILON
     return inside, depth, margin, np.broadcast_to(error[:, None, None], depth.shape), SNAPPING_SLACK + moved
 
 

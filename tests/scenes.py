@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-import jax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -43,11 +43,11 @@ def side_camera(resolution: tuple[int, int] = (64, 64)) -> PinholeCamera:
 
 
 def sun(mesh: Mesh, direction: Any = SLANTED, angular_radius: float = 0.0) -> DirectionalLight:
-    return DirectionalLight.around(direction, mesh.vertices, angular_radius)
+    return DirectionalLight.around(jnp.asarray(direction), mesh.vertices, angular_radius)
 
 
 def lamp(mesh: Mesh, position: Any = LAMP) -> SpotLight:
-    return SpotLight.around(position, mesh.vertices)
+    return SpotLight.around(jnp.asarray(position), mesh.vertices)
 
 
 LIGHTS: dict[str, Callable[[Mesh], Any]] = {"directional": sun, "spot": lamp}
@@ -130,5 +130,7 @@ def random_lookups(
     return lookups_at(x, y, rng.uniform(0.2, 0.8, shape))
 
 
-def same(a: jax.Array, b: jax.Array) -> bool:
-    return bool(jnp.array_equal(a, b))
+@eqx.filter_jit
+def apply(kernel: AbstractFilter, shadow_map: ShadowMap, lookup: Lookup, compare: Any) -> Any:
+    """The filter's visibility, compiled once for each kind and shape."""
+    return kernel(shadow_map, lookup, compare)

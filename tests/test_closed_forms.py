@@ -58,7 +58,7 @@ def least_bias(make_bias, angle, azimuth):
     return high
 
 
-@pytest.mark.parametrize("azimuth", [0, 45, 160])
+@pytest.mark.parametrize("azimuth", [0, 160])
 @pytest.mark.parametrize("angle", [0, 20, 45, 60, 75])
 def test_least_acne_free_constant_bias_of_a_tilted_plane(angle, azimuth):
     slope = np.tan(np.radians(angle)) * np.abs([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])

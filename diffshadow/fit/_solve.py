@@ -112,8 +112,8 @@ def fit(
     best_loss, best, chosen = float(hard_loss(hard, names, initial)), initial, -1
     if not np.isfinite(best_loss):
         raise ValueError(
-            "the visibility or the reference is not finite at the initial values; expected numbers: check the mesh, the "
-            "light and the reference"
+            "the visibility or the reference is not finite at the initial values; expected numbers: check "
+            "the mesh, the light and the reference"
         )
     y, slopes = bounds.to_free(initial), np.zeros(len(names))
     with reporter:

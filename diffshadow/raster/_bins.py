@@ -92,6 +92,10 @@ class Triangles(eqx.Module):
         """Indices of the triangles of a class, filled up with -1."""
         return compact(self.size_class == size_class, capacity)
 
+    def boxes(self, member: Int[Array, " n"], resolution: Resolution) -> tuple[Int[Array, "n 2"], Int[Array, "n 2"]]:
+        """The pixel boxes of the triangles `member`, as by `pixel_box`."""
+        return pixel_box(snap(self.window[self.faces[member], :2]), resolution)
+
 
 def compact(mask: Array, capacity: int) -> Int[Array, " capacity"]:
     """Indices where `mask` holds, in order, filled up with -1; those beyond `capacity` are dropped."""

@@ -9,12 +9,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._misc import dot
 from .._types import Resolution
 from ._fixed import GUARD_BAND
 
 PLANES = 6
 # A plane adds at most one corner to a convex polygon; a polygon of k corners is a fan of k - 2 triangles.
-FAN = 3 + PLANES - 2
+_CORNERS = 3 + PLANES
+FAN = _CORNERS - 2
+# The least w that is kept, as a share of the triangle's greatest.
+_LEAST_W = 1e-6
 
 
 def guard_ratio(resolution: Resolution) -> tuple[float, float]:
@@ -48,17 +52,19 @@ def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Fl
     """
     gx, gy = guard_ratio(resolution)
     # Inside is where plane · (x, y, z, w) >= 0; the last keeps w off 0 where the projection puts no near plane there.
-    tiny = 1e-6
-    planes = jnp.array([[0, 0, 1, 1], [-1, 0, 0, gx], [1, 0, 0, gx], [0, -1, 0, gy], [0, 1, 0, gy], [0, 0, 0, 1]])
-    offsets = jnp.array([0, 0, 0, 0, 0, tiny])
-    return jax.vmap(lambda triangle: _clip_one(triangle, planes.astype(corners.dtype), offsets))(corners)
+    planes = jnp.array(
+        [[0, 0, 1, 1], [-1, 0, 0, gx], [1, 0, 0, gx], [0, -1, 0, gy], [0, 1, 0, gy], [0, 0, 0, 1]], corners.dtype
+    )
+    offsets = jnp.array([0, 0, 0, 0, 0, _LEAST_W], corners.dtype)
+    return jax.vmap(lambda triangle: _clip_one(triangle, planes, offsets))(corners)
 
 
 def _clip_one(triangle: Float[Array, "3 4"], planes: Float[Array, "p 4"], offsets: Float[Array, " p"]) -> Array:
-    polygon, count = triangle, jnp.int32(3)
     scale = jnp.max(jnp.abs(triangle[:, 3]))
-    for plane, offset in zip(planes, offsets, strict=True):
-        polygon, count = _clip_against(polygon, count, plane, offset * scale)
+    start = jnp.zeros((_CORNERS, 4), triangle.dtype).at[:3].set(triangle), jnp.int32(3)
+    # A loop rather than its six turns written out, which would take seconds to compile.
+    clip = lambda polygon, plane: (_clip_against(*polygon, *plane), None)
+    (polygon, count), _ = jax.lax.scan(clip, start, (planes, offsets * scale))
     fan = jnp.arange(1, FAN + 1)
     used = fan + 1 < count
     first = jnp.broadcast_to(polygon[0], (FAN, 4))
@@ -73,8 +79,8 @@ def _clip_against(polygon: Float[Array, "m 4"], count: Array, plane: Float[Array
     slots = polygon.shape[0]
     slot = jnp.arange(slots)
     following = polygon[jnp.where(slot + 1 < count, slot + 1, 0)]
-    distance = polygon @ plane - offset
-    distance_following = following @ plane - offset
+    distance = dot(polygon, plane) - offset
+    distance_following = dot(following, plane) - offset
     inside, inside_following = distance >= 0, distance_following >= 0
     crosses = inside != inside_following
     # From the inner corner outwards, so that two triangles that share the edge find the same point.
@@ -88,6 +94,6 @@ def _clip_against(polygon: Float[Array, "m 4"], count: Array, plane: Float[Array
     used = slot < count
     emitted = jnp.stack([used & inside, used & crosses], axis=1).reshape(-1)
     corners = jnp.stack([polygon, crossing], axis=1).reshape(-1, 4)
-    place = jnp.where(emitted, jnp.cumsum(emitted) - 1, slots + 1)
-    clipped = jnp.zeros((slots + 1, 4), polygon.dtype).at[place].set(corners, mode="drop")
+    place = jnp.where(emitted, jnp.cumsum(emitted) - 1, slots)
+    clipped = jnp.zeros_like(polygon).at[place].set(corners, mode="drop")
     return clipped, jnp.sum(emitted).astype(jnp.int32)

@@ -1,6 +1,5 @@
 """The rasterizer: which triangle each pixel sees."""
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -111,7 +110,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
     return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face)
 
 
-@partial(jax.jit, static_argnums=(2, 3, 4))
+@eqx.filter_jit
 def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cull: Cull, clip_capacity: int) -> Counts:
     def count(clip: Array) -> Counts:
         triangles, clipped = bin_triangles(clip, faces, resolution, cull, clip_capacity)
@@ -120,7 +119,7 @@ def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cu
     return jax.tree.map(lambda n: n.max(axis=0), jax.vmap(count)(clip))
 
 
-@partial(jax.jit, static_argnums=(2, 3, 4, 7, 8))
+@eqx.filter_jit
 def _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face) -> Fragments:
     if clip.ndim > 2:
         view = lambda clip, behind: _rasterize(

@@ -5,17 +5,18 @@ written by one scatter of windows that keeps the least depth. No sort and no lis
 buffers are padded, so that a window may reach beyond the image.
 """
 
+from operator import itemgetter
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._types import FaceMap, Resolution
-from ._bins import BLOCK, WINDOWS, Capacity, Triangles, pixel_box
+from ._bins import BLOCK, WINDOWS, Capacity, Triangles
 from ._coverage import edge_form, window_depth
 from ._depth_test import DepthTest
-from ._fixed import snap
 
 NOTHING = jnp.iinfo(jnp.int32).max
 """What a face buffer holds where nothing has been drawn."""
@@ -46,32 +47,43 @@ def window_batches(
     behind: FaceMap | None,
 ) -> list[Batch]:
     """All triangles, evaluated, in batches of equal windows."""
-    batches = []
-    for size_class, (side, room) in enumerate(zip(WINDOWS, capacity.windows, strict=True)):
-        if room:
-            member = triangles.members(size_class, room)
-            used = member >= 0
-            window = triangles.window[triangles.faces[member]]
-            low, _ = pixel_box(snap(window[..., :2]), resolution)
-            pixel = jnp.where(used[:, None], low, 0)
-            depth = window_depth(edge_form(window, pixel, test, polygon_offset), used, side, test)
-            batches.append(Batch(pixel[:, ::-1], depth, triangles.source[member]))
-    if capacity.large and capacity.blocks:
-        batches.append(_block_batch(triangles, resolution, capacity, test, polygon_offset))
+    placed = [_at_corner(triangles, k, room, resolution) for k, room in enumerate(capacity.windows)]
+    placed.append(_in_blocks(triangles, capacity, resolution))
+    # One set-up for all classes, which is far quicker to compile than one for each.
+    member, pixel = (jnp.concatenate(part) for part in zip(*placed, strict=True))
+    used = member >= 0
+    window = triangles.window[triangles.faces[member]]
+    form = edge_form(window, pixel, test, polygon_offset)
+    source = triangles.source[member]
+
+    batches, start = [], 0
+    for side, (own, _) in zip((*WINDOWS, BLOCK), placed, strict=True):
+        if own.shape[0]:
+            part = slice(start, start + own.shape[0])
+            depth = window_depth(jax.tree.map(itemgetter(part), form), used[part], side, test)
+            batches.append(Batch(pixel[part, ::-1], depth, source[part]))
+            start += own.shape[0]
     if behind is not None:
-        padded = _padded(behind, resolution)
+        padded = _padded(behind)
         batches = [_passing_over(batch, padded) for batch in batches]
     return batches
 
 
-def _block_batch(
-    triangles: Triangles,
-    resolution: Resolution,
-    capacity: Capacity,
-    test: DepthTest,
-    polygon_offset: Float[Array, "2"] | None,
-) -> Batch:
-    """Large triangles, cut into the blocks that their boxes touch."""
+Placed = tuple[Int[Array, " n"], Int[Array, "n 2"]]
+"""Triangles, -1 for none, and the lower left pixel (x, y) of each one's window."""
+
+
+def _at_corner(triangles: Triangles, size_class: int, room: int, resolution: Resolution) -> Placed:
+    """The triangles of a size class, each with a window at the corner of its box."""
+    member = triangles.members(size_class, room)
+    low, _ = triangles.boxes(member, resolution)
+    return member, jnp.where((member >= 0)[:, None], low, 0)
+
+
+def _in_blocks(triangles: Triangles, capacity: Capacity, resolution: Resolution) -> Placed:
+    """Large triangles, once for every block that its box touches."""
+    if not (capacity.large and capacity.blocks):
+        return jnp.zeros(0, jnp.int32), jnp.zeros((0, 2), jnp.int32)
     member = triangles.members(len(WINDOWS), capacity.large)
     # Number the blocks of all large triangles through: block p belongs to the triangle whose run holds p.
     lengths = jnp.where(member >= 0, triangles.blocks[member], 0)
@@ -81,15 +93,12 @@ def _block_batch(
     block = jnp.arange(capacity.blocks, dtype=jnp.int32)
     used = block < jnp.sum(lengths)
 
-    window = triangles.window[triangles.faces[member]]
-    low, high = pixel_box(snap(window[..., :2]), resolution)
+    low, high = triangles.boxes(member, resolution)
     first = low // BLOCK
     columns = (high // BLOCK - first + 1)[:, 0]
     within = block - starts[owner]
     tile = first[owner] + jnp.stack([within % columns[owner], within // columns[owner]], axis=-1)
-    pixel = jnp.where(used[:, None], tile * BLOCK, 0)
-    depth = window_depth(edge_form(window[owner], pixel, test, polygon_offset), used, BLOCK, test)
-    return Batch(pixel[:, ::-1], depth, triangles.source[member][owner])
+    return jnp.where(used, member[owner], -1), jnp.where(used[:, None], tile * BLOCK, 0)
 
 
 def write_depth(batches: list[Batch], resolution: Resolution) -> Float[Array, "hp wp"]:
@@ -125,5 +134,5 @@ def _windows_of(buffer: Array, batch: Batch) -> Array:
     return lax.gather(buffer, batch.corner, _GATHER, batch.depth.shape[1:], mode=_IN_BOUNDS)
 
 
-def _padded(face: FaceMap, resolution: Resolution) -> Int[Array, "hp wp"]:
+def _padded(face: FaceMap) -> Int[Array, "hp wp"]:
     return jnp.pad(face, ((0, _PADDING), (0, _PADDING)), constant_values=NOTHING)

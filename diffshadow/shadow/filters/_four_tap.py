@@ -2,8 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
-from ..._misc import as_float
+from ..._misc import as_float, concrete
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._map import ShadowMap
@@ -13,9 +14,17 @@ from ._abstract import AbstractFilter
 
 
 class FourTap(AbstractFilter):
-    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all."""
+    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all.
+
+    **Raises** `ValueError` if `radius` is negative or not finite.
+    """
 
     radius: Scalar = eqx.field(converter=as_float, default=1.0)
+
+    def __check_init__(self):
+        radius = concrete(self.radius)
+        if radius is not None and not (radius >= 0 and np.isfinite(radius)):
+            raise ValueError(f"the four taps' radius is {radius}; expected 0 or more texels")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])

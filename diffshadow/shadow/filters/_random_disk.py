@@ -47,7 +47,7 @@ class RandomDisk(AbstractFilter):
     - `lookup`: `"bilinear"` or `"nearest"` taps. Nearest ones give `radius` no gradient.
     - `early_out`: whether the first 8 samples, which are the outermost, decide alone where they agree.
 
-    **Raises** `ValueError` if `radius` is negative or there are no samples.
+    **Raises** `ValueError` if `radius` is negative, there are no samples, or `lookup` is unknown.
     """
 
     radius: Scalar
@@ -74,6 +74,8 @@ class RandomDisk(AbstractFilter):
         self.early_out = early_out
 
     def __check_init__(self):
+        if self.lookup not in ("bilinear", "nearest"):
+            raise ValueError(f'the random disk\'s lookup is {self.lookup!r}; expected "bilinear" or "nearest"')
         radius = concrete(self.radius)
         if radius is not None and not (radius >= 0 and math.isfinite(radius)):
             raise ValueError(f"the random disk's radius is {radius}; expected 0 or more texels")

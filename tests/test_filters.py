@@ -1,0 +1,211 @@
+"""Filters: what they become at special radii, how they weigh, and the random disk's pattern and early-out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import apply, lookups_at, map_of, random_lookups, random_map
+
+from diffshadow.shadow import (
+    Bilinear,
+    FourTap,
+    HardCompare,
+    Lookup,
+    Nearest,
+    PercentageCloser,
+    RandomDisk,
+    SoftCompare,
+    offset_table,
+)
+from diffshadow.shadow.filters._random_disk import EARLY_SAMPLES
+
+HARD, SOFT = HardCompare(), SoftCompare(2.0)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize(
+    "kernel", [FourTap(0.0), RandomDisk(0.0), RandomDisk(0.0, early_out=True)], ids=["four", "disk", "early"]
+)
+def test_radius_zero_is_one_bilinear_tap(kernel, compare, rng):
+    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    expected = Bilinear()(shadow_map, lookup, compare)
+    np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=1e-6)
+
+
+def test_nearest_disk_and_box_of_radius_zero_are_one_nearest_tap(rng):
+    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    expected = Nearest()(shadow_map, lookup, HARD)
+    np.testing.assert_array_equal(RandomDisk(0.0, lookup="nearest")(shadow_map, lookup, HARD), expected)
+    # The box is never narrower than a thousandth of a texel on each side: look-ups on a texel's border see both.
+    box = PercentageCloser(0.0)(shadow_map, lookup, HARD)
+    off_border = (jnp.abs(lookup.texel - jnp.round(lookup.texel)) > 2e-3).all(axis=-1)
+    np.testing.assert_allclose(jnp.where(off_border, box, 0), jnp.where(off_border, expected, 0), atol=1e-3)
+
+
+@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+def test_box_of_half_a_texel_is_the_bilinear_compare(compare, rng):
+    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    expected = Bilinear()(shadow_map, lookup, compare)
+    np.testing.assert_allclose(PercentageCloser(0.5)(shadow_map, lookup, compare), expected, atol=3e-6)
+
+
+def test_box_at_a_texels_centre_is_the_mean_of_five_by_five(rng):
+    shadow_map = random_map(rng, (12, 13))
+    row, column = np.meshgrid(np.arange(2, 10), np.arange(2, 11), indexing="ij")
+    lit = np.where(shadow_map.depth < 1, shadow_map.depth, 9) >= 0.5
+    expected = [[lit[i - 2 : i + 3, j - 2 : j + 3].mean() for j in range(2, 11)] for i in range(2, 10)]
+    found = PercentageCloser(2.5)(shadow_map, lookups_at(column + 0.5, row + 0.5), HARD)
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 1.0, 1.7, 3.0])
+def test_box_does_not_depend_on_the_largest_radius(radius, rng):
+    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    tight = PercentageCloser(radius)(shadow_map, lookup, SOFT)
+    np.testing.assert_allclose(apply(PercentageCloser(radius, 6.0), shadow_map, lookup, SOFT), tight, atol=2e-6)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.2, 0.5, 1.3, 2.0, 3.0])
+def test_weights_of_the_box_sum_to_one(radius, rng):
+    box = PercentageCloser(radius, 3.0)
+    position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
+    total = sum(box._share(position, i) for i in range(-3, 4))
+    np.testing.assert_allclose(total, 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("width", [0.3, 3.0])
+def test_constant_maps_give_the_compare_itself(width, rng):
+    """Weights sum to 1, whatever the filter."""
+    lookup = lookups_at(rng.uniform(6, 20, (7, 9)), rng.uniform(6, 20, (7, 9)), rng.uniform(0.4, 0.6, (7, 9)))
+    compare, shadow_map = SoftCompare(width), map_of(np.full((26, 26), 0.5))
+    expected = Nearest()(shadow_map, lookup, compare)
+    for kernel in (Bilinear(), FourTap(2.2), PercentageCloser(3.4), RandomDisk(4.0), RandomDisk(4.0, early_out=True)):
+        np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=3e-6)
+
+
+@pytest.mark.parametrize(("pattern", "samples"), [(8, (4, 8)), (3, (5, 2)), (1, (1, 1)), (4, (8, 8))])
+def test_offset_table_is_stratified_and_runs_inwards(pattern, samples):
+    angles, rings = samples
+    table = np.asarray(offset_table(pattern, samples, seed=3), np.float64)
+    assert table.shape == (pattern, pattern, angles * rings, 2)
+    v = (table**2).sum(axis=-1)
+    u = np.arctan2(table[..., 1], table[..., 0]) / (2 * np.pi) % 1
+    assert v.max() <= 1 + 1e-6
+    ring, sector = np.floor(v * rings - 1e-6).clip(0), np.floor((u * angles + 1e-6) % angles)
+    # Each stratum of each set holds one sample, and rings come in order from the rim.
+    assert (ring == np.repeat(np.arange(rings)[::-1], angles)).mean() > 0.999
+    cell = np.sort(ring * angles + sector, axis=-1)
+    assert (cell == np.arange(angles * rings)).mean() > 0.99
+    if pattern > 1:
+        assert (table[0, 0] != table[0, 1]).any()
+
+
+def test_offset_table_follows_from_its_seed():
+    np.testing.assert_array_equal(offset_table(4, (4, 4), 5), offset_table(4, (4, 4), 5))
+    assert (np.asarray(offset_table(4, (4, 4), 5)) != np.asarray(offset_table(4, (4, 4), 6))).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 19), (8, 8), (17, 3)])
+def test_disk_uses_the_set_of_each_pixel(shape, rng):
+    """Also where the image is no whole number of patterns."""
+    disk, shadow_map = RandomDisk(2.5, (3, 4), pattern_size=8), random_map(rng)
+    lookup = random_lookups(rng, shape)
+    found = np.asarray(disk(shadow_map, lookup, HARD))
+    assert found.shape == shape
+    expected = 0
+    rows, columns = np.meshgrid(np.arange(shape[0]) % 8, np.arange(shape[1]) % 8, indexing="ij")
+    for k in range(12):
+        moved = lookup.texel + 2.5 * disk.offsets[rows, columns, k]
+        tap = Lookup(moved, lookup.depth, lookup.depth_per_texel, lookup.inside)
+        expected = expected + np.asarray(apply(Bilinear(), shadow_map, tap, HARD)) / 12
+    np.testing.assert_allclose(found, expected, atol=3e-6)
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+def test_early_out_differs_only_where_the_first_eight_agree_and_the_rest_do_not(mode, rng):
+    # Patches of depth larger than the disk, so that many look-ups see no edge.
+    depth = np.kron(rng.uniform(0.2, 0.8, (4, 4)), np.ones((9, 9)))
+    shadow_map, lookup = map_of(depth), lookups_at(rng.uniform(0, 36, (40, 40)), rng.uniform(0, 36, (40, 40)))
+    full = RandomDisk(4.0, (4, 8), lookup=mode)
+    early = RandomDisk(4.0, (4, 8), lookup=mode, early_out=True)
+    outermost = _first(full, EARLY_SAMPLES)
+    exact, quick, eight = (np.asarray(apply(f, shadow_map, lookup, HARD)) for f in (full, early, outermost))
+    agree = (eight == 0) | (eight == 1)
+    differs = np.abs(quick - exact) > 1e-6
+    assert (differs <= agree).all()
+    np.testing.assert_array_equal(quick[agree], eight[agree])
+    assert (differs == (agree & (np.abs(exact - eight) > 1e-6))).all()
+    # A ring of eight misses little: a few pixels do differ, and few of those that agree.
+    assert 0 < differs.sum() < 0.15 * agree.sum()
+    assert 0.3 < agree.mean() < 1
+
+
+def _first(disk, count):
+    chosen = object.__new__(RandomDisk)
+    for name in ("radius", "lookup", "early_out"):
+        object.__setattr__(chosen, name, getattr(disk, name))
+    object.__setattr__(chosen, "offsets", disk.offsets[:, :, :count])
+    return chosen
+
+
+def test_early_out_of_few_samples_is_the_plain_mean(rng):
+    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    plain, early = (RandomDisk(2.0, (4, 2), early_out=e)(shadow_map, lookup, HARD) for e in (False, True))
+    np.testing.assert_array_equal(plain, early)
+
+
+@jax.jit
+def every_filter(shadow_map, lookup, radius, width):
+    kernels = (Nearest(), Bilinear(), FourTap(radius), PercentageCloser(radius, 4.0), RandomDisk(radius, (4, 4), 4))
+    kernels += (RandomDisk(radius, (4, 4), 4, early_out=True), RandomDisk(radius, (4, 4), 4, lookup="nearest"))
+    return jnp.stack([k(shadow_map, lookup, c) for k in kernels for c in (HARD, SoftCompare(width))])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    radius=st.floats(0, 4, width=32),
+    width=st.floats(float(np.float32(0.01)), 10, width=32),
+    scale=st.floats(float(np.float32(0.1)), 1e4, width=32),
+    empty=st.floats(0, 1),
+)
+def test_visibility_stays_in_its_range(seed, radius, width, scale, empty):
+    rng = np.random.default_rng(seed)
+    lookup = random_lookups(rng)
+    lookup = Lookup(lookup.texel * scale, lookup.depth, lookup.depth_per_texel, lookup.inside)
+    found = np.asarray(every_filter(random_map(rng, empty=empty), lookup, jnp.float32(radius), jnp.float32(width)))
+    assert (found >= 0).all()
+    assert (found <= 1 + 1e-5).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PercentageCloser(-1.0), r"radius is -1.0 texels; expected 0 to max_radius = -1"),
+        (lambda: PercentageCloser(3.0, 2.0), r"radius is 3.0 texels; expected 0 to max_radius = 2: give a larger max_radius"),
+        (lambda: PercentageCloser(float("nan"), 2.0), r"radius is nan texels"),
+        (lambda: FourTap(-1.0), r"radius is -1.0; expected 0 or more texels"),
+        (lambda: RandomDisk(-0.5), r"radius is -0.5; expected 0 or more texels"),
+        (lambda: RandomDisk(float("inf")), r"radius is inf; expected 0 or more texels"),
+        (lambda: RandomDisk(1.0, (0, 4)), r"samples \(0, 4\) and pattern_size 8; expected each to be 1 or more"),
+        (lambda: RandomDisk(1.0, pattern_size=0), r"pattern_size 0; expected each to be 1 or more"),
+    ],
+)
+def test_impossible_filters_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_unknown_lookup_is_refused():
+    disk = RandomDisk(1.0)
+    # Where types are checked, as in these tests, the constructor does not get so far.
+    object.__setattr__(disk, "lookup", "cubic")
+    with pytest.raises(ValueError, match=r"lookup is 'cubic'; expected \"bilinear\" or \"nearest\""):
+        disk.__check_init__()

@@ -1,0 +1,386 @@
+"""Runs from a configuration to a folder: what is written, what is said, and what a failure leaves behind."""
+
+import io as text_io
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from diffshadow import fit, io, study
+from diffshadow.cli import main
+from diffshadow.config import ConfigError, load_config
+
+ROOT = Path(__file__).parent.parent
+QUICKSTART = ROOT / "configs" / "quickstart.yaml"
+
+TINY = """
+name: tiny
+scene:
+  meshes:
+    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [64, 64], orbit: {distance: 3}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [128, 128]}
+filter: {samples: 8, pattern_size: 4, radius: 1}
+bias: {constant: 0.1}
+reference: {samples: 8}
+fit:
+  parameters:
+    bias.constant: {lower: 0, upper: 10}
+    filter.radius: {lower: 0, upper: 8}
+  solver: {max_steps: 3}
+  anneal: {phases: 2}
+output: runs
+"""
+FIT_FILES = {
+    *("config.yaml", "result.json", "arrays.npz", "report.html"),
+    *("comparison.png", "shadow_map.png", "loss.png", "shaded.png"),
+}
+RENDER_FILES = {
+    *("config.yaml", "result.json", "arrays.npz"),
+    *("visibility.png", "reference.png", "difference.png", "shadow_map.png", "shaded.png"),
+}
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch):
+    """Each test in a folder of its own, with a cache of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "cache"))
+    Path("tiny.yaml").write_text(TINY)
+
+
+def tiny(*overrides: str):
+    return load_config(Path("tiny.yaml"), list(overrides))
+
+
+def console() -> tuple[Console, text_io.StringIO]:
+    """A console that nobody watches, and what it was told."""
+    out = text_io.StringIO()
+    return Console(file=out, width=100, highlight=False), out
+
+
+def run(*overrides: str) -> tuple[Path, str]:
+    """The folder of a fit, and what was printed."""
+    to, out = console()
+    return study.run_fit(tiny(*overrides), console=to), out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One finished fit that several tests look at: its folder and what was printed."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("finished")
+        patch.chdir(folder)
+        patch.setenv("DIFFSHADOW_CACHE", str(folder / "cache"))
+        (folder / "tiny.yaml").write_text(TINY)
+        made, said = run()
+        return folder / made, said, folder
+
+
+def leftovers(folder: Path) -> list[str]:
+    """Everything in `folder` but the configuration and the cache."""
+    return sorted(entry.name for entry in folder.iterdir() if entry.name not in ("tiny.yaml", "cache"))
+
+
+def result_of(folder: Path) -> dict:
+    return json.loads((folder / "result.json").read_text())
+
+
+def test_fit_writes_every_file_and_nothing_else(finished):
+    folder, _, home = finished
+    assert folder == home / "runs" / "tiny"
+    assert {entry.name for entry in folder.iterdir()} == FIT_FILES
+    assert [entry.name for entry in (home / "runs").iterdir()] == ["tiny"]
+    for picture in folder.glob("*.png"):
+        assert picture.read_bytes().startswith(PNG)
+        assert picture.stat().st_size > 2000
+
+
+def test_result_follows_its_schema(finished):
+    result = result_of(finished[0])
+    assert result["schema_version"] == 1
+    assert result["name"] == "tiny"
+    assert result["kind"] == "fit"
+    assert result["initial"] == pytest.approx({"bias.constant": 0.1, "filter.radius": 1.0})
+    assert result["fitted"].keys() == result["initial"].keys()
+    errors = {"rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"}
+    assert result["metrics"]["before"].keys() == result["metrics"]["after"].keys() == errors
+    assert 0 < result["metrics"]["reference_noise_floor"] < 0.2
+    solver = result["solver"]
+    assert solver["name"] == "levenberg_marquardt"
+    assert isinstance(solver["result"], str)
+    assert solver["gradient_norm"] >= 0
+    assert solver["seconds_compiling"] > 0
+    assert solver["seconds_running"] > 0
+    assert len(solver["phases"]) == 2
+    assert solver["steps"] == sum(phase["steps"] for phase in solver["phases"]) <= 6
+    assert all(phase["values"].keys() == result["fitted"].keys() for phase in solver["phases"])
+    assert {"loading", "drawing", "tracing reference", "compiling", "fitting"} <= result["seconds"].keys()
+    packages = {"diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy", "python", "platform", "device"}
+    assert packages <= result["versions"].keys()
+    assert result["seed"] == 0
+    assert result["command"] == "diffshadow fit runs/tiny/config.yaml"
+    assert set(result["files"]) == FIT_FILES
+
+
+def test_fit_improves_by_its_own_arrays(finished):
+    folder, _, _ = finished
+    result = result_of(folder)
+    before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
+    assert after < 0.7 * before
+    with np.load(folder / "arrays.npz") as arrays:
+        mask = arrays["mask"]
+        assert mask.sum() == result["metrics"]["pixels"]
+        for name, error in (("before", before), ("after", after)):
+            difference = (arrays[name].astype(np.float64) - arrays["reference"])[mask]
+            assert np.sqrt(np.mean(difference**2)) == pytest.approx(error, rel=1e-6)
+        assert arrays["shadow_map_depth"].shape == (128, 128)
+        steps = len(arrays["history_loss"])
+        assert steps >= 2
+        assert {arrays[f"history_{name}"].shape for name in ("phase", "step", "width", "loss")} == {(steps,)}
+        assert set(arrays["history_phase"]) == {0, 1}
+
+
+def test_printed_table_reads_without_colour(finished):
+    _, said, _ = finished
+    assert "\x1b" not in said
+    (radius,) = (line for line in said.splitlines() if "filter.radius" in line and "warning" not in line)
+    assert "texels" in radius
+    for words in ("RMSE", "false shadow (acne)", "false light (leaks, Peter-panning)", "noise is", "hard compare"):
+        assert words in said
+
+
+def test_report_is_one_page_that_needs_nothing_else(finished):
+    page = (finished[0] / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.search(r"(?:src|href)=\"(?!data:)", page)
+    assert "prefers-color-scheme: dark" in page
+    for words in ("filter.radius", "diffshadow fit runs/tiny/config.yaml", "Fitting bias.constant and filter.radius"):
+        assert words in page
+
+
+def test_report_escapes_what_the_user_wrote(tmp_path):
+    folder, _ = run("name='<b>&'", "fit.anneal.phases=1", "fit.solver.max_steps=1")
+    page = (folder / "report.html").read_text()
+    assert "<b>" not in page
+    assert "&lt;b&gt;&amp;" in page
+
+
+def test_resolved_config_loads_to_the_same_settings(finished, monkeypatch):
+    folder, _, home = finished
+    monkeypatch.chdir(home)
+    assert load_config(folder / "config.yaml", []) == load_config(home / "tiny.yaml", [])
+
+
+def test_second_run_traces_nothing_and_finds_the_same(monkeypatch):
+    first, _ = run()
+    before = result_of(first)
+    (first / "mine.txt").write_text("a note")
+    (first / "loss.png").write_text("stale")
+
+    def never(*args, **kwargs):
+        raise AssertionError("the reference was traced again")
+
+    monkeypatch.setattr("diffshadow.reference.trace_visibility", never)
+    second, _ = run()
+    after = result_of(second)
+    assert second == first
+    assert after["fitted"] == before["fitted"]
+    assert after["metrics"] == before["metrics"]
+    # A file of the user's own stays; the run's are all new.
+    assert (second / "mine.txt").read_text() == "a note"
+    assert (second / "loss.png").read_bytes().startswith(PNG)
+    assert [entry.name for entry in Path("runs").iterdir()] == ["tiny"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, OSError])
+def test_run_that_dies_while_writing_leaves_the_earlier_one(error, monkeypatch, tmp_path):
+    earlier = tmp_path / "runs" / "tiny"
+    earlier.mkdir(parents=True)
+    (earlier / "result.json").write_text('{"files": ["result.json"]}')
+
+    def dies(path, *args):
+        Path(path).write_bytes(PNG)
+        raise error
+
+    monkeypatch.setattr("diffshadow.study._figures.write_loss", dies)
+    with pytest.raises(error):
+        run("fit.anneal.phases=1", "fit.solver.max_steps=1")
+    assert [entry.name for entry in (tmp_path / "runs").iterdir()] == ["tiny"]
+    assert [entry.name for entry in earlier.iterdir()] == ["result.json"]
+
+
+def test_run_that_dies_leaves_not_even_its_output_folder(monkeypatch, tmp_path):
+    def dies(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("diffshadow.fit.fit", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run("output=deep/er/runs")
+    assert leftovers(tmp_path) == []
+
+
+def test_folder_that_is_no_run_is_never_replaced(tmp_path):
+    precious = tmp_path / "runs" / "tiny"
+    precious.mkdir(parents=True)
+    (precious / "thesis.tex").write_text("x")
+    with pytest.raises(ConfigError, match="no run's folder"):
+        run()
+    assert [entry.name for entry in precious.iterdir()] == ["thesis.tex"]
+
+
+def before_work(monkeypatch) -> None:
+    """Makes every long stage of a run an error."""
+
+    def never(*args, **kwargs):
+        raise AssertionError("long work was begun")
+
+    for name in ("diffshadow.reference.trace_visibility", "diffshadow.fit.fit"):
+        monkeypatch.setattr(name, never)
+
+
+@pytest.mark.parametrize("command", ["fit", "render"])
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("output=tiny.yaml/runs", "is in the way and is no folder"),
+        ("scene.meshes.0={path: nowhere.obj}", "there is no mesh file"),
+        ("reference={type: image, path: nowhere.png}", "there is no visibility file"),
+        ("scene.camera={eye: [0, 1, 9], target: [0, 9, 9]}", "camera"),
+        ("scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}", "light's frustum"),
+    ],
+)
+def test_mistakes_are_told_before_any_work(command, override, said, monkeypatch, capsys, tmp_path):
+    before_work(monkeypatch)
+    with pytest.raises(SystemExit) as caught:
+        main([command, "tiny.yaml", override])
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert "Traceback" not in err
+    assert leftovers(tmp_path) == []
+
+
+def test_reference_image_of_another_shape_is_refused(monkeypatch, tmp_path):
+    before_work(monkeypatch)
+    np.save("truth.npy", np.ones((32, 64), np.float32))
+    with pytest.raises(ConfigError, match=r"reference\.path: .*\(32, 64\)"):
+        run("reference={type: image, path: truth.npy}")
+
+
+def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):
+    folder, _, _ = finished
+    with np.load(folder / "arrays.npz") as arrays:
+        io.write_visibility(tmp_path / "truth.npy", arrays["reference"])
+    made, said = run("reference={type: image, path: truth.npy}")
+    result, traced = result_of(made), result_of(folder)
+    assert result["fitted"] == pytest.approx(traced["fitted"], rel=1e-4)
+    assert result["metrics"]["reference_noise_floor"] is None
+    assert "was given, not traced" in said
+
+
+def test_flat_gradient_is_told_with_its_cause():
+    folder, said = run("filter.lookup=nearest", "fit.solver.max_steps=1", "fit.anneal.phases=1")
+    assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
+    assert "warning: filter.radius was not fitted: its gradient is zero throughout, since nearest look-ups" in said
+    assert "filter.radius was not fitted" in (folder / "report.html").read_text()
+
+
+def outcome(result: str = "successful") -> fit.Outcome:
+    return fit.Outcome(0.1, 3, result, 1e-9, 0.01, (9.9999,))
+
+
+@pytest.mark.parametrize(
+    ("value", "chosen", "ended", "said"),
+    [
+        (9.9999, 0, "successful", "ended on its upper bound, 10 texels"),
+        (0.0001, 0, "successful", "ended on its lower bound, 0 texels"),
+        (5.0, -1, "successful", "no phase ended better than the start"),
+        (5.0, 0, "The maximum number of steps was reached in the solver. More.", "it used up fit.solver.max_steps"),
+    ],
+)
+def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, said):
+    from diffshadow.study._remarks import remarks
+
+    parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
+    technique = None
+    result = fit.FitResult(
+        technique, {"bias.constant": 5.0}, {"bias.constant": value}, [outcome(ended)], chosen, [], [], 0.0, 0.0
+    )
+    (remark,) = remarks(tiny(), [parameter], result)
+    assert said in remark
+    fine = result._replace(fitted={"bias.constant": 5.0}, phases=[outcome()], chosen=0)
+    assert remarks(tiny(), [parameter], fine) == []
+
+
+def test_render_writes_its_images_beside_the_fit_s():
+    to, out = console()
+    folder = study.run_render(tiny(), console=to)
+    assert folder == Path("runs/tiny-render")
+    assert {entry.name for entry in folder.iterdir()} == RENDER_FILES
+    result = result_of(folder)
+    assert result["kind"] == "render"
+    assert result["metrics"]["errors"]["rmse"] > 0
+    assert result["command"] == "diffshadow render runs/tiny-render/config.yaml"
+    assert "SSIM" in out.getvalue()
+
+
+def test_progress_is_shown_to_a_terminal_only():
+    out = text_io.StringIO()
+    watched = Console(file=out, width=100, force_terminal=True, force_interactive=True, color_system=None)
+    study.run_render(tiny(), console=watched)
+    assert "tracing reference" in out.getvalue()
+    to, quiet = console()
+    study.run_render(tiny(), console=to)
+    assert "tracing reference" not in quiet.getvalue()
+
+
+@pytest.mark.slow
+def test_validating_loads_no_matplotlib():
+    check = "import atexit, sys; atexit.register(lambda: print('matplotlib' in sys.modules, file=sys.stderr))"
+    program = f"{check}\nimport diffshadow.study\nfrom diffshadow.cli import main\nmain(['validate', 'tiny.yaml'])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stderr.splitlines()[-1] == "False"
+
+
+def readme_example() -> str:
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    return code
+
+
+@pytest.mark.slow
+def test_python_of_the_readme_runs(tmp_path, capsys):
+    shutil.copy("tiny.yaml", "quickstart.yaml")
+    program = readme_example().replace("configs/quickstart.yaml", "quickstart.yaml")
+    assert program != readme_example()
+    exec(compile(program, "README.md", "exec"), {})
+    assert "filter.radius" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_quickstart_fits_within_its_budget(tmp_path):
+    import resource
+
+    used = lambda: resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = used()
+    command = [sys.executable, "-m", "diffshadow", "fit", str(QUICKSTART)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    folder = Path(done.stdout.splitlines()[-1])
+    result = result_of(folder)
+    assert result["metrics"]["after"]["rmse"] < 0.4 * result["metrics"]["before"]["rmse"]
+    assert result["metrics"]["after"]["false_shadow_rate"] < 1e-3
+    assert result["warnings"] == []
+    # Seconds of the processor: those of the clock depend on what else the machine does.
+    assert used().ru_utime - before.ru_utime < 100
+    assert used().ru_maxrss < 2 << 20

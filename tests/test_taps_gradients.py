@@ -1,0 +1,211 @@
+"""Gradients of visibility: against central differences in magnitude, and against plain automatic differentiation."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import problem, random_lookups, random_map, technique
+
+from diffshadow.fit import with_values
+from diffshadow.shadow import Bilinear, FourTap, Lookup, Nearest, PercentageCloser, RandomDisk, ShadowMap, SoftCompare
+from diffshadow.shadow._taps import _mean, _plain_mean, mean_of_taps, pad
+from diffshadow.shadow.filters._random_disk import _spread
+
+NAMES = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
+VALUES = (0.9, 0.6, 0.4, 1.7)
+STEP = 1e-5
+
+FILTERS = {
+    "four_tap": lambda: FourTap(1.0),
+    "pcf": lambda: PercentageCloser(1.0, 3.0),
+    "disk": lambda: RandomDisk(1.0, (3, 4), 4),
+    "nearest_disk": lambda: RandomDisk(1.0, (3, 4), 4, lookup="nearest"),
+    "bilinear": Bilinear,
+    "nearest": Nearest,
+}
+# Nearest look-ups do not move smoothly with position or radius: only what shifts depth has a gradient.
+SMOOTH = {"nearest": 2, "nearest_disk": 2, "bilinear": 3}
+CASES = [("disk", kernel, "directional") for kernel in ("logistic", "linear", "smoothstep", "gaussian", "exponential")]
+CASES += [(name, "logistic", "spot") for name in FILTERS] + [("pcf", "gaussian", "directional")]
+
+
+@pytest.mark.parametrize(("name", "kernel", "light"), CASES)
+def test_gradient_of_the_loss_matches_central_differences(name, kernel, light):
+    with jax.enable_x64(True):
+        mapping = technique(FILTERS[name](), compare=SoftCompare(0.8, kernel))
+        known = problem(mapping, light, image=48, texels=40)
+        count = SMOOTH.get(name, 4)
+
+        @eqx.filter_jit
+        def loss(known, values):
+            return known.mean_square_error(with_values(known.technique, NAMES[:count], values))
+
+        at = jnp.array(VALUES[:count])
+        steps = STEP * jnp.eye(count)
+        slopes = [(loss(known, at + step) - loss(known, at - step)) / (2 * STEP) for step in steps]
+        gradient = eqx.filter_jit(lambda known, at: jax.jacfwd(lambda values: loss(known, values))(at))(known, at)
+        assert gradient.dtype == jnp.float64
+        slopes, gradient = np.array(slopes), np.asarray(gradient)
+    assert (np.abs(slopes) > 1e-6).all()
+    np.testing.assert_allclose(gradient, slopes, rtol=0.01)
+
+
+def taps(seed, mode):
+    """What `_mean` takes, at random."""
+    rng = np.random.default_rng(seed)
+    shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (6, 7), (9, 9))
+    disk = RandomDisk(1.0, (2, 3), 4)
+    spread = lambda pattern: _spread(pattern, (6, 7))
+    radius = jnp.asarray(rng.uniform(0, 3, (6, 7)))
+    return pad(shadow_map), SoftCompare(1.3), lookup, radius, jnp.moveaxis(disk.offsets, 2, 0), mode, spread
+
+
+def moving(mean, arguments):
+    """`mean` as a function of all that it may be differentiated by, and those."""
+    padded, compare, lookup, radius, offsets, mode, spread = arguments
+    primals = (padded.depth, compare.width, lookup.texel, lookup.depth, lookup.depth_per_texel, radius)
+
+    def function(depth, width, texel, receiver, unit, radius):
+        moved = Lookup(texel, receiver, unit, lookup.inside)
+        new = eqx.tree_at(lambda p: p.depth, padded, depth)
+        return mean(new, eqx.tree_at(lambda c: c.width, compare, width), moved, radius, offsets, mode, spread)
+
+    return function, primals
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+def test_custom_derivative_is_the_plain_one(mode):
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(1)
+        custom, primals = moving(_mean, taps(0, mode))
+        plain, _ = moving(_plain_mean, taps(0, mode))
+        both = jax.jit(lambda p, t: (jax.jvp(custom, p, t), jax.jvp(plain, p, t)))
+        zeros = tuple(jnp.zeros_like(p) for p in primals)
+        directions = [tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)]
+        # One at a time, and all at once.
+        directions += [(*zeros[:k], directions[0][k], *zeros[k + 1 :]) for k in range(len(primals))]
+        for number, direction in enumerate(directions):
+            found, expected = both(primals, direction)
+            np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
+            np.testing.assert_allclose(found[1], expected[1], atol=1e-10)
+            flat = mode == "nearest" and number in (3, 6)
+            assert (np.abs(np.asarray(expected[1])).max() == 0) == flat
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+def test_forward_and_reverse_mode_agree(mode):
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(2)
+        function, primals = moving(_mean, taps(3, mode))
+        tangents = tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)
+        weight = jnp.asarray(rng.normal(size=(6, 7)))
+
+        @jax.jit
+        def both(primals):
+            _, forward = jax.jvp(function, primals, tangents)
+            gradients = jax.grad(lambda *p: jnp.sum(weight * function(*p)), argnums=tuple(range(6)))(*primals)
+            return jnp.sum(weight * forward), sum(jnp.sum(g * t) for g, t in zip(gradients, tangents, strict=True))
+
+        forward, reverse = both(primals)
+    assert abs(float(forward)) > 1e-3
+    assert float(forward) == pytest.approx(float(reverse), rel=1e-10)
+
+
+def test_jacobians_agree_and_mapping_over_radii_is_a_loop():
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(4)
+        shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (4, 5), (9, 9))
+        corners = FourTap(1.0)
+        visibility = lambda radius: eqx.tree_at(lambda f: f.radius, corners, radius)(shadow_map, lookup, SoftCompare(1.0))
+        forward, backward = (jax.jit(jac(visibility))(jnp.array(1.3)) for jac in (jax.jacfwd, jax.jacrev))
+        np.testing.assert_allclose(forward, backward, atol=1e-12)
+        radii = jnp.array([0.0, 0.7, 2.1])
+        values, slopes = jax.jit(jax.vmap(lambda r: jax.jvp(visibility, (r,), (jnp.ones(()),))))(radii)
+        value, slope = jax.jit(lambda r: jax.jvp(visibility, (r,), (jnp.ones(()),)))(radii[1])
+        np.testing.assert_allclose(values[1], value, atol=1e-13)
+        np.testing.assert_allclose(slopes[1], slope, atol=1e-13)
+        assert float(jnp.abs(slopes).max()) > 1e-3
+
+
+def test_a_map_that_moves_and_a_radius_that_does_not_give_the_maps_gradient_alone():
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(5)
+        shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (4, 5), (9, 9))
+
+        @jax.jit
+        def total(depth):
+            moved = ShadowMap(depth, shadow_map.light)
+            return jnp.sum(mean_of_taps(moved, lookup, SoftCompare(1.0), jnp.array(1.5), FOUR, "bilinear"))
+
+        gradient = np.asarray(jax.jit(jax.grad(total))(shadow_map.depth))
+        holds_nothing = np.asarray(shadow_map.depth) == 1
+        assert (gradient[holds_nothing] == 0).all()
+        texel = np.unravel_index(np.argmax(np.abs(gradient)), gradient.shape)
+        step = jnp.zeros((9, 9)).at[texel].set(1e-6)
+        slope = float(total(shadow_map.depth + step) - total(shadow_map.depth - step)) / 2e-6
+    assert gradient[texel] == pytest.approx(slope, rel=1e-6)
+
+
+FOUR = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+
+
+@eqx.filter_jit
+def all_slopes(shadow_map, lookup, radius, width):
+    """Derivatives of every filter by all that has one; the radius among them, where there is one."""
+    kernels = {
+        "disk": lambda r: RandomDisk(r, (3, 4), 4),
+        "nearest_disk": lambda r: RandomDisk(r, (3, 4), 4, lookup="nearest"),
+        "pcf": lambda r: PercentageCloser(r, 4.0),
+        "bilinear": lambda _: Bilinear(),
+    }
+    found = []
+    for make in kernels.values():
+        for kernel in ("logistic", "linear", "gaussian", "exponential"):
+
+            def total(depth, lookup, radius, width, make=make, kernel=kernel):
+                moved = ShadowMap(depth, shadow_map.light)
+                return jnp.sum(make(radius)(moved, lookup, SoftCompare(width, kernel)))
+
+            found.append(eqx.filter_grad(lambda args, total=total: total(*args))((shadow_map.depth, lookup, radius, width)))
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    radius=st.floats(0, 4, width=32),
+    width=st.floats(float(np.float32(1e-3)), 100, width=32),
+    scale=st.sampled_from([0.0, 1.0, 1e3, 1e9, 1e30]),
+    whole=st.booleans(),
+)
+def test_no_gradient_is_nan_or_infinite(seed, radius, width, scale, whole):
+    rng = np.random.default_rng(seed)
+    lookup = random_lookups(rng)
+    # Whole numbers of texels lie on the kinks of every filter.
+    texel = jnp.round(lookup.texel) if whole else lookup.texel
+    lookup = Lookup(texel * scale, lookup.depth, lookup.depth_per_texel, lookup.inside)
+    for gradient in all_slopes(random_map(rng), lookup, jnp.float32(radius), jnp.float32(width)):
+        for leaf in jax.tree.leaves(gradient):
+            assert np.isfinite(np.asarray(leaf)).all()
+
+
+def test_slopes_stay_finite_where_the_surface_passes_the_light():
+    """Pixels without a surface, edge-on to the light, beside it and behind it."""
+    with jax.enable_x64(False):
+        mapping = technique(RandomDisk(1.0, (3, 4), 4), compare=SoftCompare(0.5))
+        known = problem(mapping, "spot", image=24, texels=24)
+        light = known.shadow_map.light
+        back = known.shadow_map.view.world_to_eye[2, :3]
+        position = known.surface.position.at[0].set(light.position).at[1].set(light.position + 0.1 * back)
+        position = position.at[2].set(light.position + 1e-7 * back).at[3].set(light.position - 1e-7 * back + 1.0)
+        surface = eqx.tree_at(lambda s: s.position, known.surface, position)
+        normal = surface.normal.at[5].set(0).at[6].set(jnp.cross(light.direction, jnp.array([1.0, 0.0, 0.0])))
+        surface = eqx.tree_at(lambda s: s.normal, surface, normal)
+        known = eqx.tree_at(lambda p: p.surface, known, surface)
+        at = lambda values: known.residual(with_values(known.technique, NAMES, values))
+        value, jacobian = jax.jit(lambda v: (at(v), jax.jacfwd(at)(v)))(jnp.array(VALUES, jnp.float32))
+    assert np.isfinite(np.asarray(value)).all()
+    assert np.isfinite(np.asarray(jacobian)).all()
