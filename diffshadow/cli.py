@@ -156,7 +156,7 @@ def _build_everything(config: Config) -> int:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep compiled programs in the cache folder, so that the next run starts sooner. Not being able is fine."""
+    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner."""
     import jax
 
     from . import io

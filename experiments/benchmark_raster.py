@@ -30,7 +30,8 @@ from diffshadow import raster
 from diffshadow.geometry import DirectionalLight, Mesh, library_mesh, merge, rotation, scaling, translation
 
 CULL = "back"
-LIGHT_DIRECTION = (0.4, -1.0, 0.3)
+LIGHT_DIRECTION = (0.1, -1.0, 0.5)
+"""Nearly along a side of the ground, so that the ground fills most of the map."""
 GROUND_SIZE = 6.0
 """World units; the objects on it are about one unit each."""
 AGREEMENT = 1e-4
@@ -141,7 +142,12 @@ class OpenGL:
         import moderngl  # optional; it reads the environment when it is first used
 
         height, width = resolution
-        self.context = gl = moderngl.create_context(standalone=True, backend="egl", require=330)
+        # The stub's type of `backend` is wrong.
+        self.context = gl = moderngl.create_context(
+            standalone=True,
+            backend="egl",  # pyright: ignore[reportArgumentType]
+            require=330,
+        )
         self.name = f"{gl.info['GL_RENDERER']}, {gl.info['GL_VERSION']}"
         if "llvmpipe" not in self.name:
             raise RuntimeError(f"OpenGL is {self.name}; expected Mesa's llvmpipe: install libgl1-mesa-dri")
@@ -249,9 +255,7 @@ def in_child(triangles: int, size: int, options: argparse.Namespace) -> dict[str
     """
     command = [sys.executable, __file__, "--child", "--triangles", str(triangles), "--sizes", str(size)]
     command += ["--repeats", str(options.repeats), "--seed", str(options.seed)]
-    child = subprocess.run(
-        command + ["--no-opengl"] * (not options.opengl), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    child = subprocess.run(command + ["--no-opengl"] * (not options.opengl), capture_output=True, text=True)
     if child.returncode:
         raise RuntimeError(
             f"the case of {triangles} triangles at {size} x {size} ended with exit code {child.returncode} "

@@ -1,11 +1,11 @@
 """A brute-force rasterizer in NumPy that shares no code with the package: every face at every pixel, exactly.
 
 Faces that need no clipping are drawn with 64-bit integers from corners snapped to 1/256 pixel, so their coverage is
-exact; their depth is that of the plane through the corners before they snap. Faces that reach before the near plane or leave the guard band are never
-cut: a pixel centre `(x, y, 1)` is a positive mix `Σ c_i (x_i, y_i, w_i)` of the corners just where it is inside, and its
-depth is then `Σ c_i z_i` (Olano & Greer 1997). A rasterizer that clips rounds its new corners, and one that multiplies
-by `1 / w` may snap a corner that lies midway between two sub-pixels to the other one; so near the edges of such faces,
-within `slack`, either answer is right.
+exact; their depth is that of the plane through the corners before they snap. Faces that reach before the near plane
+or leave the guard band are never cut: a pixel centre `(x, y, 1)` is a positive mix `Σ c_i (x_i, y_i, w_i)` of the
+corners just where it is inside, and its depth is then `Σ c_i z_i` (Olano & Greer 1997). A rasterizer that clips rounds
+its new corners, and the last digit of `x / w` decides how a corner midway between two sub-pixels snaps; so near the
+edges of such faces, within `slack`, either answer is right.
 """
 
 from typing import NamedTuple
@@ -140,10 +140,10 @@ def _draw_snapped(corners, resolution, cull):
     edge = dx * from_y - dy * from_x
     inside = ((edge > 0) | ((edge == 0) & owns)).all(axis=1) & facing[:, None, None]
 
-    # Distance from each edge as a segment.
-    length = np.maximum(dx * dx + dy * dy, 1)
-    along = np.clip((from_x * dx + from_y * dy) / length, 0, 1)
-    distance = np.hypot(from_x - along * dx, from_y - along * dy).min(axis=1) / SUBPIXELS
+    # Distance from each edge as a segment, in the direction in which it was given.
+    way_x, way_y = following[..., 0][:, :, None, None], following[..., 1][:, :, None, None]
+    along = np.clip((from_x * way_x + from_y * way_y) / np.maximum(way_x**2 + way_y**2, 1), 0, 1)
+    distance = np.hypot(from_x - along * way_x, from_y - along * way_y).min(axis=1) / SUBPIXELS
     margin = np.where((edge >= 0).all(axis=1) & facing[:, None, None], distance, -distance)
     depth, error = _plane(window, resolution)
     return inside, depth, margin, error, slack
@@ -175,7 +175,9 @@ def _plane(window, resolution):
     error_x, error_y = ((of_area + 4 * EPSILON) * largest + of_slope for largest in (largest_x, largest_y))
     error = error_x * np.abs(px - x[:, 0]) + error_y * np.abs(py - y[:, 0])
     error += 4 * EPSILON * (1 + largest_x * (np.abs(x[:, 0]) + px) + largest_y * (np.abs(y[:, 0]) + py))
-    return depth, np.where(of_area > 0.25, high - low + 2 * beyond, error) + place * (largest_x + largest_y)
+    # A place that is off by this much finds another depth on the plane; of a triangle without an area, any.
+    error = np.where((of_area > 0.25) | (area == 0), high - low + 2 * beyond, error)
+    return depth, error + place * (largest_x + largest_y)
 
 
 def _draw_homogeneous(corners, resolution, cull):

@@ -1,15 +1,17 @@
 """Small scenes, maps and look-ups whose shadows are known, shared by the tests of shadows and fits."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from diffshadow.fit import Problem
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, Scene, SpotLight, merge
-from diffshadow.raster import draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.shadow import AbstractFilter, Bias, HardCompare, Lookup, ShadowMap, ShadowMapping, draw_shadow_map
 
 SLANTED = (0.5, -1.0, -0.3)
@@ -81,6 +83,15 @@ def placed(scene: Scene, matrix: Any) -> Scene:
     return Scene(moved, camera, light)
 
 
+@functools.cache
+def drawn(light: str, image: int, texels: int) -> tuple[Surface, ShadowMap]:
+    """The card over the floor from the side, and its map; drawn once, in float32."""
+    with jax.enable_x64(False):
+        mesh = floor_and_card()
+        surface = draw_surface(mesh, side_camera((image, image)))
+        return surface, draw_shadow_map(mesh, LIGHTS[light](mesh), (texels, texels))
+
+
 def problem(
     technique: ShadowMapping,
     light: str = "directional",
@@ -89,13 +100,22 @@ def problem(
     target: ShadowMapping | None = None,
 ) -> Problem:
     """The card over the floor seen from the side; the reference is what `target` makes of it, or all lit."""
-    mesh = floor_and_card()
-    surface = draw_surface(mesh, side_camera((image, image)))
-    shadow_map = draw_shadow_map(mesh, LIGHTS[light](mesh), (texels, texels))
+    to_default = lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x
+    surface, shadow_map = jax.tree.map(to_default, drawn(light, image, texels))
     reference = jnp.ones_like(surface.position[..., 0])
     if target is not None:
-        reference = target.visibility(shadow_map, surface)
-    return Problem(technique, shadow_map, surface, reference, technique.covered(shadow_map, surface))
+        reference = shadows(target, shadow_map, surface)
+    return Problem(technique, shadow_map, surface, reference, covered(technique, shadow_map, surface))
+
+
+@eqx.filter_jit
+def shadows(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -> Any:
+    return technique.visibility(shadow_map, surface)
+
+
+@eqx.filter_jit
+def covered(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -> Any:
+    return technique.covered(shadow_map, surface)
 
 
 def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0, compare=None) -> ShadowMapping:
@@ -104,7 +124,9 @@ def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0
 
 def map_of(depth: Any) -> ShadowMap:
     """A map with `depth` (h, w); its light does not matter, for look-ups into it are made by hand."""
-    return ShadowMap(jnp.asarray(depth, dtype=jnp.result_type(float)), DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1))
+    return ShadowMap(
+        jnp.asarray(depth, dtype=jnp.result_type(float)), DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1)
+    )
 
 
 def random_map(rng: np.random.Generator, shape: tuple[int, int] = (11, 14), empty: float = 0.2) -> ShadowMap:

@@ -4,7 +4,18 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS, floor_and_card, floor_camera, lookups_at, map_of, placed, quad, side_camera, technique
+from scenes import (
+    LIGHTS,
+    floor_and_card,
+    floor_camera,
+    lookups_at,
+    map_of,
+    placed,
+    quad,
+    shadows,
+    side_camera,
+    technique,
+)
 
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, Scene, merge
 from diffshadow.raster import draw_surface
@@ -96,7 +107,9 @@ def test_shadow_of_a_square_lies_where_geometry_says(light):
     light = LIGHTS[light](mesh)
     surface = draw_surface(mesh, floor_camera(1.5, (160, 160)))
     resolution = (96, 80)
-    visibility = np.asarray(technique(Nearest(), slope=1.0).visibility(draw_shadow_map(mesh, light, resolution), surface))
+    visibility = np.asarray(
+        shadows(technique(Nearest(), constant=1.0, slope=1.0), draw_shadow_map(mesh, light, resolution), surface)
+    )
 
     # Where each ray to the light pierces the card's plane, by similar triangles.
     position = np.asarray(surface.position, np.float64)
@@ -104,7 +117,9 @@ def test_shadow_of_a_square_lies_where_geometry_says(light):
     pierced = position + to_light / to_light[..., 1:2]
     truth = ~(np.abs(pierced[..., ::2]).max(axis=-1) < 0.5)
 
-    distance = np.abs(inside_of_quad(texels_of(light, position, resolution), texels_of(light, mesh.vertices[4:], resolution)))
+    distance = np.abs(
+        inside_of_quad(texels_of(light, position, resolution), texels_of(light, mesh.vertices[4:], resolution))
+    )
     assert 0.05 < np.mean(~truth) < 0.5
     assert (visibility == truth)[distance > 0.5 + SNAPPING].all()
     # And the texel's width shows: nearest look-ups are wrong somewhere along the outline.
@@ -144,12 +159,12 @@ def test_hard_map_agrees_with_rays_away_from_outlines(light):
     reference = trace_visibility(scene)
     surface = draw_surface(mesh, scene.camera)
     shadow_map = draw_shadow_map(mesh, scene.light, (192, 192))
-    wide = technique(PercentageCloser(1.5), constant=0.2, slope=2.5).visibility(shadow_map, surface)
-    nearest = technique(Nearest(), constant=0.2, slope=0.8).visibility(shadow_map, surface)
+    wide = shadows(technique(PercentageCloser(1.5), constant=1.5, slope=2.5), shadow_map, surface)
+    nearest = shadows(technique(Nearest(), constant=0.5, slope=0.9), shadow_map, surface)
     mask = np.asarray(surface.mask) & reference.mask
     # A pixel whose 3 x 3 texels agree lies more than a texel from an outline.
-    far = mask & ((np.asarray(wide) == 0) | (np.asarray(wide) == 1))
-    assert far.sum() > 0.8 * mask.sum()
+    far = mask & ((np.asarray(wide) < 1e-4) | (np.asarray(wide) > 1 - 1e-4))
+    assert far.sum() > 0.7 * mask.sum()
     assert (np.asarray(nearest) != reference.visibility)[far].sum() <= 2  # pixels on the box's own edges
     assert 0.05 < np.mean(reference.visibility[far]) < 0.98
 
@@ -175,16 +190,16 @@ def test_visibility_does_not_change_with_scale_or_rigid_motion(light, kernel):
     scene = Scene(mesh, side_camera(), LIGHTS[light](mesh))
     mapping = technique(kernel, constant=0.3, slope=0.4, normal_offset=0.7)
 
-    def shadows(scene):
+    def seen(scene):
         surface = draw_surface(scene.mesh, scene.camera)
-        return np.asarray(mapping.visibility(draw_shadow_map(scene.mesh, scene.light, (64, 64)), surface))
+        return np.asarray(shadows(mapping, draw_shadow_map(scene.mesh, scene.light, (64, 64)), surface))
 
-    before = shadows(scene)
+    before = seen(scene)
     for name, linear in SIMILARITIES.items():
         matrix = np.eye(4)
         matrix[:3, :3] = linear
         matrix[:3, 3] = [3.0, -1.0, 2.0] if name == "turned" else 0
-        changed = np.abs(shadows(placed(scene, matrix)) - before) > 2e-3
+        changed = np.abs(seen(placed(scene, matrix)) - before) > 2e-3
         # Rounding moves pixels that lie on the border of a texel or of the card.
         assert changed.sum() <= 8, name
     assert 0.02 < 1 - before.mean() < 0.5

@@ -1,5 +1,7 @@
 """The rasterizer against a brute-force float64 one, and its rules one by one."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,25 +12,40 @@ from rasterizer_oracle import acceptable, rasterize_exact
 from triangle_soups import from_window, soup
 
 from diffshadow.geometry import PinholeCamera, library_mesh
-from diffshadow.raster import NO_FACE, Capacity, plan, rasterize
+from diffshadow.raster import NO_FACE, Capacity, DepthTest, plan, rasterize, rasterize_depth
 
 RESOLUTION = (32, 48)
 COUNT = 24
 FACES = np.arange(3 * COUNT, dtype=np.int32).reshape(-1, 3)
-ROOM = Capacity(clipped=32, windows=(32,) * 5, large=64, blocks=512)
 SOUPS_AN_EXAMPLE = 25
 seeds = st.integers(0, 2**32 - 1)
 
 
-def draw(clip, faces=FACES, resolution=RESOLUTION, capacity=ROOM, **options):
+@functools.cache
+def room(resolution=RESOLUTION):
+    """Room for any soup, with plenty to spare."""
+    clips = np.stack([soup(np.random.default_rng(k), COUNT, resolution)[0] for k in range(100)])
+    return scaled(plan(jnp.asarray(clips), jnp.asarray(FACES), resolution), 4)
+
+
+def scaled(capacity, factor):
+    return Capacity(*jax.tree.map(lambda n: factor * n, tuple(capacity)))
+
+
+def draw(clip, faces=FACES, resolution=RESOLUTION, capacity=None, **options):
+    capacity = capacity or room(resolution)
     drawn = rasterize(jnp.asarray(clip), jnp.asarray(faces), resolution, capacity=capacity, **options)
     return np.asarray(drawn.face), np.asarray(drawn.depth)
 
 
-def draw_window(xy, z, faces, resolution, **options):
-    """Draws faces whose corners are given in pixels and window depth."""
-    clip = from_window(np.asarray(xy, float), np.asarray(z, float), np.ones(len(xy)), resolution)
-    return draw(clip.astype(np.float32), np.asarray(faces, np.int32), resolution, None, **options)
+def draw_window(xy, z, faces, **options):
+    """Draws faces whose corners are given in pixels and window depth, filled up so that nothing is compiled anew."""
+    corners = from_window(np.asarray(xy, float), np.asarray(z, float), np.ones(len(xy)), RESOLUTION)
+    clip = np.full((3 * COUNT, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
+    clip[: len(corners)] = corners
+    filled = np.full((COUNT, 3), 3 * COUNT - 1, np.int32)
+    filled[: len(faces)] = faces
+    return draw(clip, filled, **options)
 
 
 def assert_explained(face, exact, what):
@@ -85,7 +102,7 @@ def test_rounding_decides_few_pixels_of_soups():
     assert different < 5e-4 * covered, f"{different} of {covered} pixels differ"
 
 
-def test_depth_of_unclipped_soups_is_that_of_the_snapped_planes():
+def test_depth_of_unclipped_soups_is_that_of_their_planes():
     for k in range(100):
         clip, kinds = soup(np.random.default_rng([5, k]), COUNT, RESOLUTION)
         face, depth = draw(clip)
@@ -101,7 +118,7 @@ def test_a_mesh_in_perspective_sees_the_nearest_face():
     camera = PinholeCamera((0.6, 0.5, 0.7), (0.0, 0.1, 0.0), near=0.05, far=4.0, resolution=(64, 80))
     clip, faces = np.asarray(camera.view().clip(mesh.vertices)), np.asarray(mesh.faces)
     exact = rasterize_exact(clip, faces, camera.resolution, "back")
-    face, _ = draw(clip, faces, camera.resolution, None, cull="back")
+    face, _ = draw(clip, faces, camera.resolution, plan(jnp.asarray(clip), mesh.faces, camera.resolution), cull="back")
     assert np.sum(face >= 0) > 1000
     assert_explained(face, exact, "torus")
     np.testing.assert_array_equal(face >= 0, exact.face >= 0)
@@ -145,10 +162,10 @@ def test_scaling_a_vertex_in_clip_space_changes_nothing(seed):
 def test_the_result_does_not_depend_on_the_capacity():
     clip, _ = soup(np.random.default_rng(11), COUNT, RESOLUTION)
     planned = plan(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)
-    larger = Capacity(*(jax.tree.map(lambda n: 3 * n + 5, tuple(planned))))
-    for capacity in (planned, larger, None):
-        for got, expected in zip(draw(clip, capacity=capacity), draw(clip), strict=True):
-            np.testing.assert_array_equal(got, expected)
+    assert planned.grown_to(room()) == room()
+    left_out = rasterize(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)
+    for got, expected in zip((left_out.face, left_out.depth), draw(clip), strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 # Rules
@@ -165,71 +182,89 @@ TWO_FACES = [[0, 1, 2], [0, 2, 3]]
 ])  # fmt: skip
 def test_culling_goes_by_winding_in_the_window(cull, turned, seen):
     faces = np.array(TWO_FACES)[:, ::-1] if turned else TWO_FACES
-    face, _ = draw_window(SQUARE, [0.5] * 4, faces, (9, 14), cull=cull)
-    expected = np.zeros((9, 14), bool)
+    face, _ = draw_window(SQUARE, [0.5] * 4, faces, cull=cull)
+    expected = np.zeros(RESOLUTION, bool)
     expected[1:7, 2:12] = seen
     np.testing.assert_array_equal(face >= 0, expected)
 
 
 def test_left_and_bottom_edges_own_the_centres_on_them():
     corners = np.array([[1.5, 1.5], [4.5, 1.5], [4.5, 3.5], [1.5, 3.5]])
-    face, _ = draw_window(corners, [0.5] * 4, TWO_FACES, (6, 7))
-    expected = np.zeros((6, 7), bool)
+    face, _ = draw_window(corners, [0.5] * 4, TWO_FACES)
+    expected = np.zeros(RESOLUTION, bool)
     expected[1:3, 1:4] = True
     np.testing.assert_array_equal(face >= 0, expected)
 
 
 def test_of_two_faces_at_the_same_depth_the_lower_index_is_seen():
     corners, z = SQUARE * 3, [0.5] * 12
-    face, _ = draw_window(corners, z, [[8, 9, 10], [4, 5, 6], [0, 1, 2]], (9, 14))
+    face, _ = draw_window(corners, z, [[8, 9, 10], [4, 5, 6], [0, 1, 2]])
     assert set(np.unique(face)) == {NO_FACE, 0}
     # Whatever their sizes.
-    wide = [[0, 0], [128, 0], [128, 64], [0, 64], [8, 8], [10, 8], [10, 10], [8, 10]]
+    wide = [[0, 0], [64, 0], [64, 32], [0, 32], [8, 8], [10, 8], [10, 10], [8, 10]]
     faces = [[4, 5, 6], [4, 6, 7], [0, 1, 2], [0, 2, 3]]
     # The centre of column 9, row 8 lies in the small one's lower and in the wide one's upper half.
     for order in (faces, faces[::-1]):
-        face, _ = draw_window(wide, [0.5] * 8, order, (64, 128))
+        face, _ = draw_window(wide, [0.5] * 8, order)
         assert face[8, 9] == min(order.index([4, 5, 6]), order.index([0, 2, 3]))
 
 
 def test_each_pixel_is_cut_at_the_near_and_the_far_plane():
-    # Depth runs from -0.5 at the left border to 1.5 at the right: x = 16 is at 0, x = 48 at 1.
-    corners = [[0, 0], [64, 0], [64, 8], [0, 8]]
-    face, depth = draw_window(corners, [-0.5, 1.5, 1.5, -0.5], TWO_FACES, (8, 64))
-    expected = np.zeros((8, 64), bool)
-    expected[:, 16:48] = True
+    # Depth runs from -0.5 at the left border to 1.5 at the right: x = 12 is at 0, x = 36 at 1.
+    corners = [[0, 0], [48, 0], [48, 32], [0, 32]]
+    face, depth = draw_window(corners, [-0.5, 1.5, 1.5, -0.5], TWO_FACES)
+    expected = np.zeros(RESOLUTION, bool)
+    expected[:, 12:36] = True
     np.testing.assert_array_equal(face >= 0, expected)
-    ramp = (np.arange(64) + 0.5) / 32 - 0.5
-    np.testing.assert_allclose(depth[expected].reshape(8, 32), np.tile(ramp[16:48], (8, 1)), atol=3e-7)
+    ramp = (np.arange(48) + 0.5) / 24 - 0.5
+    np.testing.assert_allclose(depth[:, 12:36], np.tile(ramp[12:36], (32, 1)), atol=3e-7)
 
 
-def test_faces_on_the_near_and_on_the_far_plane_are_seen():
-    for z in (0.0, 1.0):
-        face, depth = draw_window(SQUARE, [z] * 4, TWO_FACES, (9, 14))
-        assert np.sum(face >= 0) == 60
-        assert (depth[face >= 0] == z).all()
+@pytest.mark.parametrize(("z", "compare", "seen"), [
+    (0.0, "less", True), (1.0, "less", False), (0.0, "less_equal", True), (1.0, "less_equal", True),
+])  # fmt: skip
+def test_faces_on_the_near_and_on_the_far_plane(z, compare, seen):
+    face, depth = draw_window(SQUARE, [z] * 4, TWO_FACES, depth_test=DepthTest(compare=compare))
+    assert np.sum(face >= 0) == (60 if seen else 0)
+    assert (depth[1:7, 2:12] == z).all()
+
+
+def test_of_two_faces_at_the_same_depth_less_equal_sees_the_higher_index():
+    faces = [[8, 9, 10], [4, 5, 6], [0, 1, 2]]
+    face, _ = draw_window(SQUARE * 3, [0.5] * 12, faces, depth_test=DepthTest(compare="less_equal"))
+    assert set(np.unique(face)) == {NO_FACE, 2}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
+    clip, _ = soup(np.random.default_rng([19, seed]), COUNT, RESOLUTION)
+    first, _ = draw(clip)
+    second, _ = draw(clip, behind=jnp.asarray(first))
+    layers = rasterize_exact(clip, FACES, RESOLUTION).layers
+    # Without the nearest face, wherever it is.
+    passed = np.arange(COUNT)[:, None, None] == first
+    assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
+    assert (second >= 0).any()
 
 
 @pytest.mark.parametrize("resolution", [(1, 1), (1, 8192), (8192, 1), (33, 47)])
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
     clip = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)
-    face, depth = draw(clip, [[0, 1, 2]], resolution, None)
+    face, depth = draw(
+        clip, np.array([[0, 1, 2]]), resolution, plan(jnp.asarray(clip), jnp.array([[0, 1, 2]]), resolution)
+    )
     assert face.shape == resolution
     assert (face == 0).all()
     np.testing.assert_array_equal(depth, 0.5)
 
 
 def test_nothing_is_seen_where_no_face_is():
-    clip = np.array([[2, 2, 0, 1], [3, 2, 0, 1], [2, 3, 0, 1]], np.float32)
-    face, depth = draw(clip, [[0, 1, 2]], (4, 4), None)
+    face, depth = draw_window(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3)))
     np.testing.assert_array_equal(face, NO_FACE)
     np.testing.assert_array_equal(depth, 1)
 
 
 # Capacity
-
-
-NOTHING = Capacity(0, (0,) * 5, 0, 0)
 
 
 def capacity_cases():
@@ -248,7 +283,7 @@ def test_a_capacity_that_is_too_small_is_named(name, corners, w):
     needed = plan(clip, faces, (64, 64))
     assert np.any(np.asarray(rasterize(clip, faces, (64, 64), capacity=needed).face) == 0)
     with pytest.raises(Exception, match="capacity") as caught:
-        rasterize(clip, faces, (64, 64), capacity=NOTHING).face.block_until_ready()
+        rasterize(clip, faces, (64, 64), capacity=Capacity()).face.block_until_ready()
     assert f"capacity.{name} of 0 is too small" in str(caught.value)
     assert "plan(" in str(caught.value)
 
@@ -256,10 +291,12 @@ def test_a_capacity_that_is_too_small_is_named(name, corners, w):
 def test_too_few_blocks_are_named_also_under_jit():
     clip = jnp.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], jnp.float32)
     faces = jnp.array([[0, 1, 2]])
-    assert plan(clip, faces, (64, 64)) == Capacity(0, (0,) * 5, 1, 16)
-    for short in (Capacity(0, (0,) * 5, 1, 8), Capacity(0, (0,) * 5, 1, 0)):
-        with pytest.raises(Exception, match=f"blocks of {short.blocks} is too small"):
-            jax.jit(lambda c, room=short: rasterize(c, faces, (64, 64), capacity=room).depth)(clip).block_until_ready()
+    needed = plan(clip, faces, (64, 64))
+    assert needed == Capacity(large=1, candidates=16, blocks=16)
+    for kind, room in (("blocks", 8), ("blocks", 0), ("candidates", 8)):
+        short = needed._replace(**{kind: room})
+        with pytest.raises(Exception, match=f"{kind} of {room} is too small"):
+            jax.jit(lambda c, short=short: rasterize(c, faces, (64, 64), capacity=short).depth)(clip)
 
 
 def test_a_capacity_must_be_given_under_a_trace():
@@ -271,9 +308,10 @@ def test_a_capacity_must_be_given_under_a_trace():
 
 
 def test_capacities_grow_to_hold_either_scene():
-    a = Capacity(4, (0, 8, 0, 2, 1), 0, 0)
-    b = Capacity(0, (2, 4, 0, 4, 1), 8, 64)
-    assert a.grown_to(b) == b.grown_to(a) == Capacity(4, (2, 8, 0, 4, 1), 8, 64)
+    a = Capacity(clipped=4, windows=(0, 8, 0, 2, 1))
+    b = Capacity(windows=(2, 4, 0, 4, 1), large=8, candidates=128, blocks=64)
+    both = Capacity(clipped=4, windows=(2, 8, 0, 4, 1), large=8, candidates=128, blocks=64)
+    assert a.grown_to(b) == b.grown_to(a) == both
     assert a.grown_to(a) == a
 
 
@@ -291,12 +329,24 @@ def test_a_plan_holds_what_it_was_made_for_in_powers_of_two():
 
 def test_a_drawing_carries_no_gradient():
     clip, _ = soup(np.random.default_rng(17), COUNT, RESOLUTION)
-    depth = lambda c: jnp.sum(rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=ROOM).depth)
+    depth = lambda c: jnp.sum(rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=room()).depth)
     np.testing.assert_array_equal(jax.grad(depth)(jnp.asarray(clip)), 0)
 
 
-def test_a_batch_under_vmap_is_drawn_one_by_one():
+def test_a_batch_is_drawn_one_by_one():
     clips = np.stack([soup(np.random.default_rng(k), COUNT, RESOLUTION)[0] for k in range(3)])
-    batch = jax.vmap(lambda c: rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=ROOM).face)(jnp.asarray(clips))
-    for got, clip in zip(batch, clips, strict=True):
-        np.testing.assert_array_equal(got, draw(clip)[0])
+    batch = rasterize(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION, capacity=room())
+    mapped = jax.vmap(lambda c: rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=room()).face)(jnp.asarray(clips))
+    depth = rasterize_depth(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION, capacity=room())
+    for k, clip in enumerate(clips):
+        face, expected_depth = draw(clip)
+        np.testing.assert_array_equal(batch.face[k], face)
+        np.testing.assert_array_equal(mapped[k], face)
+        np.testing.assert_array_equal(batch.depth[k], expected_depth)
+        np.testing.assert_array_equal(depth[k], expected_depth)
+
+
+@pytest.mark.parametrize("resolution", [(0, 4), (4, 8193)])
+def test_a_resolution_out_of_range_is_refused(resolution):
+    with pytest.raises(ValueError, match=r"expected \(height, width\), each from 1 to 8192"):
+        rasterize(jnp.zeros((3, 4)), jnp.array([[0, 1, 2]]), resolution)

@@ -148,6 +148,7 @@ def test_fit_improves_by_its_own_arrays(finished):
         assert steps >= 2
         assert {arrays[f"history_{name}"].shape for name in ("phase", "step", "width", "loss")} == {(steps,)}
         assert set(arrays["history_phase"]) == {0, 1}
+        np.testing.assert_allclose(arrays["history_values"][0], [0.1, 1.0], rtol=1e-3)
 
 
 def test_printed_table_reads_without_colour(finished):
@@ -168,8 +169,14 @@ def test_report_is_one_page_that_needs_nothing_else(finished):
         assert words in page
 
 
-def test_report_escapes_what_the_user_wrote(tmp_path):
-    folder, _ = run("name='<b>&'", "fit.anneal.phases=1", "fit.solver.max_steps=1")
+def test_report_escapes_what_the_user_wrote(finished, tmp_path):
+    from diffshadow.study._report import write_report
+
+    folder = tmp_path / "copy"
+    shutil.copytree(finished[0], folder)
+    config = tiny("name='<b>&'")
+    parameters = [fit.Parameter("bias.constant", 0.1, 0.0, 10.0), fit.Parameter("filter.radius", 1.0, 0.0, 8.0)]
+    write_report(folder, {**result_of(folder), "name": "<b>&"}, config, parameters)
     page = (folder / "report.html").read_text()
     assert "<b>" not in page
     assert "&lt;b&gt;&amp;" in page
@@ -253,8 +260,8 @@ def before_work(monkeypatch) -> None:
     ("override", "said"),
     [
         ("output=tiny.yaml/runs", "is in the way and is no folder"),
-        ("scene.meshes.0={path: nowhere.obj}", "there is no mesh file"),
-        ("reference={type: image, path: nowhere.png}", "there is no visibility file"),
+        ("scene.meshes.0={path: nowhere.obj}", "scene.meshes.0.path: there is no file"),
+        ("reference={type: image, path: nowhere.png}", "reference.path: there is no file"),
         ("scene.camera={eye: [0, 1, 9], target: [0, 9, 9]}", "camera"),
         ("scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}", "light's frustum"),
     ],
@@ -289,6 +296,7 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):
     assert "was given, not traced" in said
 
 
+@pytest.mark.slow
 def test_flat_gradient_is_told_with_its_cause():
     folder, said = run("filter.lookup=nearest", "fit.solver.max_steps=1", "fit.anneal.phases=1")
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
@@ -306,7 +314,7 @@ def outcome(result: str = "successful") -> fit.Outcome:
         (9.9999, 0, "successful", "ended on its upper bound, 10 texels"),
         (0.0001, 0, "successful", "ended on its lower bound, 0 texels"),
         (5.0, -1, "successful", "no phase ended better than the start"),
-        (5.0, 0, "The maximum number of steps was reached in the solver. More.", "it used up fit.solver.max_steps"),
+        (5.0, 0, "max_steps reached", "max_steps reached: raise fit.solver.max_steps"),
     ],
 )
 def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, said):

@@ -44,7 +44,7 @@ _TOKENS = itertools.count()
 def _dispatch(token, loss, y):
     reporter = _REPORTERS.get(int(token))
     if reporter is not None:
-        reporter.add(float(loss), y)
+        reporter.add(float(loss), np.asarray(y))
 
 
 class Reporter:

@@ -7,7 +7,7 @@ best of them is the result, so a fit never ends worse than it began.
 
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,6 +23,9 @@ from ._history import Report, Reporter, Step
 from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._residuals import Problem, check_problem, residual_at
 from ._settings import Anneal, Solver, check_anneal, check_solver
+
+# Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
+_LEAST_SINGULAR = 1e-6
 
 
 class Outcome(NamedTuple):
@@ -180,8 +183,8 @@ def _phase(
     )
 
 
-_run_phase = eqx.filter_jit(_phase)
-_hard_loss = eqx.filter_jit(
+_run_phase: Any = eqx.filter_jit(_phase)
+_hard_loss: Any = eqx.filter_jit(
     lambda problem, names, values: problem.mean_square_error(with_values(problem.technique, names, values))
 )
 
@@ -197,7 +200,8 @@ def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver
         case "levenberg_marquardt":
             return optx.LevenbergMarquardt(**tolerances, linear_solver=lx.QR())
         case "dogleg":
-            return optx.Dogleg(**tolerances, linear_solver=lx.QR())
+            # It solves undamped: a parameter without a gradient must not spoil the others' steps.
+            return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))
         case "bfgs":
             return optx.BFGS(**tolerances)
         case "lbfgs":

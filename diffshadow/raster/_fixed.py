@@ -14,8 +14,10 @@ wraps, so that floor comes out right whenever it is small, and where a float est
 sign alone matters.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
@@ -48,6 +50,11 @@ def cross(ax: Int[Array, "*n"], ay: Int[Array, "*n"], bx: Int[Array, "*n"], by: 
     estimate = ax.astype(jnp.float32) * by.astype(jnp.float32) - ay.astype(jnp.float32) * bx.astype(jnp.float32)
     wrapped = (ax * by - ay * bx).astype(jnp.float32)
     return jnp.where(jnp.abs(estimate) < _FAR, wrapped, estimate)
+
+
+def is_clockwise(x: Sequence[Int[Array, "*n"]], y: Sequence[Int[Array, "*n"]]) -> Bool[Array, "*n"]:
+    """Whether the three corners at fixed-point `x` and `y` turn clockwise."""
+    return cross(x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0]) < 0
 
 
 def edge_at_pixel(

@@ -9,6 +9,8 @@ perspective-correct barycentric coordinates are `b_i ∝ x'_j y'_k - x'_k y'_j` 
 Greer 1997): no divide by `w`, so faces that reach behind the eye need no clipping here.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -45,35 +47,48 @@ def barycentrics(face: FaceMap, clip: ClipVertices, faces: Faces) -> Barycentric
     height, width = face.shape
     mask = face >= 0
     face = jnp.maximum(face, 0)
-    corners = clip[faces[face]]
-    X = ((jnp.arange(width, dtype=clip.dtype) + 0.5) * (2 / width) - 1)[:, None]
-    Y = ((jnp.arange(height, dtype=clip.dtype) + 0.5) * (2 / height) - 1)[:, None, None]
-    x = corners[..., 0] - X * corners[..., 3]
-    y = corners[..., 1] - Y * corners[..., 3]
-    x1, x2, y1, y2 = jnp.roll(x, -1, -1), jnp.roll(x, -2, -1), jnp.roll(y, -1, -1), jnp.roll(y, -2, -1)
-    areas = x1 * y2 - x2 * y1
+    X = (jnp.arange(width, dtype=clip.dtype) + 0.5) * (2 / width) - 1
+    Y = ((jnp.arange(height, dtype=clip.dtype) + 0.5) * (2 / height) - 1)[:, None]
+    corners = [[clip[:, c][vertex] for c in (0, 1, 3)] for vertex in _vertices(face, faces)]
+    (x0, y0), (x1, y1), (x2, y2) = ((x - X * w, y - Y * w) for x, y, w in corners)
+    areas = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
     # A face seen exactly edge-on has no area; its middle then stands for it.
-    total = jnp.sum(areas, axis=-1, keepdims=True)
-    weights = safe_divide(areas, jnp.broadcast_to(total, areas.shape), 1 / 3)
-    on_face = jnp.all(weights > -_OVERSHOOT, axis=-1, keepdims=True)
-    clamped = jnp.clip(weights, 0, 1)
-    clamped = safe_divide(clamped, jnp.broadcast_to(jnp.sum(clamped, -1, keepdims=True), clamped.shape), 1 / 3)
-    return Barycentrics(face, mask, jnp.where(on_face, weights, clamped))
+    weights = _shares(areas)
+    on_face = (weights[0] > -_OVERSHOOT) & (weights[1] > -_OVERSHOOT) & (weights[2] > -_OVERSHOOT)
+    clamped = _shares([jnp.clip(weight, 0, 1) for weight in weights])
+    weights = [jnp.where(on_face, weight, held) for weight, held in zip(weights, clamped, strict=True)]
+    return Barycentrics(face, mask, jnp.stack(weights, axis=-1))
 
 
 def interpolate(at: Barycentrics, attribute: Float[Array, "v c"], faces: Faces) -> Float[Array, "h w c"]:
     """A vertex attribute (v, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return interpolate_corners(at, attribute, faces[at.face])
+    return _weighted(at, attribute, _vertices(at.face, faces))
 
 
-def interpolate_corners(at: Barycentrics, attribute: Float[Array, "n c"], corner: Array) -> Float[Array, "h w c"]:
-    """Rows `corner` (h, w, 3) of an attribute (n, c), weighted; 0 where nothing is seen."""
-    value = jnp.sum(attribute[corner] * at.weights[..., None], axis=-2)
-    return jnp.where(at.mask[..., None], value, 0)
+def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> Float[Array, "h w c"]:
+    """An attribute of each corner of each face (f, 3, c) at the pixels, (h, w, c); 0 where nothing is seen."""
+    return _weighted(at, attribute.reshape(-1, attribute.shape[-1]), [3 * at.face + k for k in range(3)])
 
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:
     """Window depth at the pixels, (h, w); 1 where nothing is seen."""
-    zw = jnp.sum(clip[faces[at.face]][..., 2:] * at.weights[..., None], axis=-2)
-    depth = safe_divide(zw[..., 0], zw[..., 1]) * 0.5 + 0.5
-    return jnp.where(at.mask, depth, 1)
+    z, w = jnp.moveaxis(_weighted(at, clip[:, 2:], _vertices(at.face, faces)), -1, 0)
+    return jnp.where(at.mask, safe_divide(z, w) * 0.5 + 0.5, 1)
+
+
+def _vertices(face: FaceMap, faces: Faces) -> list[FaceMap]:
+    """The three vertices of the face at each pixel."""
+    return [faces[:, k][face] for k in range(3)]
+
+
+def _weighted(at: Barycentrics, attribute: Float[Array, "n c"], corners: list[FaceMap]) -> Float[Array, "h w c"]:
+    # One gather for each component of each corner: gathers of whole rows do not vectorize, and cost ten times as much.
+    component = lambda values: sum(at.weights[..., k] * values[corner] for k, corner in enumerate(corners))
+    value = jnp.stack([component(attribute[:, c]) for c in range(attribute.shape[1])], axis=-1)
+    return jnp.where(at.mask[..., None], value, 0)
+
+
+def _shares(parts: Sequence[Array]) -> list[Array]:
+    """Each part over their sum; all alike where that is 0."""
+    total = parts[0] + parts[1] + parts[2]
+    return [safe_divide(part, total, 1 / 3) for part in parts]

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
 from .._types import DepthMap, FaceMap, Faces, Resolution
-from ._bins import WINDOWS, Capacity, Counts, Cull, Triangles, bin_triangles
+from ._bins import WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
-from ._windows import NOTHING, window_batches, write_depth, write_face
+from ._windows import Windows, count, windows, write_depth, write_depth_and_face
 
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
@@ -35,10 +35,12 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
     clip = clip.astype(jnp.float32).reshape(-1, *clip.shape[-2:])
-    counts = _count(clip, faces, resolution, cull, 0)
-    if int(counts.clipped):
-        counts = _count(clip, faces, resolution, cull, counts.capacity().clipped)
-    return counts.capacity()
+    # What is clipped, and what is large, must be known before its parts can be counted.
+    room, needed = Capacity(), _count(clip, faces, resolution, cull, Capacity()).capacity()
+    while room != room.grown_to(needed):
+        room = room.grown_to(needed)
+        needed = _count(clip, faces, resolution, cull, room).capacity()
+    return needed
 
 
 def rasterize(
@@ -111,47 +113,51 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
 
 
 @eqx.filter_jit
-def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cull: Cull, clip_capacity: int) -> Counts:
-    def count(clip: Array) -> Counts:
-        triangles, clipped = bin_triangles(clip, faces, resolution, cull, clip_capacity)
-        return triangles.counts(clipped)
+def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Counts:
+    def of_view(clip: Array) -> Counts:
+        return count(bin_triangles(clip, faces, resolution, cull, capacity.clipped), resolution, capacity)
 
-    return jax.tree.map(lambda n: n.max(axis=0), jax.vmap(count)(clip))
+    return jax.tree.map(lambda n: n.max(axis=0), jax.vmap(of_view)(clip))
 
 
 @eqx.filter_jit
 def _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face) -> Fragments:
-    if clip.ndim > 2:
-        view = lambda clip, behind: _rasterize(
-            clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face
-        )
-        return jax.vmap(view)(clip, behind)
-    triangles, clipped = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
-    triangles = _check_capacity(triangles, triangles.counts(clipped), capacity)
-    batches = window_batches(triangles, resolution, capacity, test, polygon_offset, behind)
-    depth = write_depth(batches, resolution)
-    face = write_face(batches, depth, resolution, last=test.compare == "less_equal") if with_face else None
-    height, width = resolution
-    depth = depth[:height, :width]
-    depth = jnp.where(depth < jnp.inf, test.decode(depth), test.clear)
-    if face is not None:
-        face = face[:height, :width]
-        face = jnp.where(face == NOTHING, NO_FACE, face)
-    return Fragments(face, depth)
+    def prepare(clip: Array) -> tuple[Windows, Counts]:
+        triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
+        return windows(triangles, resolution, capacity, test, polygon_offset), count(triangles, resolution, capacity)
+
+    def write(ready: Windows, behind: Array | None) -> tuple[Array | None, Array]:
+        if with_face:
+            depth, face = write_depth_and_face(ready, resolution, test, behind)
+        else:
+            depth, face = write_depth(ready, resolution, test), None
+        return face, jnp.where(depth < jnp.inf, test.decode(depth), test.clear)
+
+    if clip.ndim == 2:
+        ready, counts = prepare(clip)
+        return Fragments(*write(_within_capacity(ready, counts, capacity), behind))
+    ready, counts = jax.vmap(prepare)(clip)
+    # As many chunks for each view as the fullest needs: a loop of one length can run over all views together.
+    used, counts = jax.tree.map(lambda n: n.max(axis=0), (ready.used, counts))
+    ready = _within_capacity(eqx.tree_at(lambda ready: ready.used, ready, used), counts, capacity)
+    axes = eqx.tree_at(lambda ready: ready.used, jax.tree.map(lambda _: 0, ready), None)
+    return Fragments(*jax.vmap(write, in_axes=(axes, None if behind is None else 0))(ready, behind))
 
 
-def _check_capacity(triangles: Triangles, counts: Counts, capacity: Capacity) -> Triangles:
-    checks = [("clipped", counts.clipped, capacity.clipped), ("large", counts.large, capacity.large)]
-    checks += [("blocks", counts.blocks, capacity.blocks)]
+def _within_capacity(ready: Windows, counts: Counts, capacity: Capacity) -> Windows:
+    """The windows, checked to be all there are."""
+    names = ("clipped", "large", "candidates", "blocks")
+    checks = [(name, getattr(counts, name), getattr(capacity, name)) for name in names]
     checks += [
         (f"windows[{k}] ({side} x {side} pixels)", counts.windows[k], room)
         for k, (side, room) in enumerate(zip(WINDOWS, capacity.windows, strict=True))
     ]
-    for name, count, room in checks:
-        triangles = eqx.error_if(
-            triangles,
-            count > room,
+    used = ready.used
+    for name, number, room in checks:
+        used = eqx.error_if(
+            used,
+            number > room,
             f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
             "expected at least as many as there are: call plan(...) on them, or give a larger Capacity",
         )
-    return triangles
+    return eqx.tree_at(lambda ready: ready.used, ready, used)

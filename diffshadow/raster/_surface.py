@@ -7,7 +7,7 @@ from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Capacity, Cull
-from ._interpolate import barycentrics, interpolate
+from ._interpolate import barycentrics, interpolate, interpolate_corners
 from ._rasterize import rasterize
 
 
@@ -57,7 +57,7 @@ def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertic
     seen = at.mask[..., None]
     position = interpolate(at, mesh.vertices, mesh.faces)
     normal = jnp.where(seen, face_normals(mesh)[at.face], 0)
-    shading_normal = jnp.sum(mesh.corner_normals[at.face] * at.weights[..., None], axis=-2)
+    shading_normal = interpolate_corners(at, mesh.corner_normals)
     # The way to the camera: to its eye, or against its axis.
     view = camera.view()
     to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
@@ -65,7 +65,7 @@ def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertic
     return Surface(
         position=position,
         normal=normal * turn,
-        shading_normal=jnp.where(seen, normalize(shading_normal), 0) * turn,
+        shading_normal=normalize(shading_normal) * turn,
         albedo=jnp.where(seen, mesh.albedo[at.face], 0),
         face=face,
         mask=at.mask,

@@ -35,9 +35,9 @@ def write_comparison(
     for above, below, (title, image, error) in zip(top[1:], bottom[1:], images, strict=True):
         _visibility(above, image, mask)
         style.title(above, title, f"RMSE {error:.4f}")
-        shown = _difference(below, image, reference, mask)
+        _difference(below, image, reference, mask)
         style.title(below, f"{title} − reference")
-    style.colour_bar(figure, shown, bottom[1:], "visibility: too dark (−), too light (+)")
+    style.colour_bar(figure, bottom[-1].images[0], bottom[1:], "visibility: too dark (−), too light (+)")
     style.save(figure, path)
 
 
@@ -84,9 +84,8 @@ def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
     axes.grid(False)
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    style.title(axes, "Shadow map")
-    axes.set_xlabel("x [texels]")
-    style.colour_bar(figure, shown, [axes], f"distance along the light's axis [world units], {near:.3g} to {far:.3g}")
+    style.title(axes, f"Shadow map, near {near:.3g} to far {far:.3g}")
+    style.colour_bar(figure, shown, [axes], "distance along the light's axis [world units]")
     style.save(figure, path)
 
 

@@ -15,7 +15,7 @@ from ..config import Config, FitPlan, build_fit, build_technique
 from . import _record as record
 from . import _table as table
 from ._progress import Stages
-from ._remarks import brief, remarks
+from ._remarks import remarks
 from ._run_folder import folder_of, write_whole
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
@@ -75,9 +75,9 @@ def _fit(config: Config, stages: Stages) -> Fitted:
         start = fit.with_values(result.technique, list(result.initial), jnp.asarray(list(result.initial.values())))
         before, after = (visibility_of(t, drawn) for t in (start, result.technique))
         truth = drawn.reference.visibility
-        errors = [record.measured(image, truth, drawn.mask) for image in (before, after)]
+        errors_before, errors_after = (record.measured(image, truth, drawn.mask) for image in (before, after))
     said = remarks(config, plan.parameters, result)
-    return Fitted(config, plan, drawn, result, before, after, *errors, said)
+    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said)
 
 
 def _watch(stages: Stages, phases: int) -> Callable[[fit.Step], None]:
@@ -122,6 +122,7 @@ def _arrays(fitted: Fitted) -> dict[str, Any]:
         "history_step": np.asarray([step.step for step in history], np.int32),
         "history_width": np.asarray([step.width for step in history], np.float32),
         "history_loss": np.asarray([step.loss for step in history], np.float32),
+        "history_values": np.asarray([step.values for step in history], np.float32),
     }
 
 
@@ -147,7 +148,7 @@ def _result(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> dict[str
         "solver": {
             "name": fitted.plan.solver.name,
             "steps": result.steps,
-            "result": brief(outcome.result),
+            "result": outcome.result,
             "gradient_norm": outcome.gradient_norm,
             "chosen_phase": result.chosen,
             "flat": result.flat,

@@ -40,6 +40,7 @@ class Stages:
     def stage(self, name: str) -> Iterator[None]:
         """Names the work inside, and times it."""
         self.show(name)
+        self._progress.refresh()
         started = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -20,18 +20,12 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
     said += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
     outcome = result.phases[result.chosen]
     if outcome.result != "successful":
+        mend = ": raise fit.solver.max_steps" if outcome.result == "max_steps reached" else ""
         said.append(
             f"the solver did not converge in the phase that gave the result (width {outcome.width:.3g} texels): "
-            f"{brief(outcome.result)}"
+            f"{outcome.result}{mend}"
         )
     return said
-
-
-def brief(result: str) -> str:
-    """A solver's own words for how it ended, cut to their point."""
-    if "maximum number of steps" in result:
-        return "it used up fit.solver.max_steps"
-    return result.split(". ")[0].strip().rstrip(".")
 
 
 def _flat(config: Config, name: str) -> str:

@@ -37,7 +37,8 @@ class PercentageCloser(AbstractFilter):
 
     def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
         self.radius = as_float(radius)
-        self.max_radius = math.ceil(float(radius) if max_radius is None else max_radius)
+        # At least 1: a box without width still needs the least one to divide by.
+        self.max_radius = max(1, math.ceil(float(radius) if max_radius is None else max_radius))
 
     def __check_init__(self):
         radius = concrete(self.radius)

@@ -1,0 +1,281 @@
+"""Fits: that they find what is known, keep bounds, never end worse, report truly, compile once, and refuse nonsense."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import problem, technique
+
+from diffshadow.fit import Anneal, Parameter, Solver, fit, parameter_names, resolve, with_values
+from diffshadow.fit._parameters import bounds_of
+from diffshadow.shadow import FourTap, HardCompare, Nearest, PercentageCloser, RandomDisk, SoftCompare
+
+SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs")
+SHORT = Anneal(start=1.0, end=0.1, phases=3)
+BIAS = Parameter("bias.constant", 1.6, 0.0, 6.0)
+RADIUS = Parameter("filter.radius", 2.0, 0.0, 8.0)
+
+
+def disk(radius=2.0, bias=1.6, compare=None):
+    return technique(RandomDisk(radius, (2, 2), 8), bias, compare=compare)
+
+
+def patient(name):
+    """A solver that goes on to the end; one program serves many tests."""
+    return Solver(name, 60, 1e-6, 1e-9)
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Its reference is what a bias of 0.8 texels, which leaves some acne, and a radius of 3.2 texels make of it."""
+    return problem(disk(), target=disk(3.2, 0.8))
+
+
+@pytest.fixture(scope="module")
+def results(known):
+    """Fits of all solvers, each with what it told step by step."""
+    found = {}
+    for solver in SOLVERS:
+        told = []
+        found[solver] = fit(known, [BIAS, RADIUS], solver=patient(solver), anneal=SHORT, on_step=told.append), told
+    return found
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_fit_recovers_known_values(solver, known, results):
+    result, _ = results[solver]
+    assert result.fitted["filter.radius"] == pytest.approx(3.2, abs=0.15)
+    # The reference's acne has hard edges, which a soft compare cannot follow to the end; minimisers stop earlier.
+    slack = 0.15 if solver in ("levenberg_marquardt", "dogleg") else 0.5
+    assert result.fitted["bias.constant"] == pytest.approx(0.8, abs=slack)
+    before, after = (float(known.mean_square_error(t)) for t in (disk(), result.technique))
+    assert after < 0.1 * before
+    assert result.flat == []
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_soft_reference_is_met_exactly(solver):
+    compare = SoftCompare(0.5)
+    soft = problem(disk(), target=disk(3.2, 0.8, compare))
+    # The last phase has the reference's own width, so that its soft loss must vanish.
+    result = fit(soft, [BIAS, RADIUS], solver=patient(solver), anneal=Anneal(0.5, 0.5, 1))
+    last = result.history[-1]
+    assert last.values == pytest.approx((0.8, 3.2), abs=5e-3 if solver in SOLVERS[:2] else 0.05)
+    assert last.loss < 1e-4 * result.history[0].loss
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_history_is_in_order_and_true(solver, known, results):
+    result, told = results[solver]
+    assert told == result.history
+    assert sorted(told, key=lambda step: (step.phase, step.step)) == told
+    by_phase = [[s for s in told if s.phase == phase] for phase in range(3)]
+    for phase, steps in enumerate(by_phase):
+        assert [s.step for s in steps] == list(range(len(steps)))
+        assert {s.width for s in steps} == {SHORT.widths[phase]}
+    # Values are those of the parameters, and losses those that they have.
+    assert told[0].values == pytest.approx((1.6, 2.0), abs=1e-5)
+    for step in (told[0], by_phase[1][-1], told[-1]):
+        mapping = disk(step.values[1], step.values[0], SoftCompare(step.width))
+        assert step.loss == pytest.approx(float(known.mean_square_error(mapping)), rel=2e-3, abs=1e-7)
+    assert result.steps == sum(phase.steps for phase in result.phases)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_phases_and_choice_are_reported_truly(solver, known, results):
+    result, _ = results[solver]
+    assert [phase.width for phase in result.phases] == SHORT.widths
+    losses = [phase.hard_loss for phase in result.phases]
+    for phase in result.phases:
+        at = with_values(disk(), ("bias.constant", "filter.radius"), jnp.array(phase.values))
+        assert phase.hard_loss == pytest.approx(float(known.mean_square_error(at)), rel=1e-3)
+        assert np.isfinite(phase.gradient_norm)
+        assert phase.result in ("successful", "max_steps reached")
+    assert result.chosen == int(np.argmin(losses))
+    assert tuple(result.fitted.values()) == result.phases[result.chosen].values
+    assert isinstance(result.technique.compare, HardCompare)
+    assert float(resolve(result.technique, "filter.radius")) == pytest.approx(result.fitted["filter.radius"])
+    assert result.initial == {"bias.constant": pytest.approx(1.6), "filter.radius": 2.0}
+
+
+def test_a_start_that_is_best_is_kept(known):
+    perfect = eqx.tree_at(lambda p: p.reference, known, known.technique.visibility(known.shadow_map, known.surface))
+    result = fit(perfect, [BIAS, RADIUS], solver=patient("levenberg_marquardt"), anneal=SHORT)
+    assert result.chosen == -1
+    assert result.fitted == result.initial
+
+
+@pytest.mark.parametrize("solver", ["levenberg_marquardt", "lbfgs"])
+def test_bounds_hold_and_a_start_on_a_bound_moves(solver, known):
+    narrow = [Parameter("bias.constant", 1.6, 1.2, 6.0), Parameter("filter.radius", 0.0, 0.0, 8.0)]
+    result = fit(known, narrow, solver=patient(solver), anneal=SHORT)
+    values = np.array([step.values for step in result.history])
+    assert (values >= np.array([1.2, 0.0]) - 1e-6).all()
+    assert (values <= np.array([6.0, 8.0]) + 1e-6).all()
+    assert result.fitted["filter.radius"] > 1
+    assert result.fitted["bias.constant"] < 1.6
+
+
+@pytest.mark.parametrize("solver", ["levenberg_marquardt", "dogleg", "lbfgs"])
+def test_a_parameter_without_gradient_is_named(solver, known):
+    nearest = technique(RandomDisk(2.0, (2, 2), 8, lookup="nearest"), 1.6)
+    flat = eqx.tree_at(lambda p: p.technique, known, nearest)
+    result = fit(flat, [BIAS, RADIUS], solver=patient(solver), anneal=SHORT)
+    assert result.flat == ["filter.radius"]
+    assert result.fitted["filter.radius"] == pytest.approx(2.0, abs=1e-5)
+    assert result.phases[result.chosen].hard_loss < float(flat.mean_square_error(nearest))
+    assert result.fitted["bias.constant"] < 1.5
+
+
+def test_a_second_fit_of_the_same_shapes_compiles_nothing(known, results):
+    moved = eqx.tree_at(lambda p: p.reference, known, known.reference * 0.9)
+    compiled = []
+    listener = lambda event, *_, **__: compiled.append(event) if event.endswith("backend_compile_duration") else None
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    jax.jit(lambda x: x + 1.2345)(jnp.ones(3))
+    assert compiled, "the counter must see compilations"
+    compiled.clear()
+    # Other values, bounds, widths and tolerances' defaults: the same program.
+    parameters = [Parameter("bias.constant", 1.0, 0.0, 5.0), Parameter("filter.radius", 1.0, 0.0, 9.0)]
+    fit(moved, parameters, solver=patient("levenberg_marquardt"), anneal=Anneal(2.0, 0.2, 5))
+    assert compiled == []
+
+
+def test_widths_shrink_geometrically_and_a_single_phase_has_the_last():
+    assert Anneal(2.0, 0.125, 3).widths == pytest.approx([2.0, 0.5, 0.125])
+    assert Anneal(2.0, 0.05, 1).widths == [0.05]
+
+
+def test_names_and_values():
+    mapping = technique(PercentageCloser(2.0, 5.0), 0.5, compare=SoftCompare(0.7))
+    assert parameter_names(mapping) == [
+        *("filter.radius", "bias.constant", "bias.slope", "bias.normal_offset", "compare.width")
+    ]
+    assert float(resolve(mapping, "bias.constant")) == float(resolve(mapping, "bias.constant.value")) == 0.5
+    moved = with_values(mapping, ("filter.radius", "bias.slope"), jnp.array([1.5, 2.5]))
+    assert float(moved.filter.radius) == 1.5
+    assert float(moved.bias.slope.value) == 2.5
+    assert float(moved.bias.constant.value) == 0.5
+
+
+@pytest.mark.parametrize("value", [0.02, 0.3, 0.5, 0.98])
+def test_bounded_and_free_values_are_each_others_inverse(value):
+    bounds = bounds_of([Parameter("a", 1.0, -1.0, 4.0), Parameter("b", 1.0, 0.0, 1e3)])
+    x = bounds.lower + value * (bounds.upper - bounds.lower)
+    np.testing.assert_allclose(bounds.to_bounded(bounds.to_free(x)), x, rtol=1e-5)
+    edge = bounds.to_bounded(bounds.to_free(bounds.lower))
+    np.testing.assert_allclose(edge, bounds.lower + 0.01 * (bounds.upper - bounds.lower), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((1.0, 2.0, 2.0), "the bounds of r are 2.0 and 2.0; expected finite numbers, lower < upper"),
+        ((1.0, 3.0, 2.0), "the bounds of r are 3.0 and 2.0"),
+        ((1.0, 0.0, float("inf")), "the bounds of r are 0.0 and inf"),
+        ((float("nan"), 0.0, 1.0), "r starts at nan; expected a value within its bounds, 0.0 to 1.0"),
+        ((2.0, 0.0, 1.0), "r starts at 2.0; expected .*: change initial, or widen the bounds"),
+    ],
+)
+def test_impossible_parameters_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Parameter("r", *arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "bias.konstant",
+            r"no parameter 'bias.konstant' in a ShadowMapping; expected one of filter.radius, bias.constant",
+        ),
+        ("", r"no parameter '' in a ShadowMapping"),
+        ("bias", r"'bias' names 3 numbers; expected one: filter.radius"),
+        (
+            "filter.offsets",
+            r"'filter.offsets' names no single number that could be fitted; expected one of filter.radius",
+        ),
+        ("filter.lookup", r"'filter.lookup' names no single number that could be fitted"),
+    ],
+)
+def test_names_of_nothing_are_refused(name, message, known):
+    with pytest.raises(ValueError, match=message):
+        resolve(known.technique, name)
+    with pytest.raises(ValueError, match=message):
+        fit(known, [Parameter(name, 0.5, 0.0, 1.0)])
+
+
+def test_impossible_fits_are_refused(known):
+    refuses = lambda match: pytest.raises(ValueError, match=match)
+    with refuses("got no parameters to fit; expected at least one, such as bias.constant"):
+        fit(known, [])
+    for twice in ("bias.constant", "bias.constant.value"):
+        with refuses(f"a parameter is named twice in bias.constant, {twice}; expected each once"):
+            fit(known, [BIAS, Parameter(twice, 0.5, 0.0, 1.0)])
+    with refuses("no pixel sees a surface within the light's frustum.*: move one of them"):
+        fit(eqx.tree_at(lambda p: p.mask, known, jnp.zeros_like(known.mask)), [BIAS])
+    with refuses("the visibility or the reference is not finite at the initial values"):
+        fit(
+            eqx.tree_at(lambda p: p.reference, known, known.reference * jnp.nan), [BIAS, RADIUS], solver=patient("bfgs")
+        )
+    with refuses("there is no parameter 'filter.radius'"):
+        fit(eqx.tree_at(lambda p: p.technique, known, technique(Nearest())), [RADIUS])
+    soft = eqx.tree_at(lambda p: p.technique, known, disk(compare=SoftCompare(1.0)))
+    with refuses("compare.width cannot be fitted, since the fit itself makes the compare harden; leave it out"):
+        fit(soft, [Parameter("compare.width", 1.0, 0.1, 2.0)])
+
+
+@pytest.mark.parametrize(
+    ("kernel", "lower", "upper", "message"),
+    [
+        (
+            PercentageCloser(2.0),
+            0.0,
+            8.0,
+            "bounds go further than its filter allows: .*8.0 texels; expected 0 to max_radius",
+        ),
+        (RandomDisk(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),
+        (FourTap(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),
+    ],
+    ids=["pcf", "disk", "four"],
+)
+def test_bounds_that_the_filter_does_not_allow_are_refused(kernel, lower, upper, message, known):
+    with pytest.raises(ValueError, match=message):
+        fit(
+            eqx.tree_at(lambda p: p.technique, known, technique(kernel)),
+            [Parameter("filter.radius", 2.0, lower, upper)],
+        )
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"anneal": Anneal(phases=0)}, "the anneal has 0 phases; expected 1 or more"),
+        ({"anneal": Anneal(start=0.0)}, "the anneal's start is 0.0 texels; expected a finite width above 0"),
+        ({"anneal": Anneal(end=-0.1)}, "the anneal's end is -0.1 texels"),
+        ({"anneal": Anneal(start=float("nan"))}, "the anneal's start is nan texels"),
+        (
+            {"anneal": Anneal(0.1, 2.0)},
+            "the anneal widens from 0.1 to 2.0 texels; expected end at most start: swap the two",
+        ),
+        (
+            {"solver": Solver("newton")},
+            "the solver is 'newton'; expected one of levenberg_marquardt, dogleg, bfgs, lbfgs",
+        ),
+        ({"solver": Solver(max_steps=0)}, "the solver's max_steps is 0; expected 1 or more"),
+        ({"solver": Solver(rtol=0.0)}, "the solver's rtol is 0.0; expected a finite number above 0"),
+        ({"solver": Solver(atol=float("nan"))}, "the solver's atol is nan"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, message, known):
+    with pytest.raises(ValueError, match=message):
+        fit(known, [BIAS], **settings)
+
+
+def test_residual_squares_sum_to_the_mean_square_error_over_the_mask(known):
+    mapping = disk(1.0, 0.3)
+    difference = np.asarray(mapping.visibility(known.shadow_map, known.surface) - known.reference)[
+        np.asarray(known.mask)
+    ]
+    assert float(known.mean_square_error(mapping)) == pytest.approx(np.mean(difference**2), rel=1e-5)

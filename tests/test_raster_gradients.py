@@ -1,0 +1,313 @@
+"""Interpolation over what was drawn, and its derivatives, against float64."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rasterizer_oracle import rasterize_exact
+from triangle_soups import from_window, soup
+
+from diffshadow.geometry import (
+    DirectionalLight,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    SpotLight,
+    library_mesh,
+    merge,
+)
+from diffshadow.raster import barycentrics, draw_surface, interpolate, interpolate_depth, plan, rasterize
+
+RESOLUTION = (24, 32)
+
+
+def to_numpy(x):
+    return np.asarray(x, np.float64)
+
+
+def scene_mesh():
+    box = library_mesh("box", size=0.8)
+    return merge([box, library_mesh("low_poly_sphere", radius=0.4).transformed(jnp.eye(4).at[0, 3].set(0.8)),
+                  library_mesh("plane", size=4.0, segments=2)])  # fmt: skip
+
+
+MESH = scene_mesh()
+CAMERA = PinholeCamera((1.9, 1.6, 2.2), (0.3, 0.3, 0.1), near=0.5, far=8.0, resolution=RESOLUTION)
+
+
+# Values
+
+
+def weights_exact(face, clip, faces):
+    """Perspective-correct barycentric coordinates (h, w, 3), float64, by solving for them pixel by pixel."""
+    height, width = face.shape
+    rows = to_numpy(clip)[np.asarray(faces)[np.maximum(face, 0)]][..., [0, 1, 3]]
+    y, x = np.indices(face.shape)
+    centre = np.stack([(x + 0.5) * 2 / width - 1, (y + 0.5) * 2 / height - 1, np.ones(face.shape)], axis=-1)
+    rows = np.where((face >= 0)[..., None, None], rows, np.eye(3))
+    mixed = np.linalg.solve(np.swapaxes(rows, -1, -2), centre[..., None])[..., 0]
+    return mixed / mixed.sum(axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("camera", [
+    CAMERA,
+    OrthographicCamera((1.9, 1.6, 2.2), (0.3, 0.3, 0.1), height=3.0, near=0.5, far=8.0, resolution=RESOLUTION),
+    # The floor reaches behind the eye.
+    PinholeCamera((0.5, 0.5, 1.2), (0.3, 0.3, 0.1), near=0.05, far=8.0, fov_y=80.0, resolution=RESOLUTION),
+])  # fmt: skip
+def test_interpolation_is_perspective_correct(camera):
+    clip = camera.view().clip(MESH.vertices)
+    face = rasterize(clip, MESH.faces, RESOLUTION).face
+    seen = np.asarray(face) >= 0
+    at = barycentrics(face, clip, MESH.faces)
+    np.testing.assert_array_equal(at.mask, seen)
+    np.testing.assert_allclose(np.asarray(at.weights).sum(axis=-1), 1, atol=1e-6)
+
+    exact = weights_exact(np.asarray(face), clip, MESH.faces)
+    corners = to_numpy(MESH.vertices)[np.asarray(MESH.faces)[np.maximum(face, 0)]]
+    expected = np.sum(exact[..., None] * corners, axis=-2)
+    got = np.asarray(interpolate(at, MESH.vertices, MESH.faces))
+    # A centre on an outline may lie outside its face by the half sub-pixel of snapping, and is pulled back only then.
+    inner = seen & (exact.min(axis=-1) > -0.05)
+    assert inner.sum() > 0.95 * seen.sum() > 100
+    np.testing.assert_allclose(got[inner], expected[inner], atol=5e-6)
+    np.testing.assert_array_equal(got[~seen], 0)
+
+
+def test_depth_of_well_shaped_triangles_is_within_rounding_of_float64():
+    rng = np.random.default_rng(3)
+    checked = 0
+    for _ in range(40):
+        shape = np.array([[-7, -6], [8, -5], [1, 9]])
+        xy = shape + rng.uniform(0, [32, 24], (8, 1, 2)) + rng.uniform(-2, 2, (8, 3, 2))
+        w = np.exp(rng.uniform(-1, 1, (8, 3)))
+        clip = from_window(xy, rng.random((8, 3)), w, RESOLUTION).reshape(-1, 4).astype(np.float32)
+        faces = np.arange(24, dtype=np.int32).reshape(8, 3)
+        exact = rasterize_exact(clip, faces, RESOLUTION)
+        # The same face for both: which one is nearest is tested elsewhere.
+        face = jnp.asarray(exact.face, jnp.int32)
+        depth = np.asarray(interpolate_depth(barycentrics(face, jnp.asarray(clip), jnp.asarray(faces)),
+                                             jnp.asarray(clip), jnp.asarray(faces)))  # fmt: skip
+        seen = exact.face >= 0
+        np.testing.assert_allclose(depth[seen], exact.depth[seen], rtol=0, atol=6e-7)
+        assert np.mean(np.abs(depth - exact.depth)[seen]) < 1e-7
+        np.testing.assert_array_equal(depth[~seen], 1)
+        checked += seen.sum()
+    assert checked > 10_000
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_face_makes_a_nan_in_value_or_gradient(seed):
+    clip, _ = soup(np.random.default_rng(seed), 24, RESOLUTION)
+    faces = jnp.arange(72, dtype=jnp.int32).reshape(-1, 3)
+    # Any face at any pixel, covered or not: slivers, edge-on, without area, behind the eye.
+    face = jnp.asarray(np.random.default_rng([seed, 1]).integers(-1, 24, RESOLUTION), jnp.int32)
+    value, gradient = VALUE_AND_GRADIENT(jnp.asarray(clip), faces, face)
+    assert np.isfinite(value)
+    assert np.isfinite(gradient).all()
+
+
+@jax.jit
+def VALUE_AND_GRADIENT(clip, faces, face):
+    def total(clip):
+        at = barycentrics(face, clip, faces)
+        # Weights within [0, 1] of any finite attribute; depth is w's business where w comes near 0.
+        return jnp.sum(interpolate(at, clip, faces)) + jnp.sum(at.weights**2)
+
+    return jax.value_and_grad(total)(clip)
+
+
+def test_depth_of_thin_and_edge_on_faces_has_finite_gradients():
+    # Edge-on; without area; a sliver of 1e-6; all corners alike. Each seen at every pixel.
+    w = np.ones(3)
+    shapes = [
+        [[4, 4], [20, 12], [12, 8]],
+        [[4, 4], [20, 12], [20, 12]],
+        [[4, 4], [20, 12], [12, 8 + 1e-6]],
+        [[9.5, 9.5]] * 3,
+    ]
+    for xy in shapes:
+        clip = jnp.asarray(from_window(np.array(xy, float), np.array([0.2, 0.5, 0.9]), w, RESOLUTION), jnp.float32)
+        faces, face = jnp.array([[0, 1, 2]]), jnp.zeros(RESOLUTION, jnp.int32)
+        depth = lambda c, faces=faces, face=face: interpolate_depth(barycentrics(face, c, faces), c, faces)
+        value, gradient = jax.value_and_grad(lambda c, depth=depth: jnp.sum(depth(c)))(clip)
+        assert np.isfinite(value)
+        assert np.isfinite(gradient).all()
+        assert ((depth(clip) >= 0.2 - 1e-5) & (depth(clip) <= 0.9 + 1e-5)).all()
+
+
+# Derivatives
+
+
+class Case(NamedTuple):
+    """A parameter of the scene, and the view and the vertices that follow from it."""
+
+    name: str
+    parameter: tuple[float, ...]
+    view_and_vertices: Callable
+
+
+def _camera(**changes):
+    settings = {"eye": CAMERA.eye, "target": CAMERA.target, "near": 0.5, "far": 8.0, "resolution": RESOLUTION}
+    return PinholeCamera(**(settings | changes)).view()
+
+
+def _directional(direction):
+    light = DirectionalLight(direction, (0.3, 0.2, 0.0), (3.4, 3.0), -4.0, 4.0)
+    return light.view()
+
+
+def _moved(offset):
+    """One corner of the box, one of the sphere and one of the floor, along three axes."""
+    vertices = jnp.asarray(MESH.vertices, offset.dtype)
+    # The first corners of a face of each that the camera sees.
+    return vertices.at[jnp.asarray(MOVED)].add(jnp.diag(offset))
+
+
+MOVED = (2, 20, len(MESH.vertices) - 1)
+CASES = [
+    Case("vertices", (0.0, 0.0, 0.0), lambda p: (_camera(), _moved(p))),
+    Case("eye", (1.9, 1.6, 2.2), lambda p: (_camera(eye=p), MESH.vertices)),
+    Case("target", (0.3, 0.3, 0.1), lambda p: (_camera(target=p), MESH.vertices)),
+    Case("light's direction", (-0.5, -1.0, -0.6), lambda p: (_directional(p), MESH.vertices)),
+    Case(
+        "light's position",
+        (1.2, 2.6, 1.9),
+        lambda p: (SpotLight(p, (-0.9, -2.4, -1.7), 40.0, 0.8, 8.0).view(), MESH.vertices),
+    ),
+]
+
+
+def maps(case, parameter, capacity):
+    """What is seen (h, w), and depth and position there (h, w, 4), as functions of the parameter; all redrawn."""
+    view, vertices = case.view_and_vertices(parameter)
+    clip = view.clip(vertices)
+    face = rasterize(clip, MESH.faces, RESOLUTION, capacity=capacity).face
+    at = barycentrics(face, clip, MESH.faces)
+    position = interpolate(at, jnp.asarray(vertices, clip.dtype), MESH.faces)
+    return jnp.concatenate([interpolate_depth(at, clip, MESH.faces)[..., None], position], axis=-1), face
+
+
+def room(case):
+    view, vertices = case.view_and_vertices(jnp.array(case.parameter))
+    planned = plan(view.clip(vertices), MESH.faces, RESOLUTION)
+    return type(planned)(*jax.tree.map(lambda n: 2 * n + 8, tuple(planned)))
+
+
+def differences(case, step=1e-5):
+    """Central differences (h, w, 4, p) in float64, and where (h, w) one face is seen throughout."""
+    capacity = room(case)
+    with jax.enable_x64(True):
+        draw = jax.jit(lambda p: maps(case, p, capacity))
+        middle = np.array(case.parameter)
+        slopes, same = [], True
+        for offset in np.eye(len(middle)) * step:
+            (high, face_high), (low, face_low) = draw(jnp.asarray(middle + offset)), draw(jnp.asarray(middle - offset))
+            slopes.append((np.asarray(high) - np.asarray(low)) / (2 * step))
+            same = same & (np.asarray(face_high) == np.asarray(face_low)) & (np.asarray(face_low) >= 0)
+        assert high.dtype == jnp.float64
+    return np.stack(slopes, axis=-1), same
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_derivatives_are_those_of_float64_differences(case):
+    expected, same = differences(case)
+    parameter, capacity = jnp.array(case.parameter), room(case)
+    only_maps = lambda p: maps(case, p, capacity)[0]
+    forward = np.asarray(jax.jit(jax.jacfwd(only_maps))(parameter))
+    assert same.sum() > 200
+    got, expected = forward[same], expected[same]
+    assert np.isfinite(forward).all()
+    # In magnitude: every pixel to 1 % of its own gradient, but for rounding of the largest.
+    for k, name in enumerate(("depth", "x", "y", "z")):
+        scale = np.abs(expected[:, k]).max()
+        if name == "y" and scale < 1e-9:
+            continue
+        size = np.linalg.norm(expected[:, k], axis=-1)
+        error = np.linalg.norm(got[:, k] - expected[:, k], axis=-1)
+        assert scale > 1e-3, f"{case.name}: {name} does not depend on the parameter, so this tests nothing"
+        assert (error <= 0.01 * size + 1e-4 * scale).all(), f"{case.name}: {name} is off by {error.max():.2e}"
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_reverse_mode_equals_forward_mode(case):
+    rng = np.random.default_rng(1)
+    parameter, capacity = jnp.array(case.parameter), room(case)
+    only_maps = lambda p: maps(case, p, capacity)[0]
+    tangent = jnp.asarray(rng.normal(size=len(case.parameter)), jnp.float32)
+    value, pushed = jax.jit(lambda p: jax.jvp(only_maps, (p,), (tangent,)))(parameter)
+    weights = jnp.asarray(rng.normal(size=value.shape), jnp.float32)
+    pulled = jax.jit(jax.grad(lambda p: jnp.sum(weights * only_maps(p))))(parameter)
+    a, b = np.sum(to_numpy(weights) * to_numpy(pushed)), np.sum(to_numpy(pulled) * to_numpy(tangent))
+    size = np.sum(np.abs(to_numpy(weights) * to_numpy(pushed)))
+    assert abs(a - b) <= 1e-5 * size, (a, b)
+
+
+# Surfaces
+
+
+@pytest.mark.parametrize("resolution", [(24, 32)])
+def test_the_surface_of_a_plane_lies_on_it_and_faces_the_camera(resolution):
+    mesh = Mesh(MESH.vertices, MESH.faces[-8:])
+    for eye in ((1.9, 1.6, 2.2), (1.9, -1.6, 2.2)):
+        camera = PinholeCamera(eye, (0.0, 0.0, 0.0), near=0.5, far=8.0, resolution=resolution)
+        surface = draw_surface(mesh, camera)
+        seen = np.asarray(surface.mask)
+        np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
+        assert seen.sum() > 100
+        np.testing.assert_allclose(np.asarray(surface.position)[seen][:, 1], 0, atol=1e-6)
+        up = np.sign(eye[1]) * np.array([0, 1, 0])
+        for normal in (surface.normal, surface.shading_normal):
+            np.testing.assert_allclose(np.asarray(normal)[seen], np.broadcast_to(up, (seen.sum(), 3)), atol=1e-5)
+            np.testing.assert_array_equal(np.asarray(normal)[~seen], 0)
+        # Each point projects to the centre of its pixel.
+        clip = to_numpy(camera.view().clip(surface.position))
+        row, column = np.nonzero(seen)
+        window = (clip[seen][:, :2] / clip[seen][:, 3:] * 0.5 + 0.5) * [resolution[1], resolution[0]]
+        np.testing.assert_allclose(window, np.stack([column, row], axis=-1) + 0.5, atol=0.01)
+
+
+@pytest.mark.parametrize("camera_type", [PinholeCamera, OrthographicCamera])
+def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
+    radius = 0.5
+    mesh = library_mesh("sphere", radius=radius, subdivisions=4)
+    eye = np.array([1.0, 1.2, 1.4])
+    centre = np.array([0, radius, 0])
+    view = {"height": 1.2} if camera_type is OrthographicCamera else {"fov_y": 35.0}
+    camera = camera_type(eye, centre, near=0.2, far=6.0, resolution=RESOLUTION, **view)
+    surface = draw_surface(mesh, camera, cull="back")
+    seen = np.asarray(surface.mask)
+    np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
+    assert seen.sum() > 150
+    outwards = to_numpy(surface.position)[seen] - centre
+    distance = np.linalg.norm(outwards, axis=-1)
+    # 5120 facets lie below the sphere by less than 0.3 % of its radius.
+    assert ((distance < radius * (1 + 1e-5)) & (distance > radius * 0.997)).all()
+    unit = outwards / distance[:, None]
+    for normal, cosine in ((surface.normal, 0.998), (surface.shading_normal, 0.99999)):
+        normal = to_numpy(normal)[seen]
+        np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-5)
+        assert (np.sum(normal * unit, axis=-1) > cosine).all()
+    towards = eye - to_numpy(surface.position)[seen] if camera_type is PinholeCamera else eye - centre
+    assert (np.sum(to_numpy(surface.normal)[seen] * towards, axis=-1) >= 0).all()
+    np.testing.assert_allclose(np.asarray(surface.albedo)[seen], 0.8, rtol=1e-6)
+
+
+def test_a_surface_carries_gradients_of_its_vertices():
+    view = CAMERA.view()
+    room = plan(view.clip(MESH.vertices), MESH.faces, RESOLUTION)
+
+    def height(vertices):
+        mesh = eqx.tree_at(lambda m: m.vertices, MESH, vertices)
+        return jnp.sum(draw_surface(mesh, CAMERA, capacity=room).position[..., 1])
+
+    gradient = np.asarray(jax.grad(height)(MESH.vertices))
+    assert np.isfinite(gradient).all()
+    assert np.abs(gradient).max() > 1

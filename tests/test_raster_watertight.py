@@ -1,0 +1,129 @@
+"""Faces that share edges cover each pixel centre between them exactly once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from triangle_soups import from_window
+
+from diffshadow.geometry import PinholeCamera, library_mesh
+from diffshadow.raster import plan, rasterize
+
+RESOLUTION = (32, 48)
+COLUMNS, ROWS = 7, 5
+
+
+def coverage(clip, faces, resolution=RESOLUTION, capacity=None):
+    """How many of the faces cover each pixel centre, each drawn by itself."""
+    clip, faces = jnp.asarray(clip, jnp.float32), jnp.asarray(faces)
+    capacity = capacity or plan(clip, faces, resolution)
+    hits = jax.vmap(lambda face: rasterize(clip, face[None], resolution, capacity=capacity).face == 0)(faces)
+    return np.asarray(jnp.sum(hits, axis=0))
+
+
+def grid_faces(columns, rows, rising):
+    """Two triangles for each cell of a grid of corners, split along either diagonal (bool, one a cell)."""
+    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
+    b, c, d = a + 1, a + columns + 1, a + columns
+    along, across = np.stack([a, b, c, a, c, d], axis=1), np.stack([a, b, d, b, c, d], axis=1)
+    return np.where(rising[:, None], along, across).reshape(-1, 3).astype(np.int32)
+
+
+def grid_corners(rng, jitter):
+    """A grid that reaches beyond the view, its inner corners off their places by up to `jitter` of a cell."""
+    height, width = RESOLUTION
+    x, y = np.meshgrid(np.linspace(-1, width + 1, COLUMNS), np.linspace(-1, height + 1, ROWS))
+    corners = np.stack([x, y], axis=-1)
+    cell = np.array([(width + 2) / (COLUMNS - 1), (height + 2) / (ROWS - 1)])
+    corners[1:-1, 1:-1] += rng.uniform(-jitter, jitter, (ROWS - 2, COLUMNS - 2, 2)) * cell
+    return corners.reshape(-1, 2)
+
+
+def to_clip(rng, xy, spread):
+    """Clip coordinates at various depths and with `w` over a factor of e^(2 · spread)."""
+    return from_window(xy, rng.uniform(0.1, 0.9, len(xy)), np.exp(rng.uniform(-spread, spread, len(xy))), RESOLUTION)
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), to_centres=st.booleans(), turned=st.booleans())
+def test_a_jittered_grid_covers_every_pixel_once(seed, to_centres, turned):
+    rng = np.random.default_rng(seed)
+    corners = grid_corners(rng, 0.2)
+    if to_centres:
+        # Corners, and with them many edges, exactly on pixel centres.
+        corners = np.floor(corners) + 0.5
+    faces = grid_faces(COLUMNS, ROWS, rng.random((ROWS - 1) * (COLUMNS - 1)) < 0.5)
+    faces = faces[:, ::-1] if turned else faces
+    # Powers of two keep the centres exact.
+    clip = from_window(corners, rng.random(len(corners)), np.exp2(rng.integers(-3, 4, len(corners))), RESOLUTION)
+    clip = clip if to_centres else to_clip(rng, corners, 3)
+    np.testing.assert_array_equal(coverage(clip, faces, capacity=room_for_one()), 1)
+
+
+def room_for_one():
+    """Room for one face of any size."""
+    clip = from_window(np.array([[-1, -1], [120, -1], [-1, 90]]), np.full(3, 0.5), np.ones(3), RESOLUTION)
+    whole = plan(jnp.asarray(clip, jnp.float32), jnp.array([[0, 1, 2]]), RESOLUTION)
+    return whole._replace(clipped=1, windows=(8,) * len(whole.windows), large=8)
+
+
+def fan(centre, radius, spokes):
+    """Corners of a closed fan: the centre, then a rim of all whole slopes, on pixel centres."""
+    side = range(-radius, radius + 1, spokes)
+    rim = [(x, y) for x in side for y in (-radius, radius)] + [(x, y) for x in (-radius, radius) for y in side]
+    rim = np.array(sorted(set(rim), key=lambda p: np.arctan2(p[1], p[0])), float)
+    return np.concatenate([[[0, 0]], rim]) + centre
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
+    corners = fan((24.5, 16.5), 12, 4)
+    count = len(corners) - 1
+    if not whole:
+        # Off the centres, where no edge but by chance meets one.
+        corners = corners + np.random.default_rng(5).uniform(-0.4, 0.4, corners.shape)
+    k = np.arange(count)
+    faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
+    faces = faces[:, ::-1] if turned else faces
+    clip = from_window(corners, np.linspace(0.2, 0.8, len(corners)), np.ones(len(corners)), RESOLUTION)
+    hits = coverage(clip, faces, capacity=room_for_one())
+    assert hits.max() == 1
+    inner = np.zeros(RESOLUTION, bool)
+    inner[6:28, 14:36] = True
+    assert (hits[inner] == 1).all()
+    if whole:
+        # Of its outline, the left and bottom edges own their centres.
+        expected = np.zeros(RESOLUTION, int)
+        expected[4:28, 12:36] = 1
+        np.testing.assert_array_equal(hits, expected)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):
+    # Faces cross the near plane and the plane of the eye, reach behind it, and leave the guard band.
+    rng = np.random.default_rng(seed)
+    mesh = library_mesh("sphere", radius=1.0, subdivisions=1)
+    vertices = np.asarray(mesh.vertices) - [0, 1, 0]
+    vertices = vertices * np.exp(rng.uniform(-0.05, 0.05, (len(vertices), 1)))
+    stretched = jnp.asarray(vertices * np.exp(rng.uniform(-1, 3, 3)), jnp.float32)
+    eye = rng.uniform(-0.2, 0.2, 3)
+    camera = PinholeCamera(eye, eye + rng.normal(size=3), fov_y=rng.uniform(30, 110), near=0.01, far=100.0)
+    room = room_for_one()._replace(clipped=1)
+    np.testing.assert_array_equal(coverage(camera.view().clip(stretched), mesh.faces, capacity=room), 1)
+
+
+def test_both_halves_of_a_fine_mesh_cover_what_the_whole_covers():
+    mesh = library_mesh("torus", segments=48, sides=24)
+    camera = PinholeCamera((0.7, 0.6, 0.8), (0.0, 0.1, 0.0), near=0.05, far=4.0)
+    clip, resolution = camera.view().clip(mesh.vertices), (64, 64)
+    room = plan(clip, mesh.faces, resolution)
+    first = jnp.arange(len(mesh.faces)) % 2 == 0
+    point = jnp.zeros((1, 3), jnp.int32)
+    faces = [jnp.where(side[:, None], mesh.faces, point) for side in (first, ~first)]
+    seen = [rasterize(clip, half, resolution, cull="back", capacity=room).face >= 0 for half in (*faces, mesh.faces)]
+    np.testing.assert_array_equal(seen[0] | seen[1], seen[2])
+    assert np.sum(seen[2]) > 500
