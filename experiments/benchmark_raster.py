@@ -97,13 +97,13 @@ class Case:
         plan_time, self.capacity = timed(lambda: raster.plan(self.clip, mesh.faces, resolution, cull=CULL))
         draw = {"cull": CULL, "capacity": self.capacity}
         draw_time, self.fragments = timed(lambda: raster.rasterize(self.clip, mesh.faces, resolution, **draw))
-        corners = mesh.corner_normals.reshape(-1, 3)
+        corners = mesh.corner_normals
 
         @jax.jit
         def attributes(face, clip, vertices, faces, corners):
             at = raster.barycentrics(face, clip, faces)
             depth = raster.interpolate_depth(at, clip, faces)
-            normal = raster.interpolate_corners(at, corners, at.face[..., None] * 3 + jnp.arange(3))
+            normal = raster.interpolate_corners(at, corners)
             return depth, raster.interpolate(at, vertices, faces), normal
 
         @jax.jit

@@ -24,7 +24,7 @@ FACES = 1280
 def room() -> Capacity:
     """Room for every scene: as many triangles of any kind as a scene has, and all blocks of twenty whole images."""
     nothing = plan(jnp.zeros((3, 4)), jnp.zeros((1, 3), jnp.int32), (8, 8))
-    return Capacity(clipped=128, windows=(1024,) * len(nothing.windows), large=1024, blocks=4096)
+    return Capacity(clipped=128, windows=(1024,) * len(nothing.windows), large=1024, candidates=4096, blocks=4096)
 
 
 def draw(case: GoldenCase, room: Capacity, depth_format: str) -> Fragments:

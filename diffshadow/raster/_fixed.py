@@ -29,7 +29,7 @@ GUARD_BAND = 4096
 _FAR = 1 << 29
 
 
-def snap(window: Float[Array, "*n 2"]) -> Int[Array, "*n 2"]:
+def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Window coordinates in pixels, rounded to the nearest sub-pixel."""
     limit = float(2 * GUARD_BAND * SUBPIXELS)
     return jnp.round(jnp.clip(window * SUBPIXELS, -limit, limit)).astype(jnp.int32)

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
-from .._types import DepthMap, FaceMap, Faces, Resolution
+from .._types import Faces, Resolution
 from ._bins import WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._windows import Windows, count, windows, write_depth, write_depth_and_face
@@ -23,10 +23,12 @@ class Fragments(eqx.Module):
 
     - `face`: (h, w), index of the nearest face, `NO_FACE` where there is none.
     - `depth`: (h, w), its window depth as the depth buffer holds it, the clear value where there is none.
+
+    Of several views drawn at once, (b, h, w).
     """
 
-    face: FaceMap
-    depth: DepthMap
+    face: Int[Array, "*b h w"]
+    depth: Float[Array, "*b h w"]
 
 
 def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, cull: Cull = "none") -> Capacity:
@@ -90,7 +92,7 @@ def rasterize_depth(
     capacity: Capacity | None = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, capacity, with_face=False).depth
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, capacity, with_face=False)
 
 
 def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, *, with_face) -> Any:
@@ -121,43 +123,50 @@ def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cu
 
 
 @eqx.filter_jit
-def _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face) -> Fragments:
+def _rasterize(
+    clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face
+) -> Fragments | Float[Array, "*b h w"]:
     def prepare(clip: Array) -> tuple[Windows, Counts]:
         triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
         return windows(triangles, resolution, capacity, test, polygon_offset), count(triangles, resolution, capacity)
 
-    def write(ready: Windows, behind: Array | None) -> tuple[Array | None, Array]:
-        if with_face:
-            depth, face = write_depth_and_face(ready, resolution, test, behind)
-        else:
-            depth, face = write_depth(ready, resolution, test), None
-        return face, jnp.where(depth < jnp.inf, test.decode(depth), test.clear)
+    def write(ready: Windows, behind: Array | None, empty: tuple[Array, Array]) -> Fragments | Array:
+        no_face, clear = empty
+        decoded = lambda depth: jnp.where(depth < jnp.inf, test.decode(depth), clear)
+        if not with_face:
+            return decoded(write_depth(ready, resolution, test))
+        depth, face = write_depth_and_face(ready, resolution, test, behind)
+        return Fragments(jnp.where(face < 0, no_face, face), decoded(depth))
 
     if clip.ndim == 2:
         ready, counts = prepare(clip)
-        return Fragments(*write(_within_capacity(ready, counts, capacity), behind))
+        return write(ready, behind, _empty_within_capacity(counts, capacity, test))
     ready, counts = jax.vmap(prepare)(clip)
     # As many chunks for each view as the fullest needs: a loop of one length can run over all views together.
     used, counts = jax.tree.map(lambda n: n.max(axis=0), (ready.used, counts))
-    ready = _within_capacity(eqx.tree_at(lambda ready: ready.used, ready, used), counts, capacity)
+    ready = eqx.tree_at(lambda ready: ready.used, ready, used)
     axes = eqx.tree_at(lambda ready: ready.used, jax.tree.map(lambda _: 0, ready), None)
-    return Fragments(*jax.vmap(write, in_axes=(axes, None if behind is None else 0))(ready, behind))
+    views = jax.vmap(write, in_axes=(axes, None if behind is None else 0, None))
+    return views(ready, behind, _empty_within_capacity(counts, capacity, test))
 
 
-def _within_capacity(ready: Windows, counts: Counts, capacity: Capacity) -> Windows:
-    """The windows, checked to be all there are."""
+def _empty_within_capacity(counts: Counts, capacity: Capacity, test: DepthTest) -> tuple[Array, Array]:
+    """What a pixel that sees nothing holds, face and depth, checked that there is room for all triangles.
+
+    The check hangs on these since either result needs its own, also where no triangle is read for want of room.
+    """
+    # Clipping and large triangles come before their parts, whose counts are too low without room for them.
     names = ("clipped", "large", "candidates", "blocks")
     checks = [(name, getattr(counts, name), getattr(capacity, name)) for name in names]
     checks += [
         (f"windows[{k}] ({side} x {side} pixels)", counts.windows[k], room)
         for k, (side, room) in enumerate(zip(WINDOWS, capacity.windows, strict=True))
     ]
-    used = ready.used
-    for name, number, room in checks:
-        used = eqx.error_if(
-            used,
-            number > room,
-            f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
-            "expected at least as many as there are: call plan(...) on them, or give a larger Capacity",
-        )
-    return eqx.tree_at(lambda ready: ready.used, ready, used)
+    messages = [
+        f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
+        "expected at least as many as there are: call plan(...) on them, or give a larger Capacity"
+        for name, _, room in checks
+    ]
+    short = jnp.stack([number > room for _, number, room in checks])
+    empty = (jnp.int32(NO_FACE), jnp.float32(test.clear))
+    return eqx.branched_error_if(empty, jnp.any(short), jnp.argmax(short), messages)

@@ -85,7 +85,7 @@ def windows(
     if capacity.large and capacity.blocks:
         blocks = _kept_blocks(triangles, resolution, capacity)
         member, x, y = (jnp.concatenate(both) for both in zip((member, x, y), blocks, strict=True))
-        used, rooms = used.at[LARGE].set(jnp.sum(blocks.member >= 0)), (*rooms, capacity.blocks)
+        used, rooms = used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)), (*rooms, capacity.blocks)
     # One set-up for all classes, which is far quicker to compile than one for each.
     form = edge_form(triangles.corners(member), x, y, test, polygon_offset)
     return Windows(form, jnp.where(member >= 0, triangles.source[member], -1), used, rooms)
