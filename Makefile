@@ -44,7 +44,7 @@ constraints: ## pin the newest packages that fit together into constraints.txt (
 	@mv constraints.txt.new constraints.txt
 
 clean: ## remove .venv and all caches
-	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .benchmarks build dist constraints.txt.new
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist constraints.txt.new
 	find diffshadow experiments tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # With uv if there is one that works, else with the first Python that is new enough. A complete .venv is brought up to

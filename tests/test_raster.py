@@ -342,8 +342,9 @@ def test_a_batch_is_drawn_one_by_one():
         face, expected_depth = draw(clip)
         np.testing.assert_array_equal(batch.face[k], face)
         np.testing.assert_array_equal(mapped[k], face)
-        np.testing.assert_array_equal(batch.depth[k], expected_depth)
-        np.testing.assert_array_equal(depth[k], expected_depth)
+        # The last digit may differ: the compiler fuses other multiplications and additions.
+        np.testing.assert_allclose(batch.depth[k], expected_depth, rtol=0, atol=3e-7)
+        np.testing.assert_allclose(depth[k], expected_depth, rtol=0, atol=3e-7)
 
 
 @pytest.mark.parametrize("resolution", [(0, 4), (4, 8193)])

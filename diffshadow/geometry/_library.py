@@ -77,7 +77,7 @@ def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides:
 
 
 def torus_knot(
-    p: int = 2, q: int = 3, radius: Number = 0.28, tube: Number = 0.08, segments: int = 192, sides: int = 16
+    p: int = 2, q: int = 3, radius: Number = 0.28, tube: Number = 0.065, segments: int = 192, sides: int = 16
 ) -> Mesh:
     """An upright torus knot, by default a trefoil of 6,144 triangles.
 
