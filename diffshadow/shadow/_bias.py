@@ -59,7 +59,8 @@ class ConstantBias(AbstractBias):
 class SlopeBias(AbstractBias):
     """In proportion to the receiver's slope, `value · tan θ`, θ between normal and light. `value` is in texels.
 
-    Nearest look-ups on a plane need between 1/2 (slanted along an axis of the map) and 1/√2 (along a diagonal).
+    Under a directional light, nearest look-ups on a plane need between 1/2 (slanted along an axis of the map) and 1/√2
+    (along a diagonal). Aside from a spot light's axis the map's own slope differs from tan θ, and more may be needed.
     """
 
     value: Scalar = eqx.field(converter=as_float)
