@@ -134,7 +134,8 @@ def to_window(clip: Float[Array, "n 4"], resolution: Resolution) -> tuple[Array,
     w = clip[:, 3]
     # By the reciprocal, and scaled before it is shifted, as graphics hardware does.
     inverse = jnp.where(w == 0, 0, 1 / jnp.where(w == 0, 1, w))
-    return tuple(clip[:, k] * inverse * half + half for k, half in enumerate((width / 2, height / 2, 0.5)))
+    scaled = lambda k, half: clip[:, k] * inverse * half + half
+    return scaled(0, width / 2), scaled(1, height / 2), scaled(2, 0.5)
 
 
 def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Resolution) -> Box:
@@ -186,10 +187,10 @@ def _sides(clip: ClipVertices, faces: Faces, resolution: Resolution) -> tuple[Bo
 def _classify(
     x: Int[Array, " v"], y: Int[Array, " v"], faces: Faces, drawn: Array, resolution: Resolution, cull: Cull
 ) -> Int[Array, " f"]:
-    x, y = ([values[faces[:, k]] for k in range(3)] for values in (x, y))
-    area = cross(x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0])
+    xs, ys = ([values[faces[:, k]] for k in range(3)] for values in (x, y))
+    area = cross(xs[1] - xs[0], ys[1] - ys[0], xs[2] - xs[0], ys[2] - ys[0])
     facing = {"none": area != 0, "back": area > 0, "front": area < 0}[cull]
-    box = pixel_box(x, y, resolution)
+    box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1
     kept = drawn & facing & (box.left <= box.right) & (box.bottom <= box.top)
     size_class = sum((size > side).astype(jnp.int32) for side in WINDOWS)

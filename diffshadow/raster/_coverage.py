@@ -110,5 +110,6 @@ def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: Depth
     z = each(form.origin) + each(form.slope_x) * x + each(form.slope_y) * y
     z = jnp.clip(z, each(form.least), each(form.greatest))
     inside = inside & (z >= 0) & (z <= 1)
-    stored = test.encode(jnp.clip(z + each(form.offset), 0, 1))
+    # Never -0, whose bits would order it otherwise.
+    stored = test.encode(jnp.abs(jnp.clip(z + each(form.offset), 0, 1)))
     return jnp.where(inside & test.passes_clear(stored), stored, jnp.inf)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
@@ -103,7 +104,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces)
     if capacity is None:
-        if isinstance(clip, jax.core.Tracer) or isinstance(faces, jax.core.Tracer):
+        if isinstance(clip, Tracer) or isinstance(faces, Tracer):
             raise ValueError(
                 "rasterize was called inside jax.jit (or grad, or vmap) without a capacity; expected one, since shapes "
                 "must be known there: call plan(clip, faces, resolution) outside on typical values and pass its result"

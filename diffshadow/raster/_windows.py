@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import FaceMap, Resolution
@@ -33,6 +34,8 @@ _IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
 # Pixels that are evaluated at once.
 _CHUNK = 1 << 17
+# More blocks than any capacity holds.
+_MOST_BLOCKS = 1 << 30
 
 
 class Blocks(NamedTuple):
@@ -48,7 +51,10 @@ def count(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> C
     candidates = blocks = jnp.int32(0)
     if capacity.large:
         _, tiles = _large(triangles, resolution, capacity)
-        candidates = jnp.sum(tiles.columns * tiles.rows)
+        touched = tiles.columns * tiles.rows
+        # Hundreds of thousands of faces as large as the map would wrap the integer round; none has room for that many.
+        too_many = jnp.sum(touched.astype(jnp.float32)) > _MOST_BLOCKS
+        candidates = jnp.where(too_many, _MOST_BLOCKS, jnp.sum(touched, dtype=jnp.int32))
     if capacity.large and capacity.candidates:
         _, hit = _hit_blocks(triangles, resolution, capacity)
         blocks = jnp.sum(hit)
@@ -183,7 +189,7 @@ def _write(
     windows: Windows,
     stored: Callable[[EdgeForm, Int[Array, " n"], int], Array],
     nothing: float | int,
-    dtype: type,
+    dtype: DTypeLike,
     resolution: Resolution,
 ) -> Array:
     """The least of what is `stored` (n, side, side) by any window at every pixel.
