@@ -78,14 +78,15 @@ def test_what_lies_outside_the_mask_does_not_count(metric):
     assert metric(image, reference, mask) != metric(image, reference)
 
 
-def test_false_rates_count_plainly_wrong_pixels_only():
+def test_false_rates_count_a_pixel_by_the_light_it_is_wrong_about():
     reference, image = edge(), edge()
     image[2, 8] = 0.0  # acne
-    image[3, 8] = 0.4  # acne, by the nearer side
-    image[4, 8] = 0.6  # merely dim
+    image[3, 8] = 0.25  # acne, filtered
+    image[4, 8] = 0.75
     image[5, 1] = 1.0  # a leak
+    image[6, 1] = 0.5
     assert false_shadow_rate(image, reference) == 2 / 100
-    assert false_light_rate(image, reference) == 1 / 100
+    assert false_light_rate(image, reference) == 1.5 / 100
 
 
 @pytest.mark.parametrize(("band", "shadow", "light"), [(0, 10, 10), (1, 0, 10), (2, 0, 0)])

@@ -46,7 +46,7 @@ def print_fit(
         table.add_row(Text(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
     table.add_section()
     for key, label in ERRORS.items():
-        unit = "of pixels" if key.endswith("_rate") else ("visibility" if key in ("rmse", "mae") else "")
+        unit = "of light" if key.endswith("_rate") else ("visibility" if key in ("rmse", "mae") else "")
         table.add_row(label, number(key, before[key]), number(key, after[key]), unit)
     console.print(table)
 
