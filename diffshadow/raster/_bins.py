@@ -19,7 +19,7 @@ from .._misc import round_up_to_power_of_two
 from .._types import ClipVertices, Faces, Resolution
 from ._clip import FAN, clip_triangles, needs_clipping
 from ._compact import Ranks, compact, rank_in_class
-from ._fixed import cross, first_centre, last_centre, snap
+from ._fixed import first_centre, last_centre, signed_area, snap
 
 Cull = Literal["none", "back", "front"]
 
@@ -188,7 +188,7 @@ def _classify(
     x: Int[Array, " v"], y: Int[Array, " v"], faces: Faces, drawn: Array, resolution: Resolution, cull: Cull
 ) -> Int[Array, " f"]:
     xs, ys = ([values[faces[:, k]] for k in range(3)] for values in (x, y))
-    area = cross(xs[1] - xs[0], ys[1] - ys[0], xs[2] - xs[0], ys[2] - ys[0])
+    area = signed_area(xs, ys)
     facing = {"none": area != 0, "back": area > 0, "front": area < 0}[cull]
     box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1

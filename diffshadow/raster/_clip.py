@@ -34,13 +34,6 @@ def needs_clipping(clip: Float[Array, "*n 4"], resolution: Resolution) -> Bool[A
     return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
 
 
-def outside_frustum(corners: Float[Array, "n 3 4"]) -> Bool[Array, " n"]:
-    """Whether all three corners lie outside the same plane of the view frustum."""
-    x, y, z, w = (corners[..., k] for k in range(4))
-    outside = [x > w, x < -w, y > w, y < -w, z > w, z < -w]
-    return jnp.stack([jnp.all(side, axis=-1) for side in outside]).any(axis=0)
-
-
 def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Float[Array, "n fan 3 4"]:
     """The parts of triangles inside the near plane and the guard band.
 

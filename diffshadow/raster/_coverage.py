@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import safe_divide
 from ._bins import Corners
 from ._depth_test import DepthTest
-from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, is_clockwise, owns_edge
+from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
 
 # A centre may lie outside its unsnapped triangle by half a sub-pixel, and its depth beyond the corners' by this share
 # of their range; a sliver's would run far further, and is held back.
@@ -56,7 +56,7 @@ def edge_form(
     - `polygon_offset`: (2,), OpenGL's factor and units.
     """
     corner_x, corner_y = corners.snapped()
-    turn = jnp.where(is_clockwise(corner_x, corner_y), -1, 1)
+    turn = jnp.where(signed_area(corner_x, corner_y) < 0, -1, 1)
     centre_x, centre_y = ((pixel << SUBPIXEL_BITS) + SUBPIXELS // 2 for pixel in (x, y))
     edges = []
     for k, following in enumerate((1, 2, 0)):

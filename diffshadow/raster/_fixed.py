@@ -17,7 +17,7 @@ sign alone matters.
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
@@ -52,9 +52,9 @@ def cross(ax: Int[Array, "*n"], ay: Int[Array, "*n"], bx: Int[Array, "*n"], by: 
     return jnp.where(jnp.abs(estimate) < _FAR, wrapped, estimate)
 
 
-def is_clockwise(x: Sequence[Int[Array, "*n"]], y: Sequence[Int[Array, "*n"]]) -> Bool[Array, "*n"]:
-    """Whether the three corners at fixed-point `x` and `y` turn clockwise."""
-    return cross(x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0]) < 0
+def signed_area(x: Sequence[Int[Array, "*n"]], y: Sequence[Int[Array, "*n"]]) -> Float[Array, "*n"]:
+    """Twice the area of triangles with corners at fixed-point `x` and `y`, negative clockwise; its sign is exact."""
+    return cross(x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0])
 
 
 def edge_at_pixel(
