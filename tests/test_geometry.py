@@ -18,6 +18,7 @@ from diffshadow.geometry import (
     PinholeCamera,
     SpotLight,
     face_normals,
+    infinite_far,
     library_mesh,
     look_at,
     merge,
@@ -86,6 +87,18 @@ def test_perspective_maps_the_corners_of_its_frustum_to_those_of_the_clip_cube()
         clip = transform_points(matrix, corner)
         assert float(clip[3]) == pytest.approx(distance)
         np.testing.assert_allclose(divided(clip), [2 * x - 1, 2 * y - 1, 2 * z - 1], atol=1e-5)
+
+
+def test_infinite_far_is_the_limit_of_far_planes_and_sees_infinity_at_depth_one():
+    sides, near = jnp.array([-0.4, 0.6]), jnp.array(0.5)
+    endless = infinite_far(perspective(sides, sides, near, jnp.array(20.0)), near)
+    farther = perspective(sides, sides, near, jnp.array(1e7))
+    points = cloud(3.0) - jnp.array([0.0, 0.0, 8.0])
+    np.testing.assert_allclose(transform_points(endless, points), transform_points(farther, points), rtol=1e-6)
+    # Window depth 1 - near / z.
+    np.testing.assert_allclose(divided(transform_points(endless, points))[:, 2], 1 + 1 / points[:, 2], atol=1e-6)
+    at_infinity = np.asarray(points) @ np.asarray(endless)[:, :3].T
+    np.testing.assert_array_equal(at_infinity[:, 2], at_infinity[:, 3])
 
 
 def test_orthographic_maps_the_corners_of_its_box_to_those_of_the_clip_cube():

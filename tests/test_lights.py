@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow.geometry import DirectionalLight, PinholeCamera, SpotLight, library_mesh
+from diffshadow.geometry import (
+    DirectionalLight,
+    PinholeCamera,
+    PointLight,
+    RectangleLight,
+    Scene,
+    SpotLight,
+    library_mesh,
+)
 
 SCALES = [0.01, 1.0, 100.0]
 
@@ -129,12 +137,100 @@ def test_points_of_a_lights_disk_lie_on_it():
     assert lamp.has_size
 
 
+def test_points_of_a_rectangle_light_fill_its_rectangle():
+    points = cloud(1.0, n=4)
+    corners = jnp.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    light = RectangleLight.around(jnp.array([3.0, 5.0, 4.0]), points, (0.6, 0.2), up=jnp.array([0.0, 0.0, 1.0]))
+    offset = np.asarray(light.towards(points, corners) - light.towards(points))
+    np.testing.assert_allclose(offset @ np.asarray(light.direction), 0, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(offset[1] - offset[0]), 0.6, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(offset[2] - offset[1]), 0.2, rtol=1e-5)
+    np.testing.assert_allclose(np.dot(offset[1] - offset[0], offset[2] - offset[1]), 0, atol=1e-6)
+    # Its width lies level with respect to `up`, and its height rises along it.
+    assert abs(offset[1, 2] - offset[0, 2]) < 1e-5
+    assert offset[2, 2] - offset[1, 2] > 0.05
+    assert light.domain == "square"
+    assert light.has_size
+    assert not RectangleLight.around(jnp.array([3.0, 5.0, 4.0]), points, (0.0, 0.0)).has_size
+
+
+def test_rectangle_light_has_the_shadow_map_of_a_spot_light_at_its_centre():
+    points, place = cloud(1.0), jnp.array([3.0, 5.0, 4.0])
+    spot, panel = SpotLight.around(place, points), RectangleLight.around(place, points, (1.0, 0.5))
+    np.testing.assert_array_equal(panel.view().matrix, spot.view().matrix)
+    on_its_side = RectangleLight.around(place, points, (1.0, 0.5), up=jnp.array([1.0, 0.0, 0.0]))
+    assert np.abs(divided(on_its_side.view().clip(points))).max() <= 1
+
+
+def test_samples_of_a_sphere_lie_on_the_cone_that_touches_it():
+    light, points = PointLight((0.3, 0.5, -0.2), 0.1, 10, radius=0.4), 2 + cloud(1.0, n=50)
+    rim = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    outline = jnp.asarray(np.stack([np.cos(rim), np.sin(rim)], axis=-1), jnp.float32)
+    centre, ways = np.asarray(light.towards(points)), np.asarray(light.towards(points, outline))
+    distance = np.linalg.norm(centre, axis=-1)
+    # Each vector to the outline ends on the sphere, where it is at right angles to the radius.
+    np.testing.assert_allclose(np.linalg.norm(ways - centre, axis=-1), 0.4, rtol=1e-4)
+    np.testing.assert_allclose(np.sum(ways * (ways - centre), axis=-1), 0, atol=1e-5)
+    cosine = np.sum(ways * centre, axis=-1) / np.linalg.norm(ways, axis=-1) / distance
+    np.testing.assert_allclose(np.arccos(cosine), np.arcsin(0.4 / distance), rtol=1e-3)
+    # The samples of the whole disk lie in the plane of its rim, and opposite ones on opposite sides of its centre.
+    opposite = np.asarray(light.towards(points, -outline))
+    middle = (1 - (0.4 / distance) ** 2)[:, None] * centre
+    np.testing.assert_allclose((ways + opposite) / 2, middle, atol=1e-5)
+    np.testing.assert_allclose(light.towards(points, 0 * outline), middle, atol=1e-5)
+
+
+def test_vectors_to_a_sphere_are_finite_within_it_and_on_it_and_so_are_their_derivatives():
+    light = PointLight((0, 0, 0), 0.1, 10, radius=1.0)
+    points = jnp.array([[0.0, 0, 0], [0.5, 0, 0], [1, 0, 0], [0, 0, -1], [0, 1, 0], [0, 0, -3]])
+    sample = jnp.full((6, 2), 0.5)
+    total = lambda light, points: jnp.sum(light.towards(points, sample) ** 2)
+    for gradient in jax.tree.leaves(eqx.filter_grad(lambda both: total(*both))((light, points))):
+        assert np.isfinite(gradient).all()
+    # From within, the disk is the section through the centre.
+    within = np.asarray(light.towards(points, sample) + points)[:2]
+    np.testing.assert_allclose(np.linalg.norm(within, axis=-1), math.sqrt(0.5), rtol=1e-5)
+    np.testing.assert_allclose(within[1, 0], 0, atol=1e-6)
+
+
+def test_cone_is_full_inside_and_obeyed_only_where_an_inner_angle_is_given():
+    down = lambda inner: SpotLight((0, 2, 0), (0, -1, 0), 30, 0.1, 10, inner_angle=inner)
+    way = lambda degrees: jnp.array([[math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0.0]])
+    ways = jnp.concatenate([way(degrees) for degrees in (0, 9.9, 20, 30.1, 80)])
+    np.testing.assert_array_equal(down(None).cone(ways), 1)
+    share = np.asarray(down(10).cone(ways))
+    np.testing.assert_allclose(share[[0, 1, 3, 4]], [1, 1, 0, 0], atol=1e-6)
+    assert 0 < share[2] < 1
+    # With both angles alike the rim is hard.
+    np.testing.assert_array_equal(down(30).cone(jnp.concatenate([way(29.9), way(30.1)])), [1, 0])
+
+
+def test_scene_holds_one_light_or_several():
+    mesh, camera = library_mesh("box"), PinholeCamera((0, 1, 5), (0, 0, 0))
+    sun, lamp = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -4, 4), PointLight((0, 3, 0), 0.1, 10)
+    one, two = Scene(mesh, camera, sun), Scene(mesh, camera, [sun, lamp])
+    assert one.lights == (sun,)
+    assert one.light is sun
+    assert two.lights == (sun, lamp)
+    assert [two.lit_by(k).light for k in range(2)] == [sun, lamp]
+    with pytest.raises(ValueError, match=r"has 2 lights, and only one is expected here.*lit_by\(index\)"):
+        _ = two.light
+    for index in (-1, 2):
+        with pytest.raises(ValueError, match=f"no light {index}; expected an index from 0 to 1"):
+            two.lit_by(index)
+    with pytest.raises(ValueError, match="no light; expected a light"):
+        Scene(mesh, camera, [])
+    brighter = eqx.tree_at(lambda scene: scene.light.angular_radius, one, jnp.asarray(2.0))
+    assert float(brighter.light.angular_radius) == 2
+
+
 def test_bad_lights_are_refused():
     points = cloud(1.0)
     sun = DirectionalLight.around(jnp.array([0.0, -1.0, 0.0]), points)
     lamp = SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points)
     sun_options = {name: getattr(sun, name) for name in ("direction", "center", "extent", "near", "far")}
     lamp_options = {name: getattr(lamp, name) for name in ("position", "direction", "outer_angle", "near", "far")}
+    panel_options = lamp_options | {"size": (1.0, 0.5)}
     for kind, options, bad, message in [
         (
             DirectionalLight,
@@ -151,6 +247,13 @@ def test_bad_lights_are_refused():
         (SpotLight, lamp_options, {"near": 9.0, "far": 1.0}, "near = 9.0 and far = 1.0"),
         (SpotLight, lamp_options, {"outer_angle": 90.0}, "expected degrees between 0 and 90"),
         (SpotLight, lamp_options, {"radius": -1.0}, "expected world units, 0 or more"),
+        (SpotLight, lamp_options, {"position": (0, math.inf, 0)}, "spot light's position"),
+        (SpotLight, lamp_options, {"inner_angle": 89.0}, r"inner_angle is 89\.0; expected degrees from 0 to its outer"),
+        (SpotLight, lamp_options, {"inner_angle": -1.0}, r"inner_angle is -1\.0"),
+        (RectangleLight, panel_options, {"size": (1.0, -1.0)}, r"size is \[1\.0, -1\.0\]; expected world units"),
+        (RectangleLight, panel_options, {"up": (0, 0, 0)}, r"up is \[0\.0, 0\.0, 0\.0\]; expected a finite"),
+        (RectangleLight, panel_options, {"outer_angle": 0.0}, "rectangle light's outer_angle"),
+        (RectangleLight, panel_options, {"far": 0.0}, "rectangle light has near"),
     ]:
         with pytest.raises(ValueError, match=message):
             kind(**(options | bad))
@@ -158,6 +261,8 @@ def test_bad_lights_are_refused():
         DirectionalLight.around(jnp.zeros(3), points)
     with pytest.raises(ValueError, match="eye and target are both"):
         SpotLight.around(jnp.ones(3), points, target=jnp.ones(3))
+    with pytest.raises(ValueError, match=r"rectangle light at .* stands inside the scene"):
+        RectangleLight.around(jnp.array([0.3, 0.5, 0.3]), points, (1.0, 1.0))
 
 
 def test_lights_and_cameras_can_be_traced():

@@ -11,9 +11,12 @@ import diffshadow.geometry as geometry
 from diffshadow.geometry import (
     AbstractLight,
     DirectionalLight,
+    Domain,
     Mesh,
     OrthographicCamera,
     PinholeCamera,
+    PointLight,
+    RectangleLight,
     Scene,
     SpotLight,
     View,
@@ -261,6 +264,46 @@ def test_penumbra_of_half_plane_is_the_segment_of_a_disk_cut_by_a_chord(light_ki
     assert np.sqrt(np.mean(error**2)) < 0.006
 
 
+def over_half_plane(light, samples=256):
+    """Columns and visibility of a floor at heights 2 and 1 below the light and the edge of a half plane over x < 0."""
+    occluder = quad((-20, 1, 0), (20, 0, 0), (0, 0, -20))
+    camera = OrthographicCamera((0, 0.9, 0), (0, 0, 0), (0, 0, -1), height=0.5, near=0.1, far=2, resolution=(16, 64))
+    reference = trace_visibility(Scene(merge([floor(), occluder]), camera, light), samples, seed=1)
+    return reference.position, reference.visibility
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_penumbra_of_half_plane_is_a_ramp_under_a_rectangle(turned):
+    size, up = ((0.2, 1.0), (1.0, 0.0, 0.0)) if turned else ((1.0, 0.2), (0.0, 0.0, -1.0))
+    light = RectangleLight((0, 2, 0), (0, -1, 0), size, 80, 0.1, 3, up)
+    position, visibility = over_half_plane(light)
+    # A ray from x to the light's point at X passes the edge where X > -x: of X in [-1/2, 1/2] the share 1/2 + x.
+    expected = np.clip(0.5 + position[..., 0], 0, 1)
+    error = visibility - expected
+    assert np.sqrt(np.mean(error**2)) < 2e-3
+    assert np.abs(error).max() < 0.02
+
+
+def test_penumbra_of_half_plane_under_a_sphere_is_that_of_its_outline():
+    radius = 0.5
+    position, visibility = over_half_plane(PointLight((0, 2, 0), 0.1, 3, radius=radius))
+    # The plane through a point (x, 0, z) and the edge has the normal (1, x, 0), and what lies on its right is seen. It
+    # cuts the outline's disk, which faces the point, along a chord.
+    p = position.astype(np.float64)
+    to_centre = np.array([0, 2, 0]) - p
+    distance = np.linalg.norm(to_centre, axis=-1, keepdims=True)
+    w = to_centre / distance
+    normal = np.stack([1 + 0 * p[..., 0], p[..., 0], 0 * p[..., 0]], -1)
+    centre = (distance - radius**2 / distance) * w
+    rim = radius * np.sqrt(1 - (radius / distance[..., 0]) ** 2)
+    across = np.linalg.norm(normal - np.sum(normal * w, -1, keepdims=True) * w, axis=-1)
+    chord = np.clip(-np.sum(normal * centre, -1) / (rim * across), -1, 1)
+    expected = (np.arccos(chord) - chord * np.sqrt(1 - chord**2)) / np.pi
+    assert np.mean((expected > 0.05) & (expected < 0.95)) > 0.2
+    assert np.sqrt(np.mean((visibility - expected) ** 2)) < 0.006
+    assert np.abs(np.mean(visibility - expected)) < 1e-3
+
+
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_sphere_is_dark_beyond_its_terminator(size):
     camera = OrthographicCamera((0, 0, 5), (0, 0, 0), height=2.2, near=0.1, far=10, resolution=(48, 48))
@@ -342,12 +385,19 @@ class CrossLight(AbstractLight):
     def view(self) -> View:
         raise NotImplementedError
 
-    def towards(self, points: Float[Array, "*n 3"], disk: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+    def layer(self, points: Float[Array, "*n 3"]) -> None:
+        return None
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
         centre = self.position - points
-        if disk is None:
+        if sample is None:
             return centre
-        bowl = jnp.stack([disk[..., 0], jnp.sum(disk**2, axis=-1), disk[..., 1]], axis=-1)
+        bowl = jnp.stack([sample[..., 0], jnp.sum(sample**2, axis=-1), sample[..., 1]], axis=-1)
         return centre + 0.5 * bowl
+
+    @property
+    def domain(self) -> Domain:
+        return "disk"
 
     @property
     def is_directional(self) -> bool:
@@ -367,7 +417,33 @@ def test_light_of_any_shape_is_traced_by_its_own_vectors():
     assert (trace_visibility(spot, 8).visibility != fast.visibility).any()
 
 
+@pytest.mark.parametrize("kind", ["sphere", "rectangle"])
+def test_area_lights_agree_with_float64_in_nearly_every_ray(kind):
+    flat = small_scene("pinhole", "spot", pixels=24)
+    place, target = flat.light.position, jnp.array([0.0, 0.4, 0.0])
+    light = {
+        "sphere": lambda: PointLight.around(place, flat.mesh.vertices, radius=0.5),
+        "rectangle": lambda: RectangleLight.around(place, flat.mesh.vertices, (1.2, 0.5), target=target),
+    }[kind]()
+    scene = Scene(flat.mesh, flat.camera, light)
+    fast, exact = (trace(scene, 12, seed=3) for trace in (trace_visibility, trace_visibility_exact))
+    assert np.mean((exact.visibility > 0) & (exact.visibility < 1)) > 0.05
+    assert 12 * np.abs(fast.visibility - exact.visibility).sum() <= 3e-4 * 12 * fast.mask.sum()
+
+
 # --- Use ---
+
+
+def test_of_several_lights_each_is_traced_alone():
+    flat = small_scene("pinhole", "spot", pixels=16)
+    lights = [flat.light, sun()]
+    both = Scene(flat.mesh, flat.camera, lights)
+    for k, light in enumerate(lights):
+        alone = trace_visibility(Scene(flat.mesh, flat.camera, light))
+        np.testing.assert_array_equal(trace_visibility(both.lit_by(k)).visibility, alone.visibility)
+    for refuse in (trace_visibility, trace_visibility_exact, cache_key):
+        with pytest.raises(ValueError, match=r"has 2 lights.*lit_by\(index\)"):
+            refuse(both)
 
 
 def test_progress_rises_to_one_in_the_calling_thread(monkeypatch):
@@ -480,5 +556,16 @@ def test_cache_key_changes_with_all_that_matters_and_with_nothing_else():
         cache_key(small_scene("pinhole", "spot", size=0.5, pixels=9), 16, "sobol", 0),
     ):
         assert not same_key(key, other)
+    lit_by = lambda light: cache_key(Scene(scene.mesh, scene.camera, light), 16, "sobol", 0)
+    place, near, far = scene.light.position, scene.light.near, scene.light.far
+    bulb = PointLight(place, near, far, scene.light.radius)
+    panel = RectangleLight(place, scene.light.direction, (0.5, 0.5), scene.light.outer_angle, near, far)
+    wider = RectangleLight(place, scene.light.direction, (0.6, 0.5), scene.light.outer_angle, near, far)
+    keys = [lit_by(light) for light in (scene.light, bulb, panel, wider)]
+    assert not any(len(flatten(a)) == len(flatten(b)) and same_key(a, b) for i, a in enumerate(keys) for b in keys[:i])
+    narrow = SpotLight(
+        place, scene.light.direction, scene.light.outer_angle, near, far, scene.light.radius, inner_angle=1.0
+    )
+    assert same_key(key, lit_by(narrow))
     hard = small_scene("pinhole", "spot", pixels=8)
     assert same_key(cache_key(hard, 16, "sobol", 0), cache_key(hard, 64, "stratified", 7))

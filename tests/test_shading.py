@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow.geometry import DirectionalLight, OrthographicCamera, PinholeCamera, SpotLight
+from diffshadow.geometry import DirectionalLight, OrthographicCamera, PinholeCamera, PointLight, SpotLight
 from diffshadow.raster import Surface
-from diffshadow.shading import Attenuation, Phong
+from diffshadow.shading import AbstractShading, Attenuation, ModulatedShadow, Phong
 
 ALBEDO = (0.5, 0.25, 1.0)
 UP = (0.0, 1.0, 0.0)
@@ -27,16 +27,16 @@ def sun(direction=(0.0, -1.0, 0.0)) -> DirectionalLight:
     return DirectionalLight.around(jnp.asarray(direction), jnp.asarray([[-1.0, -1, -1], [1, 1, 1]]))
 
 
-def spot(height: float, outer_angle: float = 30.0) -> SpotLight:
-    return SpotLight((0, height, 0), (0, -1, 0), outer_angle, 0.1, 10.0)
+def spot(height: float, inner_angle: float | None = None) -> SpotLight:
+    return SpotLight((0, height, 0), (0, -1, 0), 30.0, 0.1, 10.0, inner_angle=inner_angle)
 
 
 def camera(eye=(0.0, 2.0, 0.0)) -> PinholeCamera:
     return PinholeCamera(eye, (0, 0, 0), up=(0, 0, 1), resolution=(1, 1))
 
 
-def pixel(phong: Phong, surface: Surface, light, *, visibility=1.0, eye=None) -> np.ndarray:
-    return np.asarray(phong(surface, jnp.full((1, 1), visibility), light, eye or camera()))[0, 0]
+def pixel(shading: AbstractShading, surface: Surface, light, *, visibility=1.0, eye=None) -> np.ndarray:
+    return np.asarray(shading(surface, jnp.full((1, 1), visibility), light, eye or camera()))[0, 0]
 
 
 def test_facing_lit_plane_is_ambient_plus_diffuse_plus_specular():
@@ -69,9 +69,9 @@ def test_orthographic_eye_looks_along_its_axis_everywhere():
     np.testing.assert_allclose(far_off, np.add(ALBEDO, 1), rtol=1e-6)
 
 
-@pytest.mark.parametrize("light", [sun(), spot(3.0)])
+@pytest.mark.parametrize("light", [sun(), spot(3.0), spot(3.0, inner_angle=10)])
 def test_shadow_never_touches_ambient(light):
-    phong = Phong(ambient=(0.1, 0.2, 0.3), intensity=5.0, specular=1.0, inner_angle=10)
+    phong = Phong(ambient=(0.1, 0.2, 0.3), intensity=5.0, specular=1.0)
     np.testing.assert_array_equal(
         pixel(phong, surface(), light, visibility=0.0), np.multiply(ALBEDO, np.float32([0.1, 0.2, 0.3]))
     )
@@ -99,14 +99,69 @@ def test_attenuation_with_distance():
 
 
 def test_cone_is_full_inside_dark_outside_and_half_between():
-    phong = Phong(ambient=0, intensity=1, specular=0, inner_angle=10)
+    phong = Phong(ambient=0, intensity=1, specular=0)
     middle = math.acos((math.cos(math.radians(10)) + math.cos(math.radians(30))) / 2)
     for angle, share in ((0.0, 1.0), (math.radians(9.9), 1.0), (middle, 0.5), (math.radians(30.1), 0.0)):
         x = 2 * math.tan(angle)
         cosine = math.cos(angle)
         np.testing.assert_allclose(
-            pixel(phong, surface(position=(x, 0, 0)), spot(2.0)), np.multiply(ALBEDO, cosine * share), atol=2e-4
+            pixel(phong, surface(position=(x, 0, 0)), spot(2.0, inner_angle=10)),
+            np.multiply(ALBEDO, cosine * share),
+            atol=2e-4,
         )
+
+
+def test_light_from_a_point_falls_off_with_distance_alone():
+    phong = Phong(ambient=0, intensity=1, specular=0, attenuation=Attenuation(1.0, 0.0, 1.0))
+    light = PointLight((0, 1, 0), 0.1, 10)
+    seen = pixel(phong, surface(position=(math.sqrt(3), 0, 0)), light)
+    np.testing.assert_allclose(seen, np.multiply(ALBEDO, 0.5 / 5), rtol=1e-5)
+
+
+# --- Several lights ---
+
+
+def test_several_lights_add_up_and_ambient_counts_once():
+    phong, at, eye = Phong(ambient=0.2, intensity=0.4), surface(), camera((1.0, 2.0, 0.0))
+    lights, visibilities = [sun((0.5, -1.0, 0.0)), spot(3.0), PointLight((1, 1, 1), 0.1, 10)], [0.25, 1.0, 0.5]
+    shares = [jnp.full((1, 1), v) for v in visibilities]
+    ambient = np.multiply(ALBEDO, 0.2)
+    each = [pixel(phong, at, light, visibility=v, eye=eye) for light, v in zip(lights, visibilities, strict=True)]
+    expected = ambient + sum(alone - ambient for alone in each)
+    np.testing.assert_allclose(np.asarray(phong(at, shares, lights, eye))[0, 0], expected, rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(phong(at, jnp.stack(shares), lights, eye))[0, 0], expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("shading", [Phong(), ModulatedShadow()])
+def test_every_light_needs_its_visibility(shading):
+    with pytest.raises(ValueError, match="1 visibilities for 2 lights"):
+        shading(surface(), [jnp.ones((1, 1))], [sun(), spot(2.0)], camera())
+
+
+# --- Modulated shadow ---
+
+
+@pytest.mark.parametrize(("factor", "visibility"), [(0.5, 0.0), (0.5, 1.0), (0.25, 0.4), (0.0, 0.0), (1.0, 0.0)])
+def test_modulated_shadow_multiplies_the_lit_colour_ambient_and_highlight_included(factor, visibility):
+    lit = Phong(ambient=0.3, intensity=0.5, specular=0.4)
+    seen = pixel(ModulatedShadow(lit, factor), surface(), sun(), visibility=visibility)
+    expected = (factor + (1 - factor) * visibility) * pixel(lit, surface(), sun())
+    np.testing.assert_allclose(seen, expected, rtol=1e-6)
+
+
+def test_modulated_shadow_halves_by_default_and_leaves_the_background_alone():
+    np.testing.assert_allclose(
+        pixel(ModulatedShadow(), surface(), sun(), visibility=0.0), pixel(Phong(), surface(), sun()) / 2, rtol=1e-6
+    )
+    nothing = surface(normal=(0, 0, 0), mask=False)
+    np.testing.assert_allclose(pixel(ModulatedShadow(), nothing, sun(), visibility=0.0), Phong().background, rtol=1e-6)
+
+
+def test_modulated_shadows_of_several_lights_multiply():
+    lights, shares = [sun(), spot(2.0)], [jnp.full((1, 1), v) for v in (0.0, 0.5)]
+    lit = Phong()(surface(), jnp.ones((2, 1, 1)), lights, camera())
+    seen = ModulatedShadow(Phong(), 0.5)(surface(), shares, lights, camera())
+    np.testing.assert_allclose(seen, 0.5 * 0.75 * np.asarray(lit), rtol=1e-6)
 
 
 def test_background_shows_where_there_is_no_surface():
@@ -130,8 +185,8 @@ def test_gradients_are_finite_everywhere(model, where):
         at = Surface(position, normal, normal, where.albedo, where.face, where.mask)
         return jnp.sum(phong(at, visibility, light, camera()))
 
-    phong = Phong(model=model, inner_angle=10, attenuation=Attenuation(1, 1, 1))
-    for light in (sun(), spot(2.0)):
+    phong = Phong(model=model, attenuation=Attenuation(1, 1, 1))
+    for light in (sun(), spot(2.0), spot(2.0, inner_angle=10)):
         at = (phong, where.position, where.shading_normal, jnp.ones((1, 1)), light)
         gradients = eqx.filter_grad(lambda args: brightness(*args))(at)
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradients))
@@ -148,7 +203,7 @@ def test_gradient_by_visibility_is_the_light_s_share():
     [
         (lambda: Phong(model="lambert"), "lambert"),
         (lambda: Phong(shininess=0.0), "shininess"),
-        (lambda: Phong(inner_angle=90.0), "inner_angle"),
+        (lambda: ModulatedShadow(factor=1.5), "factor"),
         (lambda: Attenuation(0.0, 1.0, 1.0), "attenuation"),
         (lambda: Attenuation(1.0, -1.0, 0.0), "attenuation"),
     ],

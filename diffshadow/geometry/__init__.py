@@ -4,11 +4,11 @@ from ._camera import AbstractCamera as AbstractCamera
 from ._camera import OrthographicCamera as OrthographicCamera
 from ._camera import PinholeCamera as PinholeCamera
 from ._camera import orbit_eye as orbit_eye
+from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
+from ._edges import Edges as Edges
+from ._edges import share_vertices as share_vertices
 from ._library import LIBRARY as LIBRARY
 from ._library import library_mesh as library_mesh
-from ._lights import AbstractLight as AbstractLight
-from ._lights import DirectionalLight as DirectionalLight
-from ._lights import SpotLight as SpotLight
 from ._mesh import Mesh as Mesh
 from ._mesh import face_normals as face_normals
 from ._mesh import merge as merge
@@ -17,6 +17,7 @@ from ._normals import weld as weld
 from ._placement import drop_to_ground as drop_to_ground
 from ._placement import fit_to_size as fit_to_size
 from ._scene import Scene as Scene
+from ._transforms import infinite_far as infinite_far
 from ._transforms import look_at as look_at
 from ._transforms import orthographic as orthographic
 from ._transforms import perspective as perspective
@@ -26,3 +27,9 @@ from ._transforms import transform_points as transform_points
 from ._transforms import transform_vectors as transform_vectors
 from ._transforms import translation as translation
 from ._view import View as View
+from .lights import AbstractLight as AbstractLight
+from .lights import DirectionalLight as DirectionalLight
+from .lights import Domain as Domain
+from .lights import PointLight as PointLight
+from .lights import RectangleLight as RectangleLight
+from .lights import SpotLight as SpotLight

@@ -61,6 +61,16 @@ def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], ne
     return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
 
 
+def infinite_far(projection: Mat4, near: Scalar) -> Mat4:
+    """A perspective `projection` with its far plane moved to infinity, and its near plane left where it is.
+
+    Window depth at distance `z` becomes `1 - near / z`, and points at infinity, whose `w` in eye space is 0, lie at
+    depth 1 exactly. `near` is a distance in world units.
+    """
+    row = jnp.stack([as_float(x) for x in (0, 0, -1, -2 * near)])
+    return projection.at[2].set(row)
+
+
 def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
     """OpenGL's parallel projection (`glOrtho`): clip space from eye space; all arguments in world units."""
     (left, right), (bottom, top) = left_right, bottom_top
@@ -74,15 +84,16 @@ def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], n
     return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
 
 
-def transform_points(matrix: Mat4, points: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide."""
+def transform_points(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
+    """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide; one matrix, or one for each point."""
+    return _linear(matrix[..., :, :3], points) + matrix[..., :, 3]
+
+
+def transform_vectors(matrix: Float[Array, "*m 4 4"], vectors: Float[Array, "*n 3"]) -> Float[Array, "*k 3"]:
+    """Image of `vectors` under the linear part of `matrix`; one matrix, or one for each vector."""
+    return _linear(matrix[..., :3, :3], vectors)
+
+
+def _linear(m: Float[Array, "*m r 3"], v: Float[Array, "*n 3"]) -> Float[Array, "*k r"]:
     # Written out rather than as a matrix product, whose precision some backends lower.
-    return (
-        points[..., 0:1] * matrix[:, 0] + points[..., 1:2] * matrix[:, 1] + points[..., 2:3] * matrix[:, 2]
-    ) + matrix[:, 3]
-
-
-def transform_vectors(matrix: Mat4, vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """Image of `vectors` under the linear part of `matrix`."""
-    m = matrix[:3, :3]
-    return vectors[..., 0:1] * m[:, 0] + vectors[..., 1:2] * m[:, 1] + vectors[..., 2:3] * m[:, 2]
+    return v[..., 0:1] * m[..., :, 0] + v[..., 1:2] * m[..., :, 1] + v[..., 2:3] * m[..., :, 2]

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._types import Mat4, Scalar
 from ._transforms import transform_points
@@ -11,25 +11,30 @@ from ._transforms import transform_points
 class View(eqx.Module):
     """A projection seen from somewhere.
 
-    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
+    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. A light that looks several ways has one for each,
+        (l, 4, 4), and projects alike in all.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
     - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units.
     - `is_perspective`: whether sizes shrink with distance.
     """
 
-    world_to_eye: Mat4
+    world_to_eye: Float[Array, "*l 4 4"]
     eye_to_clip: Mat4
     near: Scalar
     far: Scalar
     is_perspective: bool = eqx.field(static=True)
 
+    def facing(self, layer: Int[Array, "*n"]) -> "View":
+        """Of a light that looks several ways, the view of `layer` for each point."""
+        return eqx.tree_at(lambda view: view.world_to_eye, self, self.world_to_eye[layer])
+
     @property
-    def matrix(self) -> Mat4:
+    def matrix(self) -> Float[Array, "*l 4 4"]:
         """Clip space from world space, (4, 4)."""
         return jnp.matmul(self.eye_to_clip, self.world_to_eye, precision="highest")
 
-    def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-        """Clip coordinates of world `points`."""
+    def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
+        """Clip coordinates of world `points`; of a light that looks several ways, with one view for each point."""
         # Two steps keep the precision of small scenes far from the world's origin.
         eye = transform_points(self.world_to_eye, points)[..., :3]
         return transform_points(self.eye_to_clip, eye)
@@ -49,13 +54,14 @@ class View(eqx.Module):
             return self.far * self.near / (span * distance * distance)
         return jnp.broadcast_to(1 / span, jnp.shape(distance))
 
-    def texel_size(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n"]:
-        """Width of one texel (or pixel) of a map of `resolution`, in world units, at `distance` along the view axis.
-
-        The geometric mean of its width and its height.
-        """
+    def texel_extent(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n 2"]:
+        """Width and height of one texel (or pixel) of a map of `resolution`, in world units, at `distance` along the
+        view axis."""
         height, width = resolution
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
-        scale_x, scale_y = self.eye_to_clip[0, 0], self.eye_to_clip[1, 1]
-        at_unit = 2 / jnp.sqrt(scale_x * scale_y * width * height)
-        return at_unit * distance if self.is_perspective else jnp.broadcast_to(at_unit, jnp.shape(distance))
+        at_unit = 2 / jnp.stack([self.eye_to_clip[0, 0] * width, self.eye_to_clip[1, 1] * height])
+        return at_unit * (distance if self.is_perspective else jnp.ones_like(distance))[..., None]
+
+    def texel_size(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n"]:
+        """The geometric mean of a texel's width and height, in world units, at `distance` along the view axis."""
+        return jnp.sqrt(jnp.prod(self.texel_extent(distance, resolution), axis=-1))

@@ -10,25 +10,29 @@ from ._sampling import Sampler, check_sampling
 
 # Raise it whenever a change to this room changes the images it makes.
 _ALGORITHM = 1
+# Settings of lights that only shading obeys.
+_OF_SHADING = {"inner_angle"}
 
 
 def cache_key(scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines what `trace_visibility` answers.
 
-    Equal keys mean equal references. Shading normals and albedo, which cast no shadows, are left out, and so are
-    samples, sampler and seed of a light without size.
+    Equal keys mean equal references. Shading normals, albedo and a spot light's inner angle, which cast no shadows, are
+    left out, and so are samples, sampler and seed of a light without size.
 
-    **Raises** `ValueError` as `trace_visibility` does for `samples` and `sampler`.
+    **Raises** `ValueError` as `trace_visibility` does for several lights, `samples` and `sampler`.
     """
     check_sampling(samples, sampler)
-    sampling = (int(samples), str(sampler), int(seed)) if scene.light.has_size else (1, "centre", 0)
+    light = scene.light
+    sampling = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
     mesh = (np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces))
-    return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(scene.light))
+    return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(light))
 
 
 def _fields(module: Any) -> tuple[Any, ...]:
     """The module's class and its fields by name."""
-    values = ((field.name, getattr(module, field.name)) for field in dataclasses.fields(module))
+    names = (field.name for field in dataclasses.fields(module) if field.name not in _OF_SHADING)
+    values = ((name, getattr(module, name)) for name in names)
     return (type(module).__qualname__, *((name, _plain(value)) for name, value in values))
 
 

@@ -1,7 +1,8 @@
-"""Points of the unit disk, one set a pixel: which points of a light a pixel's shadow rays go to."""
+"""Samples of a light, one set a pixel: which points of it a pixel's shadow rays go to."""
 
 import difflib
 import math
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float, Float32, Int
 from scipy.stats import qmc
 
 from .._types import HostArray
+from ..geometry import Domain
 
 Sampler = Literal["sobol", "stratified"]
 """How points of a light are chosen. Both converge alike; `"stratified"` wants samples that are nearly a square."""
@@ -58,9 +60,19 @@ def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"
     return disk
 
 
-class DiskSampler:
-    """Chooses the points of the unit disk for any range of pixels, the same ones whatever the range.
+def _centred(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:
+    """The unit square as the square [-1, 1]²."""
+    one = square.dtype.type(1)
+    return 2 * square - one
 
+
+_MAPPINGS: dict[Domain, Callable[[HostArray], HostArray]] = {"disk": concentric_disk, "square": _centred}
+
+
+class LightSampler:
+    """Chooses the samples of a light for any range of pixels, the same ones whatever the range.
+
+    - `domain`: where they lie, as the light's own `domain` says.
     - `samples`: points a pixel.
     - `sampler`: `"sobol"`, one Owen-scrambled Sobol sequence, shifted for each pixel by a random vector modulo 1
       (Cranley and Patterson, "Randomization of number theoretic methods for multiple integration", SIAM Journal on
@@ -68,12 +80,13 @@ class DiskSampler:
       as `samples` divides.
     - `seed`: of all random choices.
 
-    The first half of a pixel's points covers the disk as evenly as the second half does, so that the difference of
+    The first half of a pixel's points covers the domain as evenly as the second half does, so that the difference of
     the two halves tells the error.
     """
 
-    def __init__(self, samples: int, sampler: str, seed: int):
+    def __init__(self, domain: Domain, samples: int, sampler: str, seed: int):
         check_sampling(samples, sampler)
+        self._map = _MAPPINGS[domain]
         self.samples = int(samples)
         self.seed = seed
         if sampler == "sobol":
@@ -84,15 +97,15 @@ class DiskSampler:
         else:
             self._points, self._cell = _grid(self.samples)
 
-    def disk(self, first: int, count: int, chosen: Int[HostArray, "n"] | slice = _ALL) -> Float32[HostArray, "n s 2"]:
-        """The points of pixels `first` to `first + count - 1`, or of those `chosen` among them, (n, samples, 2)."""
+    def points(self, first: int, count: int, chosen: Int[HostArray, "n"] | slice = _ALL) -> Float32[HostArray, "n s 2"]:
+        """The samples of pixels `first` to `first + count - 1`, or of those `chosen` among them, (n, samples, 2)."""
         if self._cell is None:
             square = _planar(self._points + _uniform(self.seed, first, (count, 1, 2))[chosen])
             square -= square >= 1
         else:
             jitter = _uniform(self.seed, first, (count, self.samples, 2))[chosen]
             square = _planar(self._points + jitter * self._cell)
-        return concentric_disk(square)
+        return self._map(square)
 
 
 def _planar(points: Float32[HostArray, "n s 2"]) -> Float32[HostArray, "n s 2"]:

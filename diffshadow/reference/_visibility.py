@@ -14,7 +14,7 @@ from ._embree import EmbreeTracer
 from ._lamp import Lamp
 from ._rays import CameraRays, Hits, Triangles, hits_on_planes
 from ._reference import Reference
-from ._sampling import DiskSampler, Sampler, check_sampling
+from ._sampling import LightSampler, Sampler, check_sampling
 from ._tracer import AbstractTracer
 
 # Rays of one batch: few enough to stay in cache and to bound memory at some tens of megabytes a thread.
@@ -35,12 +35,12 @@ def trace_visibility(
 
     A ray through each pixel's centre finds the surface between the camera's near and far distances; rays from there to
     points of the light say which of them are hidden. Every surface is two-sided, and the light is seen only from the
-    side that faces the camera: what lies below that side's horizon counts as dark. A spot light's cone, near and far
-    are not obeyed: they are settings of a shadow map, and the truth has none.
+    side that faces the camera: what lies below that side's horizon counts as dark. A light's cone, near and far are not
+    obeyed: they are settings of a shadow map, and the truth has none.
 
     **Arguments:**
 
-    - `scene`: concrete, not traced by JAX.
+    - `scene`: concrete, not traced by JAX, with one light; of several, trace `scene.lit_by(index)` for each.
     - `samples`: shadow rays a pixel, 1 to 65536. A light without size needs, and gets, just one, to its centre.
     - `sampler`: `"sobol"` or `"stratified"`.
     - `seed`: of the sample points; any integer that is not negative. The same arguments give the same image,
@@ -49,7 +49,8 @@ def trace_visibility(
 
     **Returns:** a `Reference`.
 
-    **Raises** `ValueError` if the camera sees no surface, `samples` or `seed` is out of range, or `sampler` is unknown.
+    **Raises** `ValueError` if the scene has several lights, the camera sees no surface, `samples` or `seed` is out of
+    range, or `sampler` is unknown.
     """
     return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress)
 
@@ -96,10 +97,11 @@ def trace_with(
     check_sampling(samples, sampler)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
-    disk = DiskSampler(samples, sampler, int(seed)) if scene.light.has_size else _CENTRE
-    job = _Job(make_tracer, scene, disk)
+    light = scene.light
+    sampling = LightSampler(light.domain, samples, sampler, int(seed)) if light.has_size else _CENTRE
+    job = _Job(make_tracer, scene, sampling)
     job.run(progress)
-    return job.reference(samples=disk.samples, visibility=job.visibility)
+    return job.reference(samples=sampling.samples, visibility=job.visibility)
 
 
 class _Centre:
@@ -107,7 +109,7 @@ class _Centre:
 
     samples = 1
 
-    def disk(self, first: int, count: int, chosen: Int[HostArray, "n"]) -> Float32[HostArray, "n 1 2"]:
+    def points(self, first: int, count: int, chosen: Int[HostArray, "n"]) -> Float32[HostArray, "n 1 2"]:
         return np.zeros((len(chosen), 1, 2), dtype=np.float32)
 
 
@@ -115,15 +117,15 @@ _CENTRE = _Centre()
 
 
 class _Job:
-    """One image being traced; images are kept as flat lists of pixels. No shadow rays where `disk` is `None`."""
+    """One image being traced; images are kept as flat lists of pixels. No shadow rays where `sampling` is `None`."""
 
     def __init__(
         self,
         make_tracer: Callable[[Triangles], AbstractTracer],
         scene: Scene,
-        disk: DiskSampler | _Centre | None,
+        sampling: LightSampler | _Centre | None,
     ):
-        self.scene, self.disk = scene, disk
+        self.scene, self.sampling = scene, sampling
         self.triangles = Triangles(scene.mesh)
         self.rays = CameraRays(scene.camera, self.triangles)
         self.lamp = Lamp(scene.light, self.triangles)
@@ -137,7 +139,7 @@ class _Job:
 
     def run(self, progress: Callable[[float], None] | None) -> None:
         """Traces all pixels, batch by batch, on all cores; the tracer and NumPy run outside the interpreter lock."""
-        step = max(1, _BATCH // (self.disk.samples if self.disk else 1))
+        step = max(1, _BATCH // (self.sampling.samples if self.sampling else 1))
         starts = range(0, self.size, step)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             batches = [pool.submit(self._trace, first, min(step, self.size - first)) for first in starts]
@@ -178,16 +180,16 @@ class _Job:
         self.face[pixel] = hits.face
         self.position[pixel] = self.triangles.to_world(hits.position)
         self.normal[pixel] = hits.normal
-        if self.disk is None:
+        if self.sampling is None:
             return
-        lit = self._lit(hits, self.disk.disk(first, count, seen))
+        lit = self._lit(hits, self.sampling.points(first, count, seen))
         self.visibility[pixel] = lit.mean(axis=1, dtype=np.float64)
         self.standard_error[pixel] = self._standard_error(lit)
 
-    def _lit(self, hits: Hits, disk: Float32[HostArray, "n s 2"]) -> Bool[HostArray, "n s"]:
-        """Which of the points `disk` (n, s, 2) of the light each of `hits` sees, (n, s)."""
+    def _lit(self, hits: Hits, samples: Float32[HostArray, "n s 2"]) -> Bool[HostArray, "n s"]:
+        """Which of `samples` (n, s, 2) of the light each of `hits` sees, (n, s)."""
         start = self.tracer.start(hits)
-        direction, height = self.lamp.vectors(start, hits.normal, disk.astype(self.tracer.dtype, copy=False))
+        direction, height = self.lamp.vectors(start, hits.normal, samples.astype(self.tracer.dtype, copy=False))
         # What lies below the horizon is dark: no ray needed.
         lit = height > 0
         if lit.all():

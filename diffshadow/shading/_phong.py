@@ -1,9 +1,10 @@
-"""Ambient, diffuse and specular reflection of one light (Phong 1975, Blinn 1977).
+"""Ambient, diffuse and specular reflection of lights (Phong 1975, Blinn 1977).
 
-    image = albedo · ambient + visibility · arriving · (albedo · max(N·L, 0) + specular · highlight)
+    image = albedo · ambient + Σ visibility · arriving · (albedo · max(N·L, 0) + specular · highlight)
     arriving = intensity · attenuation(distance) · cone
 
-Shadow takes away what comes from the light itself, and never the ambient part. All colours are linear.
+with the sum over the lights. Shadow takes away what comes from the light itself, and never the ambient part. All
+colours are linear.
 """
 
 from typing import Any, Literal
@@ -14,9 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._misc import as_float, concrete, dot, normalize, safe_norm
-from .._types import Scalar, Vec3, VectorMap, Visibility
+from .._types import Scalar, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight, SpotLight
 from ..raster import Surface
+from ._abstract import AbstractShading, Lights, Visibilities, each_light
 
 Model = Literal["blinn_phong", "phong"]
 
@@ -50,22 +52,22 @@ class Attenuation(eqx.Module):
         return 1 / (self.constant + self.linear * distance + self.quadratic * distance**2)
 
 
-class Phong(eqx.Module):
-    """Reflection of a light by surfaces that are partly matt and partly glossy.
+class Phong(AbstractShading):
+    """Reflection of lights by surfaces that are partly matt and partly glossy.
 
-    - `ambient`: (3,), light that comes from everywhere and that nothing shadows.
-    - `intensity`: (3,), of the light; a matt white surface that faces it shines with this much.
+    - `ambient`: (3,), light that comes from everywhere and that nothing shadows; it counts once, however many lights
+        there are.
+    - `intensity`: (3,), of the light; a matt white surface that faces it shines with this much. Several lights share
+        the one number, each shining with all of it: to keep the brightness, divide it among them.
     - `specular`: share of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: (3,), colour of pixels without a surface.
     - `attenuation`: with the distance to a light that is not directional.
-    - `inner_angle`: degrees. Inside this half-angle a spot light shines in full, and from there to its `outer_angle`
-        it fades by a smooth step in the cosine. Left out, its cone is not obeyed.
     - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H halfway between the ways to light and eye (Blinn 1977),
         or `"phong"`, (R·V)^shininess with R the mirrored light (Phong 1975).
 
-    Colours are linear, each a number or three.
+    Colours are linear, each a number or three. A spot light that has an inner angle lights its cone alone.
 
-    **Raises** `ValueError` if the model is unknown, the shininess not above 0, or the inner angle not in [0, 90).
+    **Raises** `ValueError` if the model is unknown or the shininess not above 0.
     """
 
     ambient: Vec3 = eqx.field(converter=_colour, default=0.3)
@@ -74,7 +76,6 @@ class Phong(eqx.Module):
     shininess: Scalar = eqx.field(converter=as_float, default=32.0)
     background: Vec3 = eqx.field(converter=_colour, default=0.9)
     attenuation: Attenuation = eqx.field(default_factory=Attenuation)
-    inner_angle: Scalar | None = eqx.field(converter=lambda x: None if x is None else as_float(x), default=None)
     model: Model = eqx.field(static=True, default="blinn_phong")
 
     def __check_init__(self):
@@ -83,31 +84,25 @@ class Phong(eqx.Module):
         shininess = concrete(self.shininess)
         if shininess is not None and not shininess > 0:
             raise ValueError(f"the shininess is {shininess}; expected more than 0")
-        inner = None if self.inner_angle is None else concrete(self.inner_angle)
-        if inner is not None and not 0 <= inner < 90:
-            raise ValueError(f"the inner_angle is {inner}; expected degrees in [0, 90)")
 
-    def __call__(
-        self, surface: Surface, visibility: Visibility, light: AbstractLight, camera: AbstractCamera
-    ) -> VectorMap:
-        """The image of `surface` lit by `light`, seen by `camera`.
+    def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
+        """The image of `surface`; arguments, result and errors are those of `AbstractShading`."""
+        to_camera = _towards_camera(surface, camera)
+        image = surface.albedo * self.ambient
+        for seen, each in each_light(visibility, light):
+            image = image + seen[..., None] * self._reflected(surface, each, to_camera)
+        return jnp.where(surface.mask[..., None], image, self.background)
 
-        **Arguments:**
-
-        - `visibility`: (h, w), of the light, in [0, 1].
-
-        **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable, without NaN, by all arguments.
-        """
+    def _reflected(self, surface: Surface, light: AbstractLight, to_camera: VectorMap) -> VectorMap:
+        """What the surface makes of an unshadowed light, ambient light apart."""
         path = light.towards(surface.position)
         to_light = normalize(path)
         normal = surface.shading_normal
         cosine = jnp.maximum(dot(normal, to_light), 0)[..., None]
-        highlight = self._highlight(normal, to_light, _towards_camera(surface, camera))[..., None]
+        highlight = self._highlight(normal, to_light, to_camera)[..., None]
         # A surface turned away from the light has no highlight either.
         reflected = surface.albedo * cosine + self.specular * jnp.where(cosine > 0, highlight, 0)
-        arriving = (visibility * self._fall_off(path, to_light, light))[..., None] * self.intensity
-        image = surface.albedo * self.ambient + arriving * reflected
-        return jnp.where(surface.mask[..., None], image, self.background)
+        return self._fall_off(path, to_light, light)[..., None] * self.intensity * reflected
 
     def _highlight(self, normal: VectorMap, to_light: VectorMap, to_camera: VectorMap) -> Float[Array, "h w"]:
         if self.model == "blinn_phong":
@@ -123,13 +118,7 @@ class Phong(eqx.Module):
         if light.is_directional:
             return jnp.ones(path.shape[:-1])
         share = self.attenuation(safe_norm(path))
-        if self.inner_angle is None or not isinstance(light, SpotLight):
-            return share
-        outer = jnp.cos(jnp.deg2rad(light.outer_angle))
-        # An inner angle beyond the outer one makes the cone's rim hard.
-        width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)
-        t = jnp.clip((-dot(to_light, normalize(light.direction)) - outer) / width, 0, 1)
-        return share * t * t * (3 - 2 * t)
+        return share * light.cone(to_light) if isinstance(light, SpotLight) else share
 
 
 def _towards_camera(surface: Surface, camera: AbstractCamera) -> VectorMap:

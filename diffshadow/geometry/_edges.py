@@ -1,0 +1,134 @@
+"""Edges of a mesh and the faces that meet in them: where silhouettes can be.
+
+An edge outlines its mesh, seen from a point, where one of its faces is turned to the point and the other is averted,
+or where there is no other. Which faces meet in which edges does not change when vertices move, so the table is made
+once, on the host.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .._misc import as_int, concrete
+from .._types import HostArray
+from ._mesh import Mesh
+
+NO_NEIGHBOUR = -1
+"""What an edge's second face is where it has none."""
+
+
+class Edges(eqx.Module):
+    """The edges of a mesh. Vertices at the same place count as one, whatever their indices.
+
+    - `vertices`: (e, 2), the ends, indices into the mesh's vertices; of several at one place, the first. The first
+        face runs along the edge from the first end to the second.
+    - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` where the first has none.
+    - `directions`: (e, 2), +1 where the face runs along the edge from its first end to its second, -1 where it runs
+        back, 0 where there is no face. The first is always +1; the second is -1 where both faces are wound alike.
+    - `component`: (f,), the connected part of the mesh that each face belongs to.
+    - `solid`: (c,), whether a component bounds a volume: it is closed, and its faces are anticlockwise seen from
+        outside, measured by its volume, which must be positive.
+    - `is_closed`: whether the whole mesh is closed: every edge is run along as often one way as the other.
+
+    An edge in which three or more faces meet has a row for each of them, without a second face, so that it always
+    counts as an outline. Faces with two corners at one place have no edges; those whose three corners merely lie on a
+    line have.
+    """
+
+    vertices: Int[Array, "e 2"]
+    faces: Int[Array, "e 2"]
+    directions: Int[Array, "e 2"]
+    component: Int[Array, " f"]
+    solid: Bool[Array, " c"]
+    is_closed: bool = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> "Edges":
+        """The edges of `mesh`.
+
+        Only vertices at exactly the same place are taken for one; `weld` merges those that are merely close.
+
+        **Raises** `ValueError` if the mesh is traced.
+        """
+        vertices, faces = concrete(mesh.vertices), concrete(mesh.faces)
+        if vertices is None or faces is None:
+            raise ValueError(
+                "the edges of a mesh were asked for inside jax.jit (or grad, or vmap); expected concrete vertices and "
+                "faces: call Edges.of(mesh) outside, and pass the edges in"
+            )
+        faces = share_vertices(mesh)
+        runs = _Runs(faces)
+        component = _components(runs, len(faces))
+        balanced = np.bincount(runs.edge, runs.direction, runs.count) == 0
+        closed = np.ones(component.max() + 1, bool)
+        closed[component[runs.face[~balanced[runs.edge]]]] = False
+        volume = np.bincount(component, _signed_volumes(vertices, faces))
+        ends, meeting, directions = (as_int(values) for values in _rows(runs))
+        solid = jnp.asarray(closed & (volume > 0))
+        return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
+
+
+def share_vertices(mesh: Mesh) -> Int[HostArray, "f 3"]:
+    """The mesh's faces, with every vertex named by the first that lies at the same place; for concrete meshes.
+
+    Unlike `weld`, it keeps all faces, their order and the vertices, so that the result indexes `mesh.vertices`.
+    """
+    # Adding 0 makes -0 and 0 the same.
+    _, first, group = np.unique(np.asarray(mesh.vertices) + 0.0, axis=0, return_index=True, return_inverse=True)
+    return first[group.reshape(-1)][np.asarray(mesh.faces)]
+
+
+class _Runs:
+    """Every face's three sides, those along the same edge together.
+
+    - `start`, `end`: (n,), vertices; `face`: (n,); `direction`: (n,), whether it runs to the higher index, +1 or -1.
+    - `edge`: (n,), ascending; `count`: how many edges there are.
+    """
+
+    def __init__(self, faces: Int[HostArray, "f 3"]):
+        a, b, c = faces.T
+        whole = np.flatnonzero((a != b) & (b != c) & (c != a))
+        start = faces[whole].reshape(-1)
+        end = np.roll(faces[whole], -1, axis=1).reshape(-1)
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        order = np.lexsort((high, low))
+        self.start, self.end, self.face = start[order], end[order], np.repeat(whole, 3)[order]
+        self.direction = np.where(self.start < self.end, 1, -1)
+        low, high = low[order], high[order]
+        is_new = np.ones(len(order), bool)
+        is_new[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+        self.edge = np.cumsum(is_new) - 1
+        self.count = int(is_new.sum())
+
+
+def _rows(runs: _Runs) -> tuple[HostArray, HostArray, HostArray]:
+    """`vertices`, `faces` and `directions` of the table."""
+    meeting = np.bincount(runs.edge, minlength=runs.count)[runs.edge]
+    is_second = np.zeros(len(runs.edge), bool)
+    is_second[1:] = (meeting[1:] == 2) & (runs.edge[1:] == runs.edge[:-1])
+    first = np.flatnonzero(~is_second)
+    paired = meeting[first] == 2
+    # The two faces of a pair are neighbours in the list.
+    second = np.where(paired, first + 1, first)
+    vertices = np.stack([runs.start[first], runs.end[first]], axis=1)
+    faces = np.stack([runs.face[first], np.where(paired, runs.face[second], NO_NEIGHBOUR)], axis=1)
+    turn = runs.direction[first] * runs.direction[second]
+    return vertices, faces, np.stack([np.ones_like(turn), np.where(paired, turn, 0)], axis=1)
+
+
+def _components(runs: _Runs, count: int) -> Int[HostArray, " f"]:
+    """The connected part, numbered from 0, of each of `count` faces; faces that share an edge are connected."""
+    # Faces and edges are the nodes of a graph, in this order, and each face is linked to its edges.
+    links = coo_array((np.ones(len(runs.face), bool), (runs.face, count + runs.edge)), shape=(count + runs.count,) * 2)
+    _, label = connected_components(links, directed=False)
+    return label[:count]
+
+
+def _signed_volumes(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Float[HostArray, " f"]:
+    """The volume, in cubed world units, of the tetrahedron from the mesh's middle to each face; negative clockwise."""
+    corners = np.asarray(vertices, np.float64)[faces]
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return np.sum(a * np.cross(b, c), axis=-1) / 6

@@ -1,0 +1,8 @@
+"""Lights, one kind a file."""
+
+from ._abstract import AbstractLight as AbstractLight
+from ._abstract import Domain as Domain
+from ._directional import DirectionalLight as DirectionalLight
+from ._point import PointLight as PointLight
+from ._rectangle import RectangleLight as RectangleLight
+from ._spot import SpotLight as SpotLight

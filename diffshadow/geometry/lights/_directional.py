@@ -1,0 +1,96 @@
+"""Light from infinitely far away."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete, normalize
+from ..._types import Scalar, Vec2, Vec3
+from .._camera import check_near_far
+from .._transforms import frame, look_at, orthographic
+from .._view import View
+from ._abstract import UP, AbstractLight, Domain, check_direction
+from ._frustum import FLAT, MARGIN, on_plane
+
+
+class DirectionalLight(AbstractLight):
+    """Light from infinitely far away, such as the sun's.
+
+    - `direction`: (3,), the way the light travels; any length but 0.
+    - `center`: (3,), a world point on the axis of the shadow map's box.
+    - `extent`: (2,), width and height of that box in world units.
+    - `near`, `far`: where the box begins and ends along `direction`, measured from `center`, in world units; `near`
+        is negative where the box begins before `center`.
+    - `angular_radius`: half the angle under which the light's disk is seen, in degrees (the sun's is 0.27).
+
+    `DirectionalLight.around` fits the box to a scene.
+
+    **Raises** `ValueError` for a direction that is zero, an extent that is not positive, `near` not below `far`, or an
+    angular radius outside [0, 90).
+    """
+
+    direction: Vec3 = eqx.field(converter=as_float)
+    center: Vec3 = eqx.field(converter=as_float)
+    extent: Vec2 = eqx.field(converter=as_float)
+    near: Scalar = eqx.field(converter=as_float)
+    far: Scalar = eqx.field(converter=as_float)
+    angular_radius: Scalar = eqx.field(converter=as_float, default=0.0)
+
+    def __check_init__(self):
+        check_direction("the directional light", self.direction)
+        check_near_far("the directional light", self.near, self.far, positive=False)
+        extent, radius = concrete(self.extent), concrete(self.angular_radius)
+        if extent is not None and not (extent > 0).all():
+            raise ValueError(f"the directional light's extent is {extent.tolist()}; expected positive world units")
+        if radius is not None and not 0 <= radius < 90:
+            raise ValueError(f"the directional light's angular_radius is {radius}; expected degrees in [0, 90)")
+
+    @classmethod
+    def around(cls, direction: Vec3, points: Float[Array, "n 3"], angular_radius: float = 0.0) -> "DirectionalLight":
+        """The light along `direction` whose shadow map holds `points` (n, 3), tightly."""
+        direction = as_float(direction)
+        check_direction("the directional light", direction)
+        rows = frame(direction, as_float(UP))
+        local = jnp.matmul(points, rows.T, precision="highest")
+        low, high = local.min(axis=0), local.max(axis=0)
+        size = jnp.maximum(high - low, FLAT * jnp.max(high - low)) * (1 + 2 * MARGIN)
+        return cls(
+            direction=direction,
+            center=jnp.matmul((low + high) / 2, rows, precision="highest"),
+            extent=size[:2],
+            near=-size[2] / 2,
+            far=size[2] / 2,
+            angular_radius=angular_radius,
+        )
+
+    def view(self) -> View:
+        half = self.extent / 2
+        sides = jnp.array([-1.0, 1.0])
+        return View(
+            world_to_eye=look_at(self.center, self.direction, as_float(UP)),
+            eye_to_clip=orthographic(half[0] * sides, half[1] * sides, self.near, self.far),
+            near=self.near,
+            far=self.far,
+            is_perspective=False,
+        )
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+        backward = jnp.broadcast_to(-normalize(self.direction), points.shape)
+        if sample is None:
+            return backward
+        return backward + jnp.tan(jnp.deg2rad(self.angular_radius)) * on_plane(self.direction, as_float(UP), sample)
+
+    def layer(self, points: Float[Array, "*n 3"]) -> None:
+        return None
+
+    @property
+    def domain(self) -> Domain:
+        return "disk"
+
+    @property
+    def is_directional(self) -> bool:
+        return True
+
+    @property
+    def has_size(self) -> bool:
+        return float(self.angular_radius) > 0

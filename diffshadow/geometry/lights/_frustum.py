@@ -1,0 +1,98 @@
+"""What lights that shine one way share: frusta fitted to a scene, and points of a plane that faces along them."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete
+from ..._types import Scalar, Vec3
+from .._camera import check_near_far, check_pose
+from .._transforms import frame, look_at, perspective, transform_points
+from .._view import View
+from ._abstract import check_direction
+
+MARGIN = 0.01
+"""Room left round the scene in a fitted frustum, as a share of its extent: keeps its points clear of the border."""
+FLAT = 1e-3
+"""A scene that is flat seen from the light still gets a frustum this deep, as a share of its size or its distance."""
+# A light whose nearest point is closer than this share of its farthest counts as inside the scene.
+_NEAREST = 1e-3
+# The near plane stays this share of the farthest point's distance clear of the light: window depth spends its precision
+# there.
+_CLEAR = 1e-2
+
+
+class Frustum(NamedTuple):
+    """A square frustum: its axis (3,), half its opening in degrees, and where it begins and ends along the axis."""
+
+    direction: Vec3
+    outer_angle: Scalar | float
+    near: Scalar
+    far: Scalar
+
+    @classmethod
+    def around(
+        cls,
+        name: str,
+        position: Vec3,
+        points: Float[Array, "n 3"],
+        target: Vec3 | None,
+        up: Vec3,
+        outer_angle: float | None,
+    ) -> "Frustum":
+        """The frustum from `position` to `target`, by default the middle of the points' box, that just holds `points`.
+
+        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
+        and `outer_angle` is left out.
+        """
+        target = (points.min(axis=0) + points.max(axis=0)) / 2 if target is None else as_float(target)
+        check_pose(name, position, target)
+        eye = transform_points(look_at(position, target - position, up), points)[..., :3]
+        distance = -eye[..., 2]
+        # What lies behind the light casts no shadow; if all does, the frustum is as long as the scene is far.
+        high = jnp.max(distance)
+        high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
+        low = jnp.clip(jnp.min(distance), 0, high)
+        if outer_angle is None:
+            if not bool(_is_clear(low, high)):
+                raise ValueError(
+                    f"{name} at {position.tolist()} stands inside the scene, so no cone holds all of it; expected a "
+                    "position outside, or an outer_angle in degrees: move the light or give the angle"
+                )
+            tangent = jnp.max(jnp.abs(eye[..., :2]) / distance[..., None]) * (1 + 2 * MARGIN)
+            outer_angle = float(jnp.rad2deg(jnp.arctan(tangent)))
+        return cls(target - position, outer_angle, *near_far(low, high))
+
+
+def near_far(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
+    """Near and far for what lies at distances `low` to `high`; `low` is 0 where the light stands amid it."""
+    pad = jnp.maximum(MARGIN * (high - low), FLAT / 2 * high)
+    clear = _CLEAR * high
+    near = jnp.maximum(low - pad, jnp.where(_is_clear(low, high), jnp.minimum(clear, (1 - MARGIN) * low), clear))
+    return near, high + pad
+
+
+def _is_clear(low: Scalar, high: Scalar) -> Array:
+    return low > _NEAREST * high
+
+
+def frustum_view(position: Vec3, direction: Vec3, up: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> View:
+    """The view of a square frustum of half-angle `outer_angle`, in degrees."""
+    sides = jnp.tan(jnp.deg2rad(outer_angle)) * jnp.array([-1.0, 1.0])
+    return View(look_at(position, direction, up), perspective(sides, sides, near, far), near, far, is_perspective=True)
+
+
+def check_frustum(name: str, direction: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> None:
+    """**Raises** `ValueError` unless the direction is not zero, 0 < near < far and the angle lies in (0, 90)."""
+    check_direction(name, direction)
+    check_near_far(name, near, far, positive=True)
+    angle = concrete(outer_angle)
+    if angle is not None and not 0 < angle < 90:
+        raise ValueError(f"{name}'s outer_angle is {angle}; expected degrees between 0 and 90")
+
+
+def on_plane(direction: Vec3, up: Vec3, place: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+    """Offsets by `place` to the right and up, seen by who looks along `direction`."""
+    right, up, _ = frame(direction, up)
+    return place[..., 0:1] * right + place[..., 1:2] * up

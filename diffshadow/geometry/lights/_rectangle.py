@@ -1,0 +1,87 @@
+"""Light from a rectangle."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from ..._misc import as_float
+from ..._types import Scalar, Vec2, Vec3
+from .._view import View
+from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
+from ._frustum import Frustum, check_frustum, frustum_view, on_plane
+
+
+class RectangleLight(AbstractLight):
+    """Light from a rectangle, such as a panel or a window. Its shadow map is drawn from its centre, as a spot light's.
+
+    - `position`: (3,), its centre, world units.
+    - `direction`: (3,), the way it faces; any length but 0.
+    - `size`: (2,), width and height, world units.
+    - `outer_angle`: half the opening of the shadow map's square frustum, in degrees.
+    - `near`, `far`: distances along `direction` of window depth 0 and 1, world units.
+    - `up`: (3,), the way that its height runs, as far as it is at right angles to `direction`; the shadow map stands
+        upright along it too.
+
+    `RectangleLight.around` fits angle, near and far to a scene.
+
+    **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, a negative size, an
+    angle outside (0, 90), or near and far that are not 0 < near < far.
+    """
+
+    position: Vec3 = eqx.field(converter=as_float)
+    direction: Vec3 = eqx.field(converter=as_float)
+    size: Vec2 = eqx.field(converter=as_float)
+    outer_angle: Scalar = eqx.field(converter=as_float)
+    near: Scalar = eqx.field(converter=as_float)
+    far: Scalar = eqx.field(converter=as_float)
+    up: Vec3 = eqx.field(converter=as_float, default=UP)
+
+    def __check_init__(self):
+        check_position("the rectangle light", self.position)
+        check_frustum("the rectangle light", self.direction, self.outer_angle, self.near, self.far)
+        check_size("the rectangle light", "size", self.size)
+        check_direction("the rectangle light", self.up, "up")
+
+    @classmethod
+    def around(
+        cls,
+        position: Vec3,
+        points: Float[Array, "n 3"],
+        size: Vec2 | tuple[float, float],
+        *,
+        target: Vec3 | None = None,
+        outer_angle: float | None = None,
+        up: Vec3 | None = None,
+    ) -> "RectangleLight":
+        """The light of `size` at `position` whose near, far and, unless given, frustum just hold `points` (n, 3).
+
+        It faces `target`, by default the middle of the points' box.
+
+        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
+        and `outer_angle` is left out.
+        """
+        position, up = as_float(position), as_float(UP if up is None else up)
+        check_direction("the rectangle light", up, "up")
+        fitted = Frustum.around("the rectangle light", position, points, target, up, outer_angle)
+        return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
+
+    def view(self) -> View:
+        return frustum_view(self.position, self.direction, self.up, self.outer_angle, self.near, self.far)
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+        centre = self.position - points
+        return centre if sample is None else centre + on_plane(self.direction, self.up, sample * self.size / 2)
+
+    def layer(self, points: Float[Array, "*n 3"]) -> None:
+        return None
+
+    @property
+    def domain(self) -> Domain:
+        return "square"
+
+    @property
+    def is_directional(self) -> bool:
+        return False
+
+    @property
+    def has_size(self) -> bool:
+        return bool((self.size > 0).any())

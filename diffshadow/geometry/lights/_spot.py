@@ -1,0 +1,102 @@
+"""Light into a cone."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete, dot, normalize
+from ..._types import Scalar, Vec3
+from .._view import View
+from ._abstract import UP, AbstractLight, Domain, check_position, check_size
+from ._frustum import Frustum, check_frustum, frustum_view, on_plane
+
+
+class SpotLight(AbstractLight):
+    """Light from a point, or from a small disk round it, into a cone.
+
+    - `position`: (3,), world units.
+    - `direction`: (3,), the cone's axis, away from the light; any length but 0.
+    - `outer_angle`: half the cone's full opening, in degrees. The shadow map's square frustum encloses the cone.
+    - `near`, `far`: distances along the axis of window depth 0 and 1, world units.
+    - `radius`: of the disk that shines, which faces along `direction`; world units, 0 for a point.
+    - `inner_angle`: degrees. Inside this half-angle the light shines in full, and from there to `outer_angle` it fades
+        by a smooth step in the cosine. Left out, shading does not obey the cone. Visibility never does.
+
+    `SpotLight.around` fits angle, near and far to a scene.
+
+    **Raises** `ValueError` for a position that is not finite, a direction that is zero, angles that are not
+    0 <= inner <= outer < 90, near and far that are not 0 < near < far, or a negative radius.
+    """
+
+    position: Vec3 = eqx.field(converter=as_float)
+    direction: Vec3 = eqx.field(converter=as_float)
+    outer_angle: Scalar = eqx.field(converter=as_float)
+    near: Scalar = eqx.field(converter=as_float)
+    far: Scalar = eqx.field(converter=as_float)
+    radius: Scalar = eqx.field(converter=as_float, default=0.0)
+    inner_angle: Scalar | None = eqx.field(converter=lambda x: None if x is None else as_float(x), default=None)
+
+    def __check_init__(self):
+        check_position("the spot light", self.position)
+        check_frustum("the spot light", self.direction, self.outer_angle, self.near, self.far)
+        check_size("the spot light", "radius", self.radius)
+        inner = None if self.inner_angle is None else concrete(self.inner_angle)
+        outer = concrete(self.outer_angle)
+        if inner is not None and outer is not None and not 0 <= inner <= outer:
+            raise ValueError(
+                f"the spot light's inner_angle is {inner}; expected degrees from 0 to its outer_angle, {outer}"
+            )
+
+    @classmethod
+    def around(
+        cls,
+        position: Vec3,
+        points: Float[Array, "n 3"],
+        *,
+        target: Vec3 | None = None,
+        outer_angle: float | None = None,
+        radius: float = 0.0,
+        inner_angle: float | None = None,
+    ) -> "SpotLight":
+        """The light at `position` whose near, far and, unless given, cone just hold `points` (n, 3).
+
+        It looks at `target`, by default the middle of the points' box.
+
+        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
+        and `outer_angle` is left out.
+        """
+        position = as_float(position)
+        frustum = Frustum.around("the spot light", position, points, target, as_float(UP), outer_angle)
+        return cls(position, *frustum, radius, inner_angle)
+
+    def view(self) -> View:
+        return frustum_view(self.position, self.direction, as_float(UP), self.outer_angle, self.near, self.far)
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+        centre = self.position - points
+        return centre if sample is None else centre + self.radius * on_plane(self.direction, as_float(UP), sample)
+
+    def layer(self, points: Float[Array, "*n 3"]) -> None:
+        return None
+
+    def cone(self, to_light: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """The share of its light that the cone lets through along unit vectors to the light, (...,): 1 in full."""
+        if self.inner_angle is None:
+            return jnp.ones(to_light.shape[:-1])
+        outer = jnp.cos(jnp.deg2rad(self.outer_angle))
+        # Equal angles make the cone's rim hard.
+        width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)
+        t = jnp.clip((-dot(to_light, normalize(self.direction)) - outer) / width, 0, 1)
+        return t * t * (3 - 2 * t)
+
+    @property
+    def domain(self) -> Domain:
+        return "disk"
+
+    @property
+    def is_directional(self) -> bool:
+        return False
+
+    @property
+    def has_size(self) -> bool:
+        return float(self.radius) > 0

@@ -1,0 +1,47 @@
+"""What shading is."""
+
+import abc
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import VectorMap, Visibility
+from ..geometry import AbstractCamera, AbstractLight
+from ..raster import Surface
+
+Lights = AbstractLight | Sequence[AbstractLight]
+Visibilities = Float[Array, "*l h w"] | Sequence[Visibility]
+
+
+class AbstractShading(eqx.Module):
+    """A way to turn visibility into a picture."""
+
+    @abc.abstractmethod
+    def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
+        """The image of `surface` lit by `light`, seen by `camera`.
+
+        **Arguments:**
+
+        - `light`: one light, or several in a sequence.
+        - `visibility`: (h, w), of the light, in [0, 1]; of several lights, one for each, (l, h, w) or in a sequence.
+
+        **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable, without NaN, by all arguments.
+
+        **Raises** `ValueError` unless there are as many visibilities as lights.
+        """
+
+
+def each_light(visibility: Visibilities, light: Lights) -> list[tuple[Visibility, AbstractLight]]:
+    """Each light with its visibility.
+
+    **Raises** `ValueError` unless there are as many visibilities as lights.
+    """
+    if isinstance(light, AbstractLight):
+        return [(jnp.asarray(visibility), light)]
+    if len(visibility) != len(light):
+        raise ValueError(
+            f"there are {len(visibility)} visibilities for {len(light)} lights; expected one, (h, w), for each light"
+        )
+    return list(zip(visibility, light, strict=True))

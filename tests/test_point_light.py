@@ -1,0 +1,283 @@
+"""Point lights: six faces that meet without seams, and shadows that agree with rays."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import quad, shadows, technique
+from scipy import ndimage
+
+from diffshadow.geometry import Mesh, PinholeCamera, PointLight, Scene, SpotLight, library_mesh, merge
+from diffshadow.raster import Capacity, Surface, draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import Bilinear, Nearest, PercentageCloser, RandomDisk, ShadowMap, draw_shadow_map, stratified
+
+AXES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
+PLACE = (0.3, -0.2, 0.1)
+# Room for any of these scenes, so that those of one size share one compiled rasterizer.
+CAPACITY = Capacity(clipped=16, windows=(32, 32, 32, 32, 32), large=32, candidates=1024, blocks=1024)
+
+
+def directions(n=500):
+    """Random ones, and those to the middles of the cube's edges and to its corners."""
+    whole = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
+    return np.concatenate([np.random.default_rng(0).normal(size=(n, 3)), whole[np.any(whole != 0, axis=1)]])
+
+
+def facing(points, light) -> Surface:
+    """Surfaces at `points` (h, w, 3) that face the light."""
+    points = jnp.asarray(points, jnp.result_type(float))
+    normal = light.position - points
+    normal = normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
+    shape = points.shape[:2]
+    return Surface(points, normal, normal, jnp.ones_like(points), jnp.zeros(shape, int), jnp.ones(shape, bool))
+
+
+def cube(half=1.0, center=(0.0, 0.0, 0.0)) -> Mesh:
+    box = library_mesh("box")
+    return Mesh((box.vertices - jnp.array([0, 0.5, 0])) * 2 * half + jnp.asarray(center), box.faces)
+
+
+def draw(mesh, light, texels=128) -> ShadowMap:
+    """The map of a mesh of four cubes at most, filled up to as many with faces that have no area."""
+    vertices, faces = 32 - len(mesh.vertices), 48 - len(mesh.faces)
+    full = Mesh(jnp.pad(mesh.vertices, [(0, vertices), (0, 0)]), jnp.pad(mesh.faces, [(0, faces), (0, 0)]))
+    return draw_shadow_map(full, light, (texels, texels), capacity=CAPACITY)
+
+
+# --- Faces ---
+
+
+def test_every_point_falls_in_the_face_that_looks_along_its_largest_coordinate():
+    light = PointLight(PLACE, 0.1, 10, guard=0.25)
+    offset = directions()
+    layer = light.layer(jnp.asarray(PLACE + offset, jnp.float32))
+    assert set(np.asarray(layer).tolist()) == set(range(6))
+    along = np.sum(AXES[np.asarray(layer)] * offset, axis=-1)
+    np.testing.assert_allclose(along, np.abs(offset).max(axis=-1), rtol=1e-5)
+    clip = np.asarray(light.view().facing(layer).clip(jnp.asarray(PLACE + offset, jnp.float32)))
+    np.testing.assert_allclose(clip[:, 3], along, rtol=1e-5, atol=1e-6)
+    # The 90 degrees are the inner 1 / (1 + guard) of the face.
+    reach = np.abs(clip[:, :2] / clip[:, 3:]).max(axis=-1)
+    assert reach.max() == pytest.approx(1 / 1.25, rel=1e-5)
+
+
+def test_faces_hold_what_spot_lights_that_look_the_same_way_hold():
+    mesh = merge([cube(2.0), cube(0.3, (1.2, 0.4, 0.2)), cube(0.4, (-0.5, -1.3, -0.8)), cube(0.2, (0.2, 1.0, 0.5))])
+    light = PointLight(PLACE, 0.05, 5.0)
+    shadow_map = draw(mesh, light)
+    assert shadow_map.depth.shape == (6, 128, 128)
+    receivers = facing(PLACE + 4 * directions(520).reshape(2, -1, 3), light)
+    layer = np.asarray(light.layer(receivers.position))
+    mapping = technique(PercentageCloser(1.0), constant=1.0)
+    visibility = np.asarray(shadows(mapping, shadow_map, receivers))
+    assert 0.05 < visibility.mean() < 0.95
+    spots = [SpotLight(PLACE, axis, math.degrees(math.atan(1.1)), 0.05, 5.0) for axis in AXES]
+    for k, spot in enumerate(spots):
+        seen = draw(mesh, spot)
+        np.testing.assert_allclose(shadow_map.depth[k], seen.depth, atol=2e-6)
+        np.testing.assert_allclose(
+            visibility[layer == k], np.asarray(shadows(mapping, seen, receivers))[layer == k], atol=1e-3
+        )
+
+
+# --- Seams ---
+
+
+@pytest.mark.parametrize(("resolution", "guard"), [((64, 64), 0.1), ((40, 64), 0.3)])
+def test_guard_is_as_many_texels_wide_as_it_says(resolution, guard):
+    light = PointLight((0, 0, 0), 0.1, 10, guard=guard)
+    corner = light.view().facing(jnp.asarray(0)).clip(jnp.array([1.0, 1.0, 1.0]))
+    height, width = resolution
+    beyond = [(1 - abs(float(corner[k] / corner[3]))) / 2 * size for k, size in ((0, width), (1, height))]
+    assert light.guard_texels(resolution) == pytest.approx(min(beyond), rel=1e-4)
+
+
+KERNELS = {
+    "nearest": lambda texels: Nearest(),
+    "bilinear": lambda texels: Bilinear(),
+    "percentage closer": lambda texels: PercentageCloser(texels, 11.0),
+    "random disk": lambda texels: RandomDisk(texels - 0.5, stratified(4, 8), "bilinear", False),
+}
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_no_light_leaks_between_faces_while_taps_stay_within_the_guard(kernel):
+    # The light is boxed in, so that every tap on a face is dark and every tap beyond its border is lit.
+    box, light = cube(0.5), PointLight((0.1, -0.05, 0.2), 0.05, 8, guard=0.2)
+    texels = light.guard_texels((128, 128))
+    assert texels == pytest.approx(64 / 6)
+    w = np.linspace(-1, 1, 41)
+    along_edges = np.stack([np.stack([s + 0 * w, np.full_like(w, t), w], -1) for s in (-1, 1) for t in (-1, 1)])
+    receivers = np.concatenate([np.roll(along_edges, k, axis=-1) for k in range(3)]) * 3 + np.asarray(light.position)
+    mapping = technique(KERNELS[kernel](texels))
+    lit = lambda light: np.asarray(shadows(mapping, draw(box, light), facing(receivers, light)))
+    assert lit(light).max() < 1e-6
+    if kernel in ("percentage closer", "random disk"):
+        bare = eqx.tree_at(lambda light: light.guard, light, jnp.asarray(0.0))
+        assert lit(bare).max() > 0.3
+
+
+def half_plane(normal, center, shift=0.0) -> Mesh:
+    """In the plane through `center` at right angles to it, the side where `normal · p < shift`."""
+    axis = np.asarray(center, float) / np.linalg.norm(center)
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    inward = n - (n @ axis) * axis
+    slope = np.linalg.norm(inward)
+    inward = inward / slope
+    on_edge = np.asarray(center, float) + (shift - n @ np.asarray(center, float)) / slope * inward
+    return quad(on_edge - 5 * inward, 5 * np.cross(axis, inward), 5 * inward)
+
+
+@pytest.mark.parametrize("radius", [2.5, 5.0])
+@pytest.mark.parametrize("place", ["edge", "corner"])
+def test_visibility_has_no_jump_where_faces_meet(radius, place):
+    # Receivers a hair apart: on either side of the border between +x and +y, or one in each of three faces at a corner.
+    hair = 1e-5
+    if place == "edge":
+        w, center = np.linspace(-0.99, 0.99, 300), (1, 1, 0)
+        sides = [[1 + hair, 1, w], [1, 1 + hair, w]]
+    else:
+        w, center = np.ones(1), (1, 1, 1)
+        sides = [[1 + hair, 1, w], [1, 1 + hair, w], [1, 1, w + hair]]
+    receivers = 3 * np.stack([np.stack(np.broadcast_arrays(*side), -1) for side in sides])
+    cuts = [(0.3, 0.5, 1), (1, -1, 0.05), (1, -1, 0.3), (0.2, -0.4, 0.1)]
+
+    def jump(guard):
+        light = PointLight((0, 0, 0), 0.05, 10, guard=guard)
+        mapping, surface = technique(PercentageCloser(radius, 5.0)), facing(receivers, light)
+        assert set(np.unique(light.layer(surface.position))) == ({0, 2} if place == "edge" else {0, 2, 4})
+        found = []
+        for cut in cuts:
+            for shift in np.linspace(0, 0.05, 5):
+                shadow_map = draw(half_plane(cut, center, shift), light)
+                found.append(np.asarray(shadows(mapping, shadow_map, surface)))
+        found = np.stack(found)
+        assert np.any((found > 0.1) & (found < 0.9))
+        return np.ptp(found, axis=1).max()
+
+    # Within a face an outline is known to half a texel. On two faces it may so differ by one, which is this share of
+    # the box. Without a guard a receiver at the border has half its box beyond it, where all is lit.
+    assert jump(0.1) <= 1 / (2 * radius)
+    assert jump(0.0) > 0.25
+
+
+# --- Against rays ---
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    """A closed room with three things in it, one of which a border between faces crosses."""
+    things = [
+        cube(0.3, (0.9, 0.9, 0.1)),
+        cube(0.25, (-0.7, -0.9, -0.5)),
+        cube(0.2, (0.9, -0.6, -0.9)),
+    ]
+    mesh = merge([cube(2.0), *things])
+    camera = PinholeCamera((1.7, -0.1, 1.8), (-0.5, -0.2, -0.6), fov_y=100, near=0.05, far=12, resolution=(72, 96))
+    return Scene(mesh, camera, PointLight.around(jnp.array(PLACE), mesh.vertices))
+
+
+@pytest.fixture(scope="module")
+def room_images(room):
+    surface = draw_surface(room.mesh, room.camera, capacity=CAPACITY)
+    shadow_map = draw(room.mesh, room.light)
+    return surface, shadow_map, trace_visibility(room).visibility
+
+
+def near_outline(truth, pixels):
+    """Pixels within so many of a change of `truth`."""
+    window = 2 * pixels + 1
+    return ndimage.maximum_filter(truth, window) != ndimage.minimum_filter(truth, window)
+
+
+def test_hard_shadows_in_a_closed_room_agree_with_rays(room, room_images):
+    surface, shadow_map, truth = room_images
+    assert surface.mask.all()
+    assert 0.7 < truth.mean() < 0.95
+    assert len(np.unique(room.light.layer(surface.position))) == 6
+    visibility = np.asarray(shadows(technique(Nearest(), constant=1.0, slope=1.0), shadow_map, surface))
+    wrong = visibility != truth
+    assert wrong.mean() < 0.01
+    assert not wrong[~near_outline(truth, 2)].any()
+
+
+def test_filtered_shadows_in_a_closed_room_agree_with_rays_away_from_outlines(room_images):
+    surface, shadow_map, truth = room_images
+    # Where walls meet, the other wall rises by some texels within the box.
+    mapping = technique(PercentageCloser(2.5, 5.0), constant=6.0, slope=1.0)
+    visibility = np.asarray(shadows(mapping, shadow_map, surface))
+    far = ~near_outline(truth, 4)
+    assert far.mean() > 0.5
+    np.testing.assert_allclose(visibility[far], truth[far], atol=1e-6)
+    assert np.any((visibility > 0.2) & (visibility < 0.8))
+    assert np.abs(visibility - truth).mean() < 0.03
+
+
+# --- Fit of near and far ---
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("position", [(0, 0, 0), (5, 1, -2), (0.9, 0.2, 0.3), (3, 3, 3)])
+def test_point_light_around_holds_all_points(scale, position):
+    box = np.random.default_rng(1).uniform(-1, 1, (200, 3))
+    light = PointLight.around(scale * jnp.array(position, float), jnp.asarray(scale * box, jnp.float32))
+    reach = np.abs(box - np.array(position)).max(axis=-1) * scale
+    assert 0 < float(light.near) <= reach.min()
+    assert reach.max() <= float(light.far) <= 1.03 * reach.max()
+    outside = max(np.abs(position)) > 1
+    assert float(light.near) >= (0.9 * reach.min() if outside else 0.0099 * reach.max())
+
+
+def test_walls_nearer_than_their_corners_stay_within_near_and_far():
+    floor = quad((0, -1, 0), (30, 0, 0), (0, 0, -30))
+    light = PointLight.around(jnp.zeros(3), floor.vertices)
+    seen = draw(floor, light).depth
+    assert (np.asarray(seen[3]) < 1).all()
+    nearest = light.view().eye_depth(seen[3, 63, 63])
+    assert float(nearest) == pytest.approx(1, rel=1e-4)
+
+
+# --- Derivatives ---
+
+
+def test_projection_follows_the_light_and_its_guard():
+    with jax.enable_x64(True):
+        light, points = PointLight(PLACE, 0.1, 5.0), jnp.asarray(PLACE) + jnp.asarray(directions(20)) * 1.3
+
+        def window(x, guard):
+            moved = eqx.tree_at(lambda light: light.position, light, light.position.at[0].set(x))
+            moved = eqx.tree_at(lambda light: light.guard, moved, guard)
+            clip = moved.view().facing(light.layer(points)).clip(points)
+            return clip[..., :3] / clip[..., 3:]
+
+        both = jax.jit(lambda x, dx, guard, dguard: jax.jvp(window, (x, guard), (dx, dguard)))
+        x, guard, step = PLACE[0], 0.1, 1e-6
+        for dx, dguard in ((1.0, 0.0), (0.0, 1.0)):
+            ahead, behind = (both(x + sign * step * dx, dx, guard + sign * step * dguard, dguard) for sign in (1, -1))
+            slope = both(x, dx, guard, dguard)[1]
+            assert float(jnp.abs(slope).max()) > 0.1
+            np.testing.assert_allclose(slope, (ahead[0] - behind[0]) / (2 * step), rtol=1e-6, atol=1e-8)
+
+
+# --- Refusals ---
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        ({"position": (math.nan, 0, 0)}, "position is .*expected finite world coordinates"),
+        ({"near": 0.0}, "expected 0 < near < far"),
+        ({"near": 3.0, "far": 2.0}, "near = 3.0 and far = 2.0"),
+        ({"radius": -1.0}, "radius is -1.0; expected world units, 0 or more"),
+        ({"radius": math.inf}, "radius is inf"),
+        ({"guard": -0.1}, "guard is -0.1.*0 to 1"),
+        ({"guard": 1.5}, "guard is 1.5"),
+    ],
+)
+def test_bad_point_lights_are_refused(bad, said):
+    with pytest.raises(ValueError, match=said):
+        PointLight(**({"position": (0, 0, 0), "near": 0.1, "far": 1.0} | bad))
