@@ -102,6 +102,28 @@ def test_depth_of_well_shaped_triangles_is_within_rounding_of_float64():
     assert checked > 10_000
 
 
+@pytest.mark.parametrize("size", [20, 200, 2000])
+def test_depth_of_a_floor_round_the_eye_is_off_by_little_of_its_distance_from_the_far_plane(size):
+    # The corners lie `size` away on all sides, and their weights cancel at the pixels.
+    floor = library_mesh("plane", size=float(size))
+    camera = PinholeCamera(
+        (0.3, 0.7, 0.4), (1.3, 0.3, 0.9), near=0.05, far=4.0 * size, fov_y=60.0, resolution=RESOLUTION
+    )
+    clip = camera.view().clip(floor.vertices)
+    face = rasterize(clip, floor.faces, RESOLUTION).face
+    seen = np.asarray(face) >= 0
+    assert seen.sum() > 0.5 * seen.size
+    exact = weights_exact(np.asarray(face), clip, floor.faces)
+    corners = to_numpy(clip)[np.asarray(floor.faces)[np.maximum(face, 0)]]
+    z, w = np.moveaxis(np.sum(exact[..., None] * corners[..., 2:], axis=-2), -1, 0)
+    depth = to_numpy(interpolate_depth(barycentrics(face, clip, floor.faces), clip, floor.faces))
+    error = np.abs(depth - (z / w * 0.5 + 0.5))[seen]
+    # What rounding of the corners leaves behind of w, as a share of it, for the part of depth that depends on w.
+    eps = np.finfo(np.float32).eps
+    bound = (eps * (1 + np.abs(corners[..., 2:]).max(axis=(-1, -2)) / w * np.abs(z - w) / w))[seen]
+    assert (error <= bound).all(), (error / bound).max()
+
+
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_face_makes_a_nan_in_value_or_gradient(seed):

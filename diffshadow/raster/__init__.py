@@ -2,6 +2,8 @@
 
 from ._bins import Capacity as Capacity
 from ._bins import Cull as Cull
+from ._counts import count_fragments as count_fragments
+from ._counts import plan_counts as plan_counts
 from ._depth_test import DepthTest as DepthTest
 from ._interpolate import Barycentrics as Barycentrics
 from ._interpolate import barycentrics as barycentrics
@@ -13,5 +15,9 @@ from ._rasterize import Fragments as Fragments
 from ._rasterize import plan as plan
 from ._rasterize import rasterize as rasterize
 from ._rasterize import rasterize_depth as rasterize_depth
+from ._silhouettes import Silhouettes as Silhouettes
+from ._silhouettes import light_sides as light_sides
+from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
+from ._silhouettes import silhouettes_by_cancelling as silhouettes_by_cancelling
 from ._surface import Surface as Surface
 from ._surface import draw_surface as draw_surface

@@ -72,8 +72,11 @@ def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> F
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:
     """Window depth at the pixels, (h, w); 1 where nothing is seen."""
-    z, w = jnp.moveaxis(_weighted(at, clip[:, 2:], _vertices(at.face, faces)), -1, 0)
-    return jnp.where(at.mask, safe_divide(z, w) * 0.5 + 0.5, 1)
+    # From the far plane: z and w of a far corner are nearly equal, so their difference is exact and small, where z
+    # itself would leave the rounding of a corner's distance behind.
+    from_far = jnp.stack([clip[:, 2] - clip[:, 3], clip[:, 3]], axis=-1)
+    z, w = jnp.moveaxis(_weighted(at, from_far, _vertices(at.face, faces)), -1, 0)
+    return jnp.where(at.mask, 1 + safe_divide(z, w) * 0.5, 1)
 
 
 def _vertices(face: FaceMap, faces: Faces) -> list[FaceMap]:

@@ -1,0 +1,209 @@
+"""Edges of meshes, and the two finders of silhouettes."""
+
+import functools
+from collections import Counter
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffshadow.geometry import (
+    LIBRARY,
+    NO_NEIGHBOUR,
+    DirectionalLight,
+    Edges,
+    Mesh,
+    SpotLight,
+    library_mesh,
+    merge,
+    share_vertices,
+)
+from diffshadow.raster import Silhouettes, light_sides, silhouettes_by_adjacency, silhouettes_by_cancelling
+
+SMALL = {
+    "sphere": {"subdivisions": 2},
+    "blob": {"subdivisions": 2},
+    "torus": {"segments": 12, "sides": 7},
+    "torus_knot": {"segments": 24, "sides": 5},
+    "plane": {"segments": 3},
+}
+CLOSED = sorted(set(LIBRARY) - {"plane"})
+SUN = DirectionalLight((0.5, -1.0, -0.3), (0, 0, 0), (4, 4), -4, 4)
+LAMP = SpotLight((-1.2, 3.0, 0.9), (0.4, -1.0, -0.3), 40.0, 0.1, 10.0)
+FACES, VERTICES = 12, 7
+seeds = st.integers(0, 2**32 - 1)
+
+
+@functools.cache
+def piece(name):
+    return library_mesh(name, **SMALL.get(name, {}))
+
+
+def total(found: Silhouettes) -> dict[tuple[int, int], int]:
+    """The multiplicity of each silhouette from its lower vertex to its higher, rows of one edge summed up."""
+    sums = Counter()
+    for (a, b), multiplicity in zip(np.asarray(found.vertices).tolist(), found.multiplicity.tolist(), strict=True):
+        sums[min(a, b), max(a, b)] += multiplicity if a < b else -multiplicity
+    return {edge: number for edge, number in sums.items() if number}
+
+
+def both(mesh, orientation):
+    """What each finder finds, summed up."""
+    by_adjacency = silhouettes_by_adjacency(Edges.of(mesh), jnp.asarray(orientation))
+    by_cancelling = silhouettes_by_cancelling(jnp.asarray(share_vertices(mesh)), jnp.asarray(orientation))
+    return total(by_adjacency), total(by_cancelling)
+
+
+def random_mesh(rng):
+    """A soup on few vertices, some of them at the same place: edges of any number of faces, and faces without area."""
+    vertices = rng.integers(-2, 3, (VERTICES, 3)).astype(float)
+    return Mesh(vertices, rng.integers(0, VERTICES, (FACES, 3)))
+
+
+# The table
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_closed_pieces_have_two_opposed_faces_at_every_edge(name):
+    mesh = piece(name)
+    edges = Edges.of(mesh)
+    assert edges.is_closed
+    assert np.asarray(edges.solid).all()
+    # Three sides a face, two faces an edge.
+    assert len(edges.vertices) == len(mesh.faces) * 3 // 2
+    np.testing.assert_array_equal(edges.directions, np.tile([1, -1], (len(edges.vertices), 1)))
+    # The first face runs along the edge, the second back.
+    for side, way in ((0, (0, 1)), (1, (1, 0))):
+        start, end = (edges.vertices[:, k] for k in way)
+        corners = np.asarray(mesh.faces)[edges.faces[:, side]]
+        runs = (corners == start[:, None]) & (np.roll(corners, -1, axis=1) == end[:, None])
+        assert runs.any(axis=1).all()
+
+
+def test_open_sheet_has_edges_of_one_face_round_its_rim():
+    edges = Edges.of(piece("plane"))
+    assert not edges.is_closed
+    assert not np.asarray(edges.solid).any()
+    assert np.sum(edges.faces[:, 1] == NO_NEIGHBOUR) == 4 * 3
+
+
+def test_vertices_at_one_place_count_as_one():
+    mesh = piece("box")
+    apart = Mesh(np.asarray(mesh.vertices)[np.asarray(mesh.faces)].reshape(-1, 3), np.arange(36).reshape(12, 3))
+    edges = Edges.of(apart)
+    assert edges.is_closed
+    assert len(edges.vertices) == 18
+    np.testing.assert_array_equal(edges.faces, Edges.of(mesh).faces[np.argsort(_order(mesh, apart))])
+
+
+def _order(mesh, apart):
+    """Where each row of the edges of `apart` is in those of `mesh`, both named by their faces."""
+    rows = [sorted(pair) for pair in np.asarray(Edges.of(apart).faces).tolist()]
+    named = [sorted(pair) for pair in np.asarray(Edges.of(mesh).faces).tolist()]
+    return [rows.index(pair) for pair in named]
+
+
+def test_edge_of_three_faces_has_a_row_for_each():
+    mesh = Mesh([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 1], [-1, 0, -1]], [[0, 1, 2], [0, 1, 3], [1, 0, 4]])
+    edges = Edges.of(mesh)
+    spine = (np.sort(edges.vertices, axis=1) == [0, 1]).all(axis=1)
+    assert sorted(np.asarray(edges.faces)[spine].tolist()) == [[0, -1], [1, -1], [2, -1]]
+
+
+def test_a_component_inside_out_is_closed_but_not_solid():
+    box = piece("box")
+    inverted = Mesh(box.vertices + jnp.array([3.0, 0, 0]), box.faces[:, ::-1])
+    edges = Edges.of(merge([box, inverted, piece("plane")]))
+    assert np.asarray(edges.solid)[np.asarray(edges.component)[[0, 12, 24]]].tolist() == [True, False, False]
+    assert not edges.is_closed
+
+
+def test_edges_of_a_traced_mesh_are_refused():
+    with pytest.raises(ValueError, match=r"call Edges\.of\(mesh\) outside"):
+        jax.jit(lambda v: Edges.of(Mesh(v, piece("box").faces)).vertices)(piece("box").vertices)
+
+
+# Facing
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP], ids=["sun", "lamp"])
+def test_light_sides_follow_the_centroid_formula_in_float64(light):
+    mesh = piece("torus")
+    a, b, c = np.moveaxis(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)], 1, 0)
+    middle = (a + b + c) / 3
+    from_light = np.array([0.5, -1.0, -0.3]) if light is SUN else middle - [-1.2, 3.0, 0.9]
+    signed = np.sum(from_light * np.cross(b - a, c - b), axis=1)
+    sure = np.abs(signed) > 1e-6 * np.abs(signed).max()
+    np.testing.assert_array_equal(np.asarray(light_sides(mesh, light))[sure], -np.sign(signed)[sure])
+
+
+def test_light_sides_is_zero_edge_on_and_without_area():
+    mesh = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, 1], [0, 1, 3], [0, 3, 1]])
+    down = DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1)
+    assert light_sides(mesh, down).tolist() == [0, 0, -1, 1]
+
+
+# Finders
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP], ids=["sun", "lamp"])
+@pytest.mark.parametrize("name", sorted(LIBRARY))
+def test_finders_agree_on_library_meshes(name, light):
+    mesh = piece(name)
+    sides = light_sides(mesh, light)
+    for orientation in (sides, jnp.maximum(sides, 0)):
+        one, other = both(mesh, orientation)
+        assert one == other
+        assert one
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds)
+def test_finders_agree_on_soups_of_any_topology(seed):
+    rng = np.random.default_rng(seed)
+    mesh, orientation = random_mesh(rng), rng.integers(-1, 2, FACES)
+    one, other = both(mesh, orientation)
+    assert one == other
+    # Every outline closes: as much of it leaves a vertex as reaches it.
+    leaving = Counter()
+    for (a, b), number in one.items():
+        leaving[a] += number
+        leaving[b] -= number
+    assert not any(leaving.values())
+
+
+def test_closed_mesh_has_silhouettes_where_facing_meets_averted():
+    mesh = piece("torus")
+    edges, sides = Edges.of(mesh), np.asarray(light_sides(mesh, LAMP))
+    found = silhouettes_by_adjacency(edges, jnp.maximum(jnp.asarray(sides), 0))
+    differ = sides[edges.faces[:, 0]] != sides[edges.faces[:, 1]]
+    np.testing.assert_array_equal(found.multiplicity != 0, differ)
+    assert set(found.multiplicity.tolist()) == {-1, 0, 1}
+
+
+def test_open_mesh_turned_to_the_light_has_silhouettes_of_multiplicity_one_and_two():
+    # A roof: the light sees the front of one slope, the back of the other, and the rim of both.
+    roof = Mesh([[0, 1, 0], [0, 1, 1], [1, 0, 0], [-3, 0.9, 0]], [[0, 1, 2], [1, 0, 3]])
+    light = DirectionalLight((1, -0.2, 0), (0, 0, 0), (1, 1), -1, 1)
+    sides = light_sides(roof, light)
+    assert sorted(sides.tolist()) == [-1, 1]
+    found = silhouettes_by_adjacency(Edges.of(roof), sides)
+    assert sorted(np.abs(found.multiplicity).tolist()) == [1, 1, 1, 1, 2]
+
+
+def test_finders_run_compiled_and_alike():
+    mesh = piece("low_poly_sphere")
+    edges, faces = Edges.of(mesh), jnp.asarray(share_vertices(mesh))
+
+    @eqx.filter_jit
+    def find(mesh, light):
+        orientation = jnp.maximum(light_sides(mesh, light), 0)
+        return silhouettes_by_adjacency(edges, orientation), silhouettes_by_cancelling(faces, orientation)
+
+    for light in (LAMP, eqx.tree_at(lambda lamp: lamp.position, LAMP, jnp.array([2.0, 1.0, -1.0]))):
+        one, other = find(mesh, light)
+        assert total(one) == total(other)
