@@ -17,18 +17,24 @@ from scenes import (
     technique,
 )
 
-from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, Scene, merge
-from diffshadow.raster import draw_surface
+from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, Scene, SpotLight, merge
+from diffshadow.raster import Capacity, draw_surface
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
+    AdaptiveBias,
+    Bias,
     ConstantBias,
+    FourTap,
     HardCompare,
     Nearest,
     PercentageCloser,
     RandomDisk,
+    ReceiverPlane,
     ShadowMapping,
     SlopeBias,
     draw_shadow_map,
+    receiver,
+    stratified,
 )
 
 TEXELS, PIXELS = 32, 257
@@ -85,6 +91,83 @@ def test_least_acne_free_slope_bias_does_not_depend_on_the_angle(azimuth, exact)
         assert least_bias(SlopeBias, angle, azimuth) == pytest.approx(exact, rel=0.015)
 
 
+PLANES = [(0, 0), (20, 25), (45, 110), (60, 160), (75, 45), (80, 200), (85, 0), (85, 30), (85, 290)]
+"""Angles between normal and light's axis, and azimuths, degrees."""
+ROOM = Capacity(clipped=4, windows=(4,) * 5, large=8, candidates=512, blocks=256)
+TURNED = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+"""A rotation, so that no number on the way is whole."""
+OVERHEAD = {
+    "directional": lambda: DirectionalLight(-TURNED[:, 2], (0, 0, 0), (2, 2), -12, 12),
+    "spot": lambda: SpotLight(5 * TURNED[:, 2], -TURNED[:, 2], 25.0, 0.5, 20.0),
+}
+
+
+def lit_plane(angle, azimuth, light, depth_format="float32"):
+    """A plane at `angle` to the light's axis that fills most of its map, as a camera beside the light sees it."""
+    plane = tilted_plane(angle, azimuth)
+    mesh = Mesh(np.asarray(plane.vertices) @ TURNED.T, plane.faces)
+    camera = OrthographicCamera(
+        4 * TURNED[:, 2], (0, 0, 0), tuple(TURNED[:, 1]), height=1.9, near=-12.0, far=20.0, resolution=(49, 49)
+    )
+    shadow_map = draw_shadow_map(mesh, OVERHEAD[light](), (64, 64), depth_format=depth_format, capacity=ROOM)
+    return shadow_map, draw_surface(mesh, camera, capacity=ROOM)
+
+
+@eqx.filter_jit
+def acne_of_filters(bias, shadow_map, surface, radius):
+    """Receivers that each filter shadows in part."""
+    kernels = [
+        Nearest(),
+        FourTap(radius),
+        PercentageCloser(radius, 16.0),
+        RandomDisk(radius, lookup="nearest"),
+        RandomDisk(radius, lookup="bilinear"),
+    ]
+    visibility = [ShadowMapping(kernel, bias).visibility(shadow_map, surface) for kernel in kernels]
+    # The shares of a box add up to 1 but for rounding.
+    return jnp.stack([jnp.sum(surface.mask & (v < 1 - 1e-5)) for v in visibility])
+
+
+@pytest.mark.parametrize(("angle", "azimuth"), PLANES)
+@pytest.mark.parametrize("light", OVERHEAD)
+def test_receiver_plane_leaves_no_acne_on_a_plane_under_any_kernel(light, angle, azimuth):
+    shadow_map, surface = lit_plane(angle, azimuth, light)
+    seen = int(jnp.sum(surface.mask))
+    assert seen > 0.5 * surface.mask.size
+    for radius in (0.7, 3.0, 16.0):
+        assert acne_of_filters(ReceiverPlane(), shadow_map, surface, jnp.float32(radius)).tolist() == [0] * 5
+    assert int(false_shadows(Bias(), shadow_map, surface)) > 0.3 * seen or angle < 20
+
+
+@pytest.mark.parametrize(
+    ("light", "depth_format", "deepening"), [("directional", "unorm24", None), ("spot", "unorm16", 0.0)]
+)
+def test_receiver_plane_knows_how_maps_round(light, depth_format, deepening):
+    wide = ShadowMapping(RandomDisk(16.0, lookup="nearest"), ReceiverPlane(deepening=deepening))
+    for angle, azimuth in ((0, 0), (60, 160), (85, 30)):
+        shadow_map, surface = lit_plane(angle, azimuth, light, depth_format)
+        assert float(shadows(wide, shadow_map, surface).min()) == 1
+
+
+@pytest.mark.parametrize(("angle", "azimuth"), PLANES)
+@pytest.mark.parametrize("light", OVERHEAD)
+def test_adaptive_bias_leaves_no_acne_and_is_no_more_than_a_texel_spans(light, angle, azimuth):
+    shadow_map, surface = lit_plane(angle, azimuth, light)
+    assert int(false_shadows(AdaptiveBias(), shadow_map, surface)) == 0
+    at = eqx.filter_jit(receiver)(shadow_map, surface)
+    mask = np.asarray(surface.mask)
+    spans = at.depth_per_texel * jnp.sum(jnp.abs(at.slope), axis=-1) / 2
+    depths = (AdaptiveBias(0.05)(at).depth, spans, at.rounding)
+    bias, spans, rounding = (np.asarray(depth / at.depth_per_texel)[mask] for depth in depths)
+    lift = bias - rounding - 0.05
+    # A constant bias needs what a texel spans everywhere.
+    assert (lift <= spans * (1 + 1e-4) + 1e-5).all()
+    assert (rounding <= 0.02).all()
+    if angle > 0:
+        assert (lift / spans).max() > 0.9
+        assert (lift / spans).mean() < 0.45
+
+
 def inside_of_quad(points, corners):
     """How far `points` (..., 2) lie inside a convex quad (4, 2), in the maximum norm: the least over its edges."""
     inside = []
@@ -138,7 +221,7 @@ def test_pcf_of_half_plane_is_a_ramp_as_wide_as_its_box(radius):
 def test_random_disk_of_half_plane_is_a_circular_segment(early_out):
     radius, x = 6.0, np.linspace(8, 24, 65)
     depth = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((96, 1))
-    disk = RandomDisk(radius, (8, 8), pattern_size=64, lookup="nearest", early_out=early_out)
+    disk = RandomDisk(radius, stratified((8, 8), pattern_size=64), "nearest", early_out)
     visibility = disk(map_of(depth), lookups_at(x, np.full((64, 1), 48.0)), HardCompare())
     s = np.clip((x - 16) / radius, -1, 1)
     exact = 0.5 + (s * np.sqrt(1 - s * s) + np.arcsin(s)) / np.pi
@@ -176,6 +259,24 @@ def _box_corners():
     return signs * 0.45 + [0.0, 1.0, 0.0], faces
 
 
+def test_a_plane_cut_off_at_the_receivers_depth_lights_the_foot_of_a_steep_wall():
+    """A wall that leans back by 6° over a floor, lit from above: its plane runs on far below the floor."""
+    lean, half = np.radians(6.0), 1.0
+    wall = quad((0, 1, -np.tan(lean)), (half, 0, 0), (0, 1, -np.tan(lean)))
+    floor = quad((0, 0, half), (half, 0, 0), (0, 0, -half))
+    mesh = merge([floor, wall])
+    light = DirectionalLight((0, -1, 0), (0, 0, 0.4), (2, 2), -3, 3)
+    camera = OrthographicCamera((0, 1, 5), (0, 1, 0), height=1.9, near=0.1, far=9.0, resolution=(64, 16))
+    surface = draw_surface(mesh, camera, capacity=ROOM)
+    shadow_map = draw_shadow_map(mesh, light, (64, 64), capacity=ROOM)
+    seen = lambda bias: np.asarray(shadows(ShadowMapping(FourTap(3.0), bias), shadow_map, surface))
+    height = np.asarray(surface.position)[..., 1]
+    # A texel holds 0.3 of the wall's height; the taps of its lower three reach over the floor.
+    foot = np.asarray(surface.mask) & (height < 0.7)
+    assert (seen(ReceiverPlane())[foot] < 0.6).all()
+    assert (seen(ReceiverPlane(deepening=0.0))[foot] > 0.99).all()
+
+
 SIMILARITIES = {
     "hundredth": 0.01 * np.eye(3),
     "hundredfold": 100 * np.eye(3),
@@ -183,12 +284,20 @@ SIMILARITIES = {
 }
 
 
-@pytest.mark.parametrize("kernel", [Nearest(), PercentageCloser(2.3)], ids=["nearest", "pcf"])
+INVARIANT = {
+    "nearest": (Nearest(), Bias(0.3, 0.4, 0.7)),
+    "pcf": (PercentageCloser(2.3), Bias(0.3, SlopeBias(0.9, "one_minus_cosine", least=0.2, most=0.7), 0.7)),
+    "plane": (FourTap(2.3), ReceiverPlane(0.2, limit=0.3, deepening=0.9)),
+    "adaptive": (Nearest(), AdaptiveBias(0.1)),
+}
+
+
+@pytest.mark.parametrize("case", INVARIANT)
 @pytest.mark.parametrize("light", LIGHTS)
-def test_visibility_does_not_change_with_scale_or_rigid_motion(light, kernel):
+def test_visibility_does_not_change_with_scale_or_rigid_motion(light, case):
     mesh = floor_and_card()
     scene = Scene(mesh, side_camera(), LIGHTS[light](mesh))
-    mapping = technique(kernel, constant=0.3, slope=0.4, normal_offset=0.7)
+    mapping = ShadowMapping(*INVARIANT[case])
 
     def seen(scene):
         surface = draw_surface(scene.mesh, scene.camera)

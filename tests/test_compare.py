@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import LIGHTS, apply, drawn, lookups_at, map_of
 
+from diffshadow.raster import Surface
 from diffshadow.shadow import (
+    Bias,
     Bilinear,
     FourTap,
     HardCompare,
@@ -16,6 +18,8 @@ from diffshadow.shadow import (
     RandomDisk,
     SoftCompare,
     look_up,
+    receiver,
+    stratified,
 )
 
 KERNELS = ("logistic", "linear", "smoothstep", "gaussian", "exponential")
@@ -24,8 +28,8 @@ FILTERS = {
     "bilinear": Bilinear(),
     "four_tap": FourTap(1.7),
     "pcf": PercentageCloser(2.3),
-    "disk": RandomDisk(2.0, (4, 4), 4),
-    "nearest_disk": RandomDisk(2.0, (4, 4), 4, lookup="nearest", early_out=True),
+    "disk": RandomDisk(2.0, stratified((4, 4), 4)),
+    "nearest_disk": RandomDisk(2.0, stratified((4, 4), 4), "nearest", early_out=True),
 }
 UNIT = 0.01
 """Window depth per texel in these tests."""
@@ -134,6 +138,13 @@ def test_nearest_and_bilinear_look_at_the_border_where_they_should():
     np.testing.assert_allclose(bilinear, [1, 0.75, 0.5, 0.25, 0, 0, 0.25, 0.5, 0.75, 1], atol=1e-6)
 
 
+def lookups_of(shadow_map, points):
+    """Look-ups of `points` (1, n, 3), without bias."""
+    mask = jnp.ones(points.shape[:2], bool)
+    at = receiver(shadow_map, Surface(points, points, points, points, mask.astype(jnp.int32), mask))
+    return look_up(shadow_map, at, Bias()(at))
+
+
 def test_beyond_the_far_plane_and_behind_a_spot_light_is_outside():
     for name in LIGHTS:
         _, shadow_map = drawn(name, 64, 64)
@@ -143,8 +154,7 @@ def test_beyond_the_far_plane_and_behind_a_spot_light_is_outside():
         start = np.asarray(light.position if name == "spot" else light.center)
         distances = np.array([float(view.far) * 1.01, float(view.far) * 0.99, -float(view.far)])
         points = jnp.asarray((start - distances[:, None] * back)[None], jnp.float32)
-        zero = jnp.zeros((1, 3))
-        inside = np.asarray(look_up(shadow_map, points, zero, zero + UNIT).inside)[0]
+        inside = np.asarray(lookups_of(shadow_map, points).inside)[0]
         # Behind a directional light there is no "behind": what lies before its near plane is in front of everything.
         assert inside.tolist() == [False, True, name == "directional"]
 
@@ -162,7 +172,7 @@ def test_points_beside_a_spot_light_are_lit_and_finite(sideways, ahead, name):
     rows = np.asarray(light.view().world_to_eye[:3, :3])
     offsets = np.array(sideways).reshape(3, 2) @ rows[:2] - ahead * rows[2]
     points = jnp.asarray((np.asarray(light.position) + offsets)[None], jnp.float32)
-    lookup = look_up(shadow_map, points, jnp.zeros((1, 3)), jnp.full((1, 3), UNIT))
+    lookup = lookups_of(shadow_map, points)
     assert np.isfinite(np.asarray(lookup.texel)).all()
     lit = jnp.where(lookup.inside, apply(FILTERS[name], shadow_map, lookup, HardCompare()), 1)
     np.testing.assert_allclose(np.asarray(lit), 1, atol=2e-6)

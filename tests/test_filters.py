@@ -14,12 +14,14 @@ from diffshadow.shadow import (
     HardCompare,
     Lookup,
     Nearest,
+    Pattern,
     PercentageCloser,
     RandomDisk,
     SoftCompare,
-    offset_table,
+    stratified,
 )
-from diffshadow.shadow.filters._random_disk import EARLY_SAMPLES
+from diffshadow.shadow.filters._pcf import _lower_edge, _share
+from diffshadow.shadow.patterns import EARLY_SAMPLES
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
 
@@ -74,10 +76,15 @@ def test_box_does_not_depend_on_the_largest_radius(radius, rng):
 
 @pytest.mark.parametrize("radius", [0.0, 0.2, 0.5, 1.3, 2.0, 3.0])
 def test_weights_of_the_box_sum_to_one(radius, rng):
-    box = PercentageCloser(radius, 3.0)
+    radius = jnp.float32(max(radius, 1e-3))
     position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
-    total = sum(box._share(position, i) for i in range(-3, 4))
-    np.testing.assert_allclose(total, 1, atol=3e-5)
+    first, edge = _lower_edge(position, radius)
+    shares = [_share(edge, radius, i) for i in range(7)]
+    np.testing.assert_allclose(sum(shares), 1, atol=3e-5)
+    # The box lies round the position: its lower edge is a radius below.
+    own = jnp.floor(position)
+    below = ((first - own) + edge)[:, :-1]
+    np.testing.assert_allclose(below, ((position - own) - radius)[:, :-1], atol=1e-4)
 
 
 @pytest.mark.parametrize("width", [0.3, 3.0])
@@ -93,7 +100,7 @@ def test_constant_maps_give_the_compare_itself(width, rng):
 @pytest.mark.parametrize(("pattern", "samples"), [(8, (4, 8)), (3, (5, 2)), (1, (1, 1)), (4, (8, 8))])
 def test_offset_table_is_stratified_and_runs_inwards(pattern, samples):
     angles, rings = samples
-    table = np.asarray(offset_table(pattern, samples, seed=3), np.float64)
+    table = np.asarray(jnp.moveaxis(stratified(samples, pattern, seed=3).offsets, 0, 2), np.float64)
     assert table.shape == (pattern, pattern, angles * rings, 2)
     v = (table**2).sum(axis=-1)
     u = np.arctan2(table[..., 1], table[..., 0]) / (2 * np.pi) % 1
@@ -108,21 +115,21 @@ def test_offset_table_is_stratified_and_runs_inwards(pattern, samples):
 
 
 def test_offset_table_follows_from_its_seed():
-    np.testing.assert_array_equal(offset_table(4, (4, 4), 5), offset_table(4, (4, 4), 5))
-    assert (np.asarray(offset_table(4, (4, 4), 5)) != np.asarray(offset_table(4, (4, 4), 6))).any()
+    np.testing.assert_array_equal(stratified((4, 4), 4, 5).offsets, stratified((4, 4), 4, 5).offsets)
+    assert (np.asarray(stratified((4, 4), 4, 5).offsets) != np.asarray(stratified((4, 4), 4, 6).offsets)).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 19), (8, 8), (17, 3)])
 def test_disk_uses_the_set_of_each_pixel(shape, rng):
     """Also where the image is no whole number of patterns."""
-    disk, shadow_map = RandomDisk(2.5, (3, 4), pattern_size=8), random_map(rng)
+    disk, shadow_map = RandomDisk(2.5, stratified((3, 4))), random_map(rng)
     lookup = random_lookups(rng, shape)
     found = np.asarray(disk(shadow_map, lookup, HARD))
     assert found.shape == shape
     expected = 0
     rows, columns = np.meshgrid(np.arange(shape[0]) % 8, np.arange(shape[1]) % 8, indexing="ij")
     for k in range(12):
-        moved = lookup.texel + 2.5 * disk.offsets[rows, columns, k]
+        moved = lookup.texel + 2.5 * disk.pattern.offsets[k, rows, columns]
         tap = Lookup(moved, lookup.depth, lookup.depth_per_texel, lookup.inside)
         expected = expected + np.asarray(apply(Bilinear(), shadow_map, tap, HARD)) / 12
     np.testing.assert_allclose(found, expected, atol=3e-6)
@@ -133,8 +140,8 @@ def test_early_out_differs_only_where_the_first_eight_agree_and_the_rest_do_not(
     # Patches of depth larger than the disk, so that many look-ups see no edge.
     depth = np.kron(rng.uniform(0.2, 0.8, (4, 4)), np.ones((9, 9)))
     shadow_map, lookup = map_of(depth), lookups_at(rng.uniform(0, 36, (40, 40)), rng.uniform(0, 36, (40, 40)))
-    full = RandomDisk(4.0, (4, 8), lookup=mode)
-    early = RandomDisk(4.0, (4, 8), lookup=mode, early_out=True)
+    full = RandomDisk(4.0, lookup=mode)
+    early = RandomDisk(4.0, lookup=mode, early_out=True)
     outermost = _first(full, EARLY_SAMPLES)
     exact, quick, eight = (np.asarray(apply(f, shadow_map, lookup, HARD)) for f in (full, early, outermost))
     agree = (eight == 0) | (eight == 1)
@@ -148,23 +155,20 @@ def test_early_out_differs_only_where_the_first_eight_agree_and_the_rest_do_not(
 
 
 def _first(disk, count):
-    chosen = object.__new__(RandomDisk)
-    for name in ("radius", "lookup", "early_out"):
-        object.__setattr__(chosen, name, getattr(disk, name))
-    object.__setattr__(chosen, "offsets", disk.offsets[:, :, :count])
-    return chosen
+    return RandomDisk(disk.radius, Pattern(disk.pattern.offsets[:count]), disk.lookup)
 
 
 def test_early_out_of_few_samples_is_the_plain_mean(rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    plain, early = (RandomDisk(2.0, (4, 2), early_out=e)(shadow_map, lookup, HARD) for e in (False, True))
+    plain, early = (RandomDisk(2.0, stratified((4, 2)), early_out=e)(shadow_map, lookup, HARD) for e in (False, True))
     np.testing.assert_array_equal(plain, early)
 
 
 @jax.jit
 def every_filter(shadow_map, lookup, radius, width):
-    kernels = (Nearest(), Bilinear(), FourTap(radius), PercentageCloser(radius, 4.0), RandomDisk(radius, (4, 4), 4))
-    kernels += (RandomDisk(radius, (4, 4), 4, early_out=True), RandomDisk(radius, (4, 4), 4, lookup="nearest"))
+    pattern = stratified((4, 4), 4)
+    kernels = (Nearest(), Bilinear(), FourTap(radius), PercentageCloser(radius, 4.0), RandomDisk(radius, pattern))
+    kernels += (RandomDisk(radius, pattern, early_out=True), RandomDisk(radius, pattern, "nearest"))
     return jnp.stack([k(shadow_map, lookup, c) for k in kernels for c in (HARD, SoftCompare(width))])
 
 
@@ -197,8 +201,8 @@ def test_visibility_stays_in_its_range(seed, radius, width, scale, empty):
         (lambda: FourTap(-1.0), r"radius is -1.0; expected 0 or more texels"),
         (lambda: RandomDisk(-0.5), r"radius is -0.5; expected 0 or more texels"),
         (lambda: RandomDisk(float("inf")), r"radius is inf; expected 0 or more texels"),
-        (lambda: RandomDisk(1.0, (0, 4)), r"samples \(0, 4\) and pattern_size 8; expected each to be 1 or more"),
-        (lambda: RandomDisk(1.0, pattern_size=0), r"pattern_size 0; expected each to be 1 or more"),
+        (lambda: stratified((0, 4)), r"samples \(0, 4\) and pattern_size 8; expected each to be 1 or more"),
+        (lambda: stratified(pattern_size=0), r"pattern_size 0; expected each to be 1 or more"),
     ],
 )
 def test_impossible_filters_are_refused(make, message):

@@ -1,5 +1,7 @@
 """Shadow maps: what they hold, and the visibility that they give at borders and on averted faces."""
 
+import inspect
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,9 +9,9 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, drawn, floor_and_card, floor_camera, quad, shadows, side_camera, sun, technique
 
-from diffshadow.geometry import DirectionalLight, SpotLight, merge
+from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
 from diffshadow.raster import draw_surface, plan
-from diffshadow.shadow import Bilinear, Nearest, ShadowMap, draw_shadow_map
+from diffshadow.shadow import Bias, Bilinear, ConstantBias, Nearest, ShadowMap, draw_shadow_map, look_up, receiver
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -79,6 +81,146 @@ def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated
         jax.jit(lambda v: draw_shadow_map(eqx.tree_at(lambda m: m.vertices, mesh, v), light, (8, 8)).depth)(
             mesh.vertices
         )
+
+
+LAYERS = ("nearest", "midpoint", "second")
+SLAB = 0.3
+"""Thickness of the slab that hovers over the floor, world units."""
+
+
+def floor_and_slab():
+    """A floor 1 unit wide in y = 0, and a closed slab half as wide whose top lies at y = 1."""
+    slab = library_mesh("box", size=(0.5, SLAB, 0.5))
+    raised = Mesh(np.asarray(slab.vertices) + np.array([0.0, 1.0 - SLAB, 0.0]), slab.faces)
+    return merge([quad((0, 0, 0), (0.5, 0, 0), (0, 0, -0.5)), raised])
+
+
+NOON = DirectionalLight((0, -1, 0), (0, 0, 0), (2, 2), -2, 0.5)
+"""Straight down on the slab, 2.5 units deep."""
+
+
+def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
+    depth = {
+        layer: np.asarray(draw_shadow_map(floor_and_slab(), NOON, (16, 16), layer=layer).depth) for layer in LAYERS
+    }
+    window = lambda y: (2 - y) / 2.5
+    tops, floor, nothing = (slice(6, 10),) * 2, (slice(4, 6), slice(4, 12)), (slice(0, 4), slice(0, 16))
+    for where, first, second in (
+        (tops, window(1.0), window(1.0 - SLAB)),
+        (floor, window(0.0), 1.0),
+        (nothing, 1.0, 1.0),
+    ):
+        np.testing.assert_allclose(depth["nearest"][where], first, atol=1e-6)
+        np.testing.assert_allclose(depth["second"][where], second, atol=1e-6)
+        # The floor has nothing behind it but the far plane.
+        np.testing.assert_allclose(depth["midpoint"][where], (first + second) / 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("layer", LAYERS[1:])
+def test_layers_of_a_map_are_differentiable(layer):
+    mesh = floor_and_slab()
+    room = plan(NOON.view().clip(mesh.vertices), mesh.faces, (16, 16))
+
+    @jax.jit
+    def depth_with(stretch):
+        raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
+        return draw_shadow_map(raised, NOON, (16, 16), layer=layer, capacity=room).depth
+
+    value, slope = jax.jvp(depth_with, (jnp.ones(()),), (jnp.ones(()),))
+    # A surface at height y rises by y; a middle by the mean of what it lies between, and the far plane stays.
+    rise = {"second": (1 - SLAB, 0.0), "midpoint": (1 - SLAB / 2, 0.0)}[layer]
+    np.testing.assert_allclose(slope[6:10, 6:10], -rise[0] / 2.5, rtol=1e-5)
+    np.testing.assert_allclose(slope[4:6, 4:12], -rise[1] / 2.5, atol=1e-6)
+    assert (np.asarray(value) <= 1).all()
+
+
+def test_an_unknown_layer_is_refused():
+    # Where types are checked, as in these tests, the call does not get so far.
+    with pytest.raises(ValueError, match=r"layer is 'third'; expected \"nearest\", \"midpoint\" or \"second\""):
+        inspect.unwrap(draw_shadow_map)(floor_and_slab(), sun(floor_and_slab()), (4, 4), layer="third")
+
+
+WITHOUT_BIAS = {"midpoint": {"layer": "midpoint"}, "second": {"layer": "second"}, "front culling": {"cull": "front"}}
+
+
+def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side():
+    ball = library_mesh("sphere", radius=0.5, subdivisions=3)
+    light = DirectionalLight((0.3, -1, -0.2), (0, 0.5, 0), (1.2, 1.2), -1, 1)
+    camera = OrthographicCamera((-1.0, 2.5, 1.0), (0, 0.5, 0), height=1.2, near=0.1, far=6.0, resolution=(64, 64))
+    surface = draw_surface(ball, camera)
+    mapping = technique(Nearest())
+    plain = draw_shadow_map(ball, light, (24, 24))
+    cosine = np.asarray(receiver(plain, surface).cosine)
+    facing = np.asarray(surface.mask) & (cosine > 0)
+    acne = lambda shadow_map: facing & (np.asarray(shadows(mapping, shadow_map, surface)) < 1)
+    assert acne(plain).sum() > 0.4 * facing.sum()
+    for name, options in WITHOUT_BIAS.items():
+        dark = acne(draw_shadow_map(ball, light, (24, 24), **options))
+        # A texel is a 1/24 of the map: beside the silhouette both sides of the ball lie within it.
+        assert not dark[cosine > 0.35].any(), name
+        assert dark.sum() < 0.05 * facing.sum(), name
+    # The middle of every chord of a ball lies in the plane through its centre.
+    middle, whole = (
+        np.asarray(draw_shadow_map(ball, light, (24, 24), layer=name).depth) for name in ("midpoint", "second")
+    )
+    chord = whole - np.asarray(plain.depth)
+    inner = (whole < 1) & (chord > 0.25)
+    assert inner.sum() > 150
+    np.testing.assert_allclose(middle[inner], 0.5, atol=5e-3)
+
+
+def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
+    mesh, light = floor_and_card(), sun(floor_and_card())
+    surface = draw_surface(mesh, floor_camera(1.5, (64, 64)))
+    seen = lambda **options: np.asarray(
+        shadows(technique(Nearest(), constant=1.0), draw_shadow_map(mesh, light, (64, 64), **options), surface)
+    )
+    dark = seen() == 0
+    assert dark.mean() > 0.08
+    assert (seen(cull="front") == 1).all()
+    # The floor lies behind the card, and nothing behind the floor: it is the floor that the second layer holds there.
+    assert (seen(layer="second") == 1).all()
+    # The middle between card and floor shadows the floor.
+    np.testing.assert_array_equal(seen(layer="midpoint") == 0, dark)
+
+
+@pytest.mark.parametrize(("depth_format", "unit"), [("float32", 2.0**-24), ("unorm24", 2 / (2**24 - 1))])
+def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
+    # A plane whose depth lies between 1/2 and 1, where floats are 2⁻²⁴ apart, and rises by 0.3 along x and 0.1 along y.
+    mesh = quad((0, 0, -1.0), (1, 0, -0.3), (0, 1, -0.1))
+    light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -2, 2)
+    drawn_with = lambda offset: np.asarray(
+        draw_shadow_map(mesh, light, (16, 16), depth_format=depth_format, polygon_offset=offset).depth, np.float64
+    )
+    plain, exact = drawn_with((0.0, 0.0)), 2 / 16 / 4 * 0.3
+    assert 0.5 < plain.min() < plain.max() < 1
+    for factor, units in ((1.0, 0.0), (0.0, 1000.0), (2.5, 3000.0), (-1.0, -50.0)):
+        np.testing.assert_allclose(drawn_with((factor, units)) - plain, factor * exact + units * unit, atol=2.5e-7)
+
+
+@pytest.mark.parametrize(("depth_format", "steps"), [("unorm16", 2**16 - 1), ("unorm24", 2**24 - 1)])
+@pytest.mark.parametrize("layer", LAYERS)
+def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
+    fixed, exact = (
+        np.asarray(draw_shadow_map(floor_and_slab(), NOON, (16, 16), layer=layer, depth_format=f).depth, np.float64)
+        for f in (depth_format, "float32")
+    )
+    np.testing.assert_allclose(fixed * steps, np.round(fixed * steps), atol=1e-7 * steps)
+    # The middle of two that are rounded is rounded again.
+    np.testing.assert_allclose(fixed, exact, atol=(1.0 if layer == "midpoint" else 0.5) / steps + 2e-7)
+    assert depth_format != "unorm16" or (fixed != exact).any()
+
+
+def test_receivers_are_compared_with_fixed_point_maps_at_a_depth_these_could_hold():
+    surface, _ = drawn("directional", 64, 64)
+    light = sun(floor_and_card())
+    for depth_format, least in (("float32", -np.inf), ("unorm24", 0.0), ("unorm16", 0.0)):
+        shadow_map = ShadowMap(jnp.ones((64, 64)), light, depth_format)
+        at = receiver(shadow_map, surface)
+        biased = np.asarray(at.depth) - 0.5
+        lookup = look_up(shadow_map, at, Bias(ConstantBias(0.5, "depth"))(at))
+        assert (biased[np.asarray(surface.mask)] < 0).any()
+        np.testing.assert_allclose(lookup.depth, np.clip(biased, least, np.inf if least < 0 else 1), atol=1e-6)
 
 
 def test_faces_turned_away_are_dark_and_pixels_without_surface_lit():

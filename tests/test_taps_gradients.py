@@ -10,9 +10,18 @@ from hypothesis import strategies as st
 from scenes import problem, random_lookups, random_map, technique
 
 from diffshadow.fit import with_values
-from diffshadow.shadow import Bilinear, FourTap, Lookup, PercentageCloser, RandomDisk, ShadowMap, SoftCompare
-from diffshadow.shadow._taps import _mean, _plain_mean, mean_of_taps, pad
-from diffshadow.shadow.filters._random_disk import _spread
+from diffshadow.shadow import (
+    Bilinear,
+    FourTap,
+    Lookup,
+    PercentageCloser,
+    RandomDisk,
+    ShadowMap,
+    SoftCompare,
+    stratified,
+)
+from diffshadow.shadow._taps import Sites, _DiskTap, _plain_sum, mean_of_taps, pad, sum_of_parts
+from diffshadow.shadow.filters._pcf import _Row
 
 NAMES = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
 VALUES = (0.9, 0.6, 0.4, 1.7)
@@ -21,8 +30,8 @@ STEP = 1e-5
 FILTERS = {
     "four_tap": lambda: FourTap(1.0),
     "pcf": lambda: PercentageCloser(1.0, 3.0),
-    "disk": lambda: RandomDisk(1.0, (2, 2), 4),
-    "nearest_disk": lambda: RandomDisk(1.0, (2, 2), 4, lookup="nearest"),
+    "disk": lambda: RandomDisk(1.0, stratified((2, 2), 4)),
+    "nearest_disk": lambda: RandomDisk(1.0, stratified((2, 2), 4), "nearest"),
     "bilinear": Bilinear,
 }
 # Nearest look-ups do not move smoothly with position or radius: only what shifts depth has a gradient.
@@ -54,35 +63,42 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel, light):
     np.testing.assert_allclose(gradient, slopes, rtol=0.01)
 
 
-def taps(seed, mode):
-    """What `_mean` takes, at random."""
+PARTS = {"bilinear": _DiskTap("bilinear"), "nearest": _DiskTap("nearest"), "pcf": _Row(2.5)}
+
+
+def sum_arguments(seed, name):
+    """What `sum_of_parts` takes, at random, with sites whose planes are followed."""
     rng = np.random.default_rng(seed)
     shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (6, 7), (9, 9))
-    disk = RandomDisk(1.0, (2, 3), 4)
-    spread = lambda pattern: _spread(pattern, (6, 7))
-    radius = jnp.asarray(rng.uniform(0, 3, (6, 7)))
-    return pad(shadow_map), SoftCompare(1.3), lookup, radius, jnp.moveaxis(disk.offsets, 2, 0), mode, spread
+    slope = tuple(jnp.asarray(rng.normal(scale=0.05, size=(6, 7))) for _ in range(2))
+    radius = jnp.asarray(rng.uniform(0.1, 2.5, (6, 7)))
+    x, y = lookup.texel[..., 0], lookup.texel[..., 1]
+    deepest = lookup.depth + jnp.asarray(rng.uniform(0, 0.1, (6, 7)))
+    sites = Sites(x, y, lookup.depth, lookup.depth_per_texel, slope, None, radius, deepest=deepest)
+    steps = jnp.arange(6) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 10, 1, 1))))
+    return PARTS[name], pad(shadow_map, 6), SoftCompare(1.3), sites, steps
 
 
-def moving(mean, arguments):
-    """`mean` as a function of all that it may be differentiated by, and those."""
-    padded, compare, lookup, radius, offsets, mode, spread = arguments
-    primals = (padded.depth, compare.width, lookup.texel, lookup.depth, lookup.depth_per_texel, radius)
+def moving(function, arguments):
+    """`function` of a sum's arguments as one of all that it may be differentiated by, and those."""
+    part, padded, compare, sites, steps = arguments
+    primals = (padded.depth, compare.width, sites.x, sites.y, sites.depth, sites.depth_per_texel, *sites.slope)
+    primals += (sites.deepest, sites.radius)
 
-    def function(depth, width, texel, receiver, unit, radius):
-        moved = Lookup(texel, receiver, unit, lookup.inside)
+    def moved(depth, width, x, y, receiver, unit, slope_x, slope_y, deepest, radius):
         new = eqx.tree_at(lambda p: p.depth, padded, depth)
-        return mean(new, eqx.tree_at(lambda c: c.width, compare, width), moved, radius, offsets, mode, spread)
+        at = Sites(x, y, receiver, unit, (slope_x, slope_y), None, radius, deepest=deepest)
+        return function(part, new, eqx.tree_at(lambda c: c.width, compare, width), at, steps)
 
-    return function, primals
+    return moved, primals
 
 
-@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
-def test_custom_derivative_is_the_plain_one(mode):
+@pytest.mark.parametrize("name", PARTS)
+def test_custom_derivative_is_the_plain_one(name):
     with jax.enable_x64(True):
         rng = np.random.default_rng(1)
-        custom, primals = moving(_mean, taps(0, mode))
-        plain, _ = moving(_plain_mean, taps(0, mode))
+        custom, primals = moving(sum_of_parts, sum_arguments(0, name))
+        plain, _ = moving(_plain_sum, sum_arguments(0, name))
         both = jax.jit(lambda p, t: (jax.jvp(custom, p, t), jax.jvp(plain, p, t)))
         zeros = tuple(jnp.zeros_like(p) for p in primals)
         directions = [tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)]
@@ -92,22 +108,23 @@ def test_custom_derivative_is_the_plain_one(mode):
             found, expected = both(primals, direction)
             np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
             np.testing.assert_allclose(found[1], expected[1], atol=1e-10)
-            flat = mode == "nearest" and number in (3, 6)
+            # Without a slope neither position nor radius would do anything to nearest taps; radius never does.
+            flat = name == "nearest" and number == len(primals)
             assert (np.abs(np.asarray(expected[1])).max() == 0) == flat
 
 
-@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
-def test_forward_and_reverse_mode_agree(mode):
+@pytest.mark.parametrize("name", PARTS)
+def test_forward_and_reverse_mode_agree(name):
     with jax.enable_x64(True):
         rng = np.random.default_rng(2)
-        function, primals = moving(_mean, taps(3, mode))
+        function, primals = moving(sum_of_parts, sum_arguments(3, name))
         tangents = tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)
         weight = jnp.asarray(rng.normal(size=(6, 7)))
 
         @jax.jit
         def both(primals):
             _, forward = jax.jvp(function, primals, tangents)
-            gradients = jax.grad(lambda *p: jnp.sum(weight * function(*p)), argnums=tuple(range(6)))(*primals)
+            gradients = jax.grad(lambda *p: jnp.sum(weight * function(*p)), argnums=tuple(range(10)))(*primals)
             return jnp.sum(weight * forward), sum(jnp.sum(g * t) for g, t in zip(gradients, tangents, strict=True))
 
         forward, reverse = both(primals)
@@ -141,7 +158,7 @@ def test_a_map_that_moves_and_a_radius_that_does_not_give_the_maps_gradient_alon
         @jax.jit
         def total(depth):
             moved = ShadowMap(depth, shadow_map.light)
-            return jnp.sum(mean_of_taps(moved, lookup, SoftCompare(1.0), jnp.array(1.5), jnp.asarray(FOUR), "bilinear"))
+            return jnp.sum(mean_of_taps(moved, lookup, SoftCompare(1.0), jnp.array(1.5), FOUR, "bilinear"))
 
         gradient = np.asarray(jax.jit(jax.grad(total))(shadow_map.depth))
         holds_nothing = np.asarray(shadow_map.depth) == 1
@@ -152,13 +169,14 @@ def test_a_map_that_moves_and_a_radius_that_does_not_give_the_maps_gradient_alon
     assert gradient[texel] == pytest.approx(slope, rel=1e-6)
 
 
-FOUR = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+FOUR = stratified((2, 2), 1)
 
 
 @eqx.filter_jit
 def all_slopes(shadow_map, lookup, radius, width):
     """Derivatives of every filter by all that has one; the radius among them, where there is one."""
-    makers = [(lambda r: RandomDisk(r, (2, 2), 4), kernel) for kernel in ("logistic", "linear", "exponential")]
+    disk = lambda r: RandomDisk(r, stratified((2, 2), 4))
+    makers = [(disk, kernel) for kernel in ("logistic", "linear", "exponential")]
     makers += [(lambda r: PercentageCloser(r, 4.0), "gaussian"), (lambda _: Bilinear(), "logistic")]
     found = []
     for make, kernel in makers:
@@ -193,7 +211,7 @@ def test_no_gradient_is_nan_or_infinite(seed, radius, width, scale, whole):
 def test_slopes_stay_finite_where_the_surface_passes_the_light():
     """Pixels without a surface, edge-on to the light, beside it and behind it."""
     with jax.enable_x64(False):
-        mapping = technique(RandomDisk(1.0, (2, 2), 4), compare=SoftCompare(0.5))
+        mapping = technique(RandomDisk(1.0, stratified((2, 2), 4)), compare=SoftCompare(0.5))
         known = problem(mapping, "spot")
         light = known.shadow_map.light
         back = known.shadow_map.view.world_to_eye[2, :3]
@@ -207,3 +225,62 @@ def test_slopes_stay_finite_where_the_surface_passes_the_light():
         value, jacobian = jax.jit(lambda v: (at(v), jax.jacfwd(at)(v)))(jnp.array(VALUES, jnp.float32))
     assert np.isfinite(np.asarray(value)).all()
     assert np.isfinite(np.asarray(jacobian)).all()
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+def test_what_is_wanted_is_found_alone_and_its_derivative_too(mode):
+    """Whatever the share of pixels that are wanted, with more of them than fit in a step of the loop."""
+    rng = np.random.default_rng(6)
+    shape = (70, 150)
+    shadow_map, lookup = random_map(rng), random_lookups(rng, shape)
+    pattern, compare = stratified((2, 3), 4), SoftCompare(1.0)
+    mean = lambda radius, wanted=None: mean_of_taps(shadow_map, lookup, compare, radius, pattern, mode, wanted)
+    pushed = lambda *of: jax.jvp(lambda r: mean(r, *of), (jnp.float32(1.7),), (jnp.float32(1.0),))
+    value, slope = jax.jit(pushed)()
+    found = jax.jit(lambda wanted: (mean(jnp.float32(1.7), wanted), *pushed(wanted)))
+    for share in (0.0, 0.01, 0.3, 1.0):
+        wanted = jnp.asarray(rng.random(shape) < share)
+        alone, again, slope_alone = found(wanted)
+        np.testing.assert_allclose(alone, jnp.where(wanted, value, 0), atol=1e-6)
+        np.testing.assert_array_equal(again, jnp.where(wanted, value, 0))
+        np.testing.assert_array_equal(slope_alone, jnp.where(wanted, slope, 0))
+    assert (np.abs(np.asarray(slope)).max() > 1e-3) == (mode == "bilinear")
+
+
+def test_early_out_differentiates_both_ways_and_maps_over_radii():
+    rng = np.random.default_rng(7)
+    shadow_map, lookup = random_map(rng), random_lookups(rng, (9, 10))
+    filter = RandomDisk(1.0, stratified((4, 4), 2), early_out=True)
+    visibility = lambda r: eqx.tree_at(lambda f: f.radius, filter, r)(shadow_map, lookup, SoftCompare(0.02, "linear"))
+    radii = jnp.array([0.3, 1.1, 2.5])
+
+    @jax.jit
+    def all_of(radii):
+        values = jax.vmap(visibility)(radii)
+        forward, backward = (jax.vmap(jac(visibility))(radii) for jac in (jax.jacfwd, jax.jacrev))
+        return values, visibility(radii[1]), forward, backward
+
+    values, value, forward, backward = (np.asarray(x) for x in all_of(radii))
+    np.testing.assert_allclose(values[1], value, atol=1e-6)
+    np.testing.assert_allclose(forward, backward, atol=1e-4)
+    assert np.abs(forward).max() > 0.01
+    # Where the first eight agree, so that nothing depends on the radius.
+    assert (forward[(values == 0) | (values == 1)] == 0).mean() > 0.9
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+def test_each_receiver_looks_into_its_own_layer(mode):
+    rng = np.random.default_rng(8)
+    single, lookup = random_map(rng), random_lookups(rng, (6, 7))
+    depth = jnp.stack([single.depth, random_map(rng).depth, random_map(rng).depth])
+    layer = jnp.asarray(rng.integers(0, 3, (6, 7)), jnp.int32)
+
+    @jax.jit
+    def mean(depth, layer):
+        at = eqx.tree_at(lambda at: at.layer, lookup, layer, is_leaf=lambda x: x is None)
+        pattern, compare = stratified((2, 3), 4), SoftCompare(1.0)
+        return mean_of_taps(ShadowMap(depth, single.light), at, compare, jnp.float32(1.5), pattern, mode)
+
+    expected = jnp.stack([mean(depth[k], None) for k in range(3)])
+    expected = jnp.take_along_axis(expected, layer[None], axis=0)[0]
+    np.testing.assert_allclose(mean(depth, layer), expected, atol=1e-6)

@@ -1,21 +1,32 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it."""
 
-import equinox as eqx
+from typing import Literal
 
-from .._types import ClipVertices, DepthMap, FaceMap, Resolution
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, Int
+
+from .._misc import with_gradient_of
+from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Mesh, View
-from ..raster import Capacity, Cull, barycentrics, interpolate_depth, rasterize
+from ..raster import Capacity, Cull, DepthTest, barycentrics, interpolate_depth, rasterize
+
+DepthFormat = Literal["float32", "unorm24", "unorm16"]
+DepthLayer = Literal["nearest", "midpoint", "second"]
 
 
 class ShadowMap(eqx.Module):
-    """The depth of the surface nearest to a light.
+    """The depth that a light sees.
 
-    - `depth`: (h, w), window depth; 1 where the light meets nothing. Row 0 is the bottom row.
+    - `depth`: (h, w), window depth; 1 where the light meets nothing. Row 0 is the bottom row. Of a light that looks
+        several ways, such as a point light, (l, h, w).
     - `light`: the light it was drawn from.
+    - `depth_format`: how depths are stored.
     """
 
-    depth: DepthMap
+    depth: Float[Array, "*l h w"]
     light: AbstractLight
+    depth_format: DepthFormat = eqx.field(static=True, default="float32")
 
     @property
     def view(self) -> View:
@@ -25,7 +36,7 @@ class ShadowMap(eqx.Module):
     @property
     def resolution(self) -> Resolution:
         """(height, width) in texels."""
-        height, width = self.depth.shape
+        height, width = self.depth.shape[-2:]
         return height, width
 
 
@@ -34,7 +45,10 @@ def draw_shadow_map(
     light: AbstractLight,
     resolution: Resolution,
     *,
+    layer: DepthLayer = "nearest",
     cull: Cull = "none",
+    depth_format: DepthFormat = "float32",
+    polygon_offset: tuple[float, float] | None = None,
     capacity: Capacity | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
@@ -45,19 +59,65 @@ def draw_shadow_map(
     **Arguments:**
 
     - `resolution`: (height, width) in texels.
-    - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones; only for closed meshes.
+    - `layer`: which surface each texel holds. `"nearest"`. `"midpoint"` (Woo, "The Shadow Depth Map Revisited",
+        Graphics Gems III, 1992), the mean of the window depths of the two nearest, or of the nearest and the far plane
+        where there is but one: no bias is needed but near silhouettes, where the two meet. `"second"`, the second
+        nearest (Wang & Molnar 1994), where a surface that has none behind it casts no shadow.
+    - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway; light
+        leaks where a face lies close behind them. Only for closed meshes: of an open one it leaves out what casts.
+    - `depth_format`: how depths are stored; fixed-point ones are rounded to the nearest of their steps, and receivers
+        are compared with them at a depth clamped to [0, 1].
+    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias that is stored in the map: each face lies
+        deeper by `factor · max(|dz/dx|, |dz/dy|) + units · r`, slopes per texel and `r` the least difference of depths
+        that the format is sure to resolve.
     - `capacity`: as for `rasterize`; needed under a trace.
+
+    **Raises** `ValueError` if `layer` is unknown, and what `rasterize` raises.
     """
+    if layer not in ("nearest", "midpoint", "second"):
+        raise ValueError(f'the shadow map\'s layer is {layer!r}; expected "nearest", "midpoint" or "second"')
     clip = _clip(mesh, light)
-    face = rasterize(clip, mesh.faces, resolution, cull=cull, capacity=capacity).face
-    return ShadowMap(_depth(face, clip, mesh), light)
+    test = DepthTest(depth_format)
+    is_plain = depth_format == "float32" and polygon_offset is None
+
+    def draw(behind: Int[Array, "*l h w"] | None = None) -> tuple[Array, Array]:
+        seen = rasterize(
+            clip,
+            mesh.faces,
+            resolution,
+            cull=cull,
+            depth_test=test,
+            polygon_offset=polygon_offset,
+            behind=behind,
+            capacity=capacity,
+        )
+        depth = _depth(seen.face, clip, mesh.faces)
+        return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
+
+    face, depth = draw()
+    if layer != "nearest":
+        _, second = draw(face)
+        depth = second if layer == "second" else _midpoint(depth, second, test)
+    return ShadowMap(depth, light, depth_format)
 
 
 @eqx.filter_jit
-def _clip(mesh: Mesh, light: AbstractLight) -> ClipVertices:
-    return light.view().clip(mesh.vertices)
+def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: DepthTest) -> Float[Array, "*n"]:
+    """The mean of two depths, as a buffer would hold it; what is empty stays so."""
+    middle = (nearest + second) / 2
+    return with_gradient_of(middle, test.decode(test.encode(middle)))
 
 
 @eqx.filter_jit
-def _depth(face: FaceMap, clip: ClipVertices, mesh: Mesh) -> DepthMap:
-    return interpolate_depth(barycentrics(face, clip, mesh.faces), clip, mesh.faces)
+def _clip(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
+    view = light.view()
+    layers = view.world_to_eye.shape[:-2]
+    # A matrix of each layer for all vertices.
+    spread = view.world_to_eye[..., None, :, :] if layers else view.world_to_eye
+    return eqx.tree_at(lambda view: view.world_to_eye, view, spread).clip(mesh.vertices)
+
+
+@eqx.filter_jit
+def _depth(face: Int[Array, "*l h w"], clip: Float[Array, "*l v 4"], faces: Faces) -> Float[Array, "*l h w"]:
+    of_view = lambda face, clip: interpolate_depth(barycentrics(face, clip, faces), clip, faces)
+    return jax.vmap(of_view)(face, clip) if face.ndim > 2 else of_view(face, clip)

@@ -2,87 +2,134 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot, normalize
+from .._misc import as_float, dot, normalize, safe_norm
 from .._types import DepthMap, Mask, TexelMap, VectorMap
-from ..geometry import View
-from ..raster import Surface
+from ..geometry import View, transform_points, transform_vectors
+from ..raster import DepthTest, Surface
 from ._map import ShadowMap
 
-# Points nearer to a spot light's plane than this share of its near distance count as behind it.
+# Points nearer to a light's plane than this share of its near distance count as behind it.
 _BESIDE = 1e-3
+# A receiver steeper than this (89.4°) is taken to be this steep: grazing light would ask for an infinite bias.
+_MAX_SLOPE = 100.0
+# Positions, normals and stored depths each carry a few roundings. Measured, they add up to 3 units in the last place,
+# and to 8 where triangles are a hundred times as wide as the map.
+_ROUNDINGS = 8
 
 
 class Receiver(eqx.Module):
-    """What a bias needs to know of the surface.
+    """The surface as the light sees it, which is what a bias may depend on.
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
     - `cosine`: (h, w), of the angle between the normal and the way to the light's centre.
-    - `texel`: (h, w), the width of a shadow-map texel there, in world units.
+    - `texel`: (h, w, 2), where it falls in the map, x and y in texels; `depth`: (h, w), its window depth.
+    - `in_front`: (h, w), whether it lies before the light rather than behind it.
+    - `texel_size`: (h, w), the width of a shadow-map texel there, in world units.
     - `depth_per_texel`: (h, w), how much window depth changes over that length along the light's axis.
+    - `slope`: (h, w, 2), how its depth rises along the map's x and y, in those texels' widths per texel.
+    - `rounding`: (h, w), how far rounding may part its depth, or its plane's under a kernel, from what the map holds of
+        it, in window depth.
+    - `layer`: (h, w), which of the light's maps it falls in; none where there is but one.
     """
 
     position: VectorMap
     normal: VectorMap
     cosine: Float[Array, "h w"]
-    texel: Float[Array, "h w"]
-    depth_per_texel: Float[Array, "h w"]
-
-
-class Lookup(eqx.Module):
-    """Where a receiver looks into the map, and what it compares with.
-
-    - `texel`: (h, w, 2), x and y in texels; the centre of the first texel is at (0.5, 0.5).
-    - `depth`: (h, w), the receiver's window depth less its bias.
-    - `depth_per_texel`: (h, w), window depth per texel's width, the unit of a soft compare.
-    - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
-    """
-
     texel: TexelMap
     depth: DepthMap
+    in_front: Bool[Array, "h w"]
+    texel_size: Float[Array, "h w"]
     depth_per_texel: Float[Array, "h w"]
-    inside: Bool[Array, "h w"]
+    slope: TexelMap
+    rounding: Float[Array, "h w"]
+    layer: Int[Array, "h w"] | None
 
 
 def receiver(shadow_map: ShadowMap, surface: Surface) -> Receiver:
     """The surface as the light sees it. Pixels without a surface hold harmless numbers."""
-    view = shadow_map.view
-    distance = _distance(view, surface)
-    texel = view.texel_size(distance, shadow_map.resolution)
-    to_light = normalize(shadow_map.light.towards(surface.position))
+    layer = shadow_map.light.layer(surface.position)
+    view = view_of(shadow_map, layer)
+    eye = transform_points(view.world_to_eye, surface.position)[..., :3]
+    # Behind a spot light the answer does not matter, but must not divide by zero.
+    ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
+    distance = jnp.where(surface.mask, ahead, view.far)
+    extent = view.texel_extent(distance, shadow_map.resolution)
+    texel_size = view.texel_size(distance, shadow_map.resolution)
+    texel, depth, in_front = project(shadow_map, surface.position, layer)
+    depth_per_texel = texel_size * view.depth_slope(distance)
+    slope = _slope(view, eye, distance, surface.normal) * extent / texel_size[..., None]
     return Receiver(
         position=surface.position,
         normal=surface.normal,
-        cosine=dot(surface.normal, to_light),
+        cosine=dot(surface.normal, normalize(shadow_map.light.towards(surface.position))),
         texel=texel,
-        depth_per_texel=texel * view.depth_slope(distance),
+        depth=depth,
+        in_front=in_front,
+        texel_size=texel_size,
+        depth_per_texel=depth_per_texel,
+        slope=slope,
+        rounding=_rounding(shadow_map, view, eye, distance, surface.position, slope),
+        layer=layer,
     )
 
 
-def _distance(view: View, surface: Surface) -> Float[Array, "h w"]:
-    axis, offset = view.world_to_eye[2, :3], view.world_to_eye[2, 3]
-    distance = -(dot(surface.position, axis) + offset)
-    # Behind a spot light the answer does not matter, but must not divide by zero.
-    return jnp.where(surface.mask, jnp.maximum(distance, view.near) if view.is_perspective else distance, view.far)
+def view_of(shadow_map: ShadowMap, layer: Int[Array, "h w"] | None) -> View:
+    """The view that each receiver is seen in."""
+    return shadow_map.view if layer is None else shadow_map.view.facing(layer)
 
 
-def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
-    """Whether each receiver looks up a texel of the map, rather than its border."""
-    height, width = shadow_map.resolution
-    low = jnp.all(lookup.texel >= 0, axis=-1)
-    return lookup.inside & low & (lookup.texel[..., 0] <= width) & (lookup.texel[..., 1] <= height)
-
-
-def look_up(shadow_map: ShadowMap, position: VectorMap, bias: DepthMap, depth_per_texel: DepthMap) -> Lookup:
-    """Projects `position` (h, w, 3) by the shadow matrix, and takes `bias` (h, w), in window depth, off its depth."""
-    view = shadow_map.view
+def project(
+    shadow_map: ShadowMap, position: VectorMap, layer: Int[Array, "h w"] | None
+) -> tuple[TexelMap, DepthMap, Mask]:
+    """Where `position` (h, w, 3) falls in the map, by the shadow matrix: texel, window depth and whether in front."""
+    view = view_of(shadow_map, layer)
     clip = view.clip(position)
     w = clip[..., 3:]
     # Beside a spot light the divide overflows; so near to it, nothing casts a shadow.
-    before = w > (_BESIDE * view.near if view.is_perspective else 0)
-    window = jnp.where(before, clip[..., :3] / jnp.where(before, w, 1), 2.0) * 0.5 + 0.5
+    in_front = w > (_BESIDE * view.near if view.is_perspective else 0)
+    window = jnp.where(in_front, clip[..., :3] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = shadow_map.resolution
-    texel = window[..., :2] * jnp.array([width, height], dtype=window.dtype)
-    inside = before[..., 0] & (window[..., 2] <= 1)
-    return Lookup(texel, window[..., 2] - bias, depth_per_texel, inside)
+    return window[..., :2] * jnp.array([width, height], window.dtype), window[..., 2], in_front[..., 0]
+
+
+def _slope(view: View, eye: VectorMap, distance: Float[Array, "h w"], normal: VectorMap) -> TexelMap:
+    """How much deeper the receivers' planes lie per unit across, along the view's x and y.
+
+    With `r` the ray through a point, per unit of distance along the axis, and `n` the plane's normal, both in eye
+    space, it is `n_xy / -(n · r)`; across a perspective's rays as well as across parallel ones, for window depth is
+    linear in the window along a plane.
+    """
+    n = transform_vectors(view.world_to_eye, normal)
+    along = eye / distance[..., None] if view.is_perspective else jnp.array([0.0, 0.0, -1.0])
+    facing = dot(n, jnp.broadcast_to(along, n.shape))
+    across = n[..., :2]
+    least = jnp.maximum(safe_norm(across) / _MAX_SLOPE, 1e-12)
+    facing = jnp.where(jnp.abs(facing) > least, facing, jnp.where(facing < 0, -least, least))
+    return -across / facing[..., None]
+
+
+def _rounding(
+    shadow_map: ShadowMap,
+    view: View,
+    eye: VectorMap,
+    distance: Float[Array, "h w"],
+    position: VectorMap,
+    slope: TexelMap,
+) -> Float[Array, "h w"]:
+    """How far the depth of the receiver's plane, under a kernel as wide as the map, may be from what the map holds.
+
+    Coordinates are known to a share of their size, and so is a point of the plane; an error across the plane is one of
+    depth, which is larger the steeper the plane. A fixed-point map rounds to the nearest of its steps besides.
+    """
+    position, eye, distance, slope = lax.stop_gradient((position, eye, distance, slope))
+    size = lambda x: jnp.max(jnp.abs(x), axis=-1)
+    reach = size(position) + size(eye) + max(shadow_map.resolution) * view.texel_size(distance, shadow_map.resolution)
+    steepness = jnp.sqrt(1 + jnp.sum(slope * slope, axis=-1))
+    unit = jnp.finfo(jnp.float32).eps
+    half_step = (
+        0.0 if shadow_map.depth_format == "float32" else DepthTest(shadow_map.depth_format).decode(as_float(0.5))
+    )
+    return _ROUNDINGS * unit * (1 + view.depth_slope(distance) * reach * steepness) + half_step

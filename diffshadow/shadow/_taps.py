@@ -1,9 +1,14 @@
 """Look-ups in a shadow map, from which every filter is made.
 
 A texel that holds nothing, and everything beyond the border, is lit however soft the compare. To that end the map is
-padded by two texels: clamped look-ups then always land on texels that exist, and no branch is needed.
+padded by as many texels as a look-up reads along a side: clamped look-ups then always land on texels that exist, and
+no branch is needed.
+
+Filters are sums of parts, such as taps. A few parts are written out in each step of a loop: they run as one fused
+expression, which a long chain of them does not.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -11,68 +16,155 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from .._types import Visibility
+from .._misc import round_up_to_power_of_two
+from .._types import Mask, Visibility
 from ._compare import AbstractCompare
+from ._lookup import Lookup
 from ._map import ShadowMap
-from ._receiver import Lookup
+from .patterns import Pattern, interleaved_gradient_noise
 
 TapMode = Literal["nearest", "bilinear"]
 
-_PADDING = 2
 # Deeper than any receiver by far more than any soft compare is wide.
 _NOTHING = 1e6
-# Taps written out in one step of the loop over taps: more run no faster, and take longer to compile.
-_UNROLLED = 8
+# What a step of the loop over parts may cost, in nearest taps: more run no faster, and take longer to compile.
+_COST_OF_A_STEP = 16
+# A part with its derivatives, as against the part alone.
+_COST_OF_DERIVATIVES = 2
+# Pixels of a row that are laid out together: a vector's worth.
+_VECTOR = 8
+# Pixels that one step of the loop over those that are wanted takes.
+_PIXELS_A_STEP = 8192
 
 
 class PaddedMap(eqx.Module):
-    """A shadow map's depths as one row of memory, padded with depths that shadow nothing."""
+    """A shadow map's depths as one row of memory, padded with depths that shadow nothing.
+
+    - `margin`: texels on each side.
+    """
 
     depth: Float[Array, " n"]
     height: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
+    margin: int = eqx.field(static=True)
 
-    def __getitem__(self, index: tuple[Int[Array, "*n"], Int[Array, "*n"]]) -> Float[Array, "*n"]:
-        """Depths at (x, y), which may lie at most two texels outside."""
-        x, y = index
-        flat = (y + _PADDING) * (self.width + 2 * _PADDING) + (x + _PADDING)
-        return self.depth.at[flat].get(mode="promise_in_bounds")
+    @property
+    def stride(self) -> int:
+        """Places from a texel to the one above it."""
+        return self.width + 2 * self.margin
 
-    def texel(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Int[Array, "*n"], Int[Array, "*n"]]:
-        """The texel that a position lies in, clamped so that it and its neighbours exist."""
-        clamp = lambda p, size: jnp.clip(jnp.floor(lax.stop_gradient(p)), -_PADDING, size).astype(jnp.int32)
-        return clamp(x, self.width), clamp(y, self.height)
+    def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
+        """Where texel (x, y), whole numbers, is stored: clamped so that a `margin` of texels from there on exist."""
+        clamp = lambda p, size: jnp.clip(p, -self.margin, size).astype(jnp.int32) + self.margin
+        row = clamp(y, self.height)
+        if layer is not None:
+            row = row + layer * (self.height + 2 * self.margin)
+        return row * self.stride + clamp(x, self.width)
+
+    def at(self, place: Int[Array, "*n"]) -> Float[Array, "*n"]:
+        """The depths stored there."""
+        return self.depth.at[place].get(mode="promise_in_bounds")
 
 
-def pad(shadow_map: ShadowMap) -> PaddedMap:
-    """The map, padded, with empty texels that shadow nothing."""
+def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
+    """The map, padded by the texels that a look-up reads along a side, with empty texels that shadow nothing."""
     depth = jnp.where(shadow_map.depth < 1, shadow_map.depth, _NOTHING)
     height, width = shadow_map.resolution
-    return PaddedMap(jnp.pad(depth, _PADDING, constant_values=_NOTHING).reshape(-1), height, width)
+    sides = [(0, 0)] * (depth.ndim - 2) + [(margin, margin)] * 2
+    padded = jnp.pad(depth, sides, constant_values=_NOTHING).reshape(-1)
+    # Else XLA pads anew for each reader.
+    return PaddedMap(lax.optimization_barrier(padded), height, width, margin)
 
 
-def nearest_tap(padded: PaddedMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-    """Compares with the texel that each look-up falls into. Its gradient does not see the position."""
-    texel = padded.texel(lookup.texel[..., 0], lookup.texel[..., 1])
-    return compare(padded[texel], lookup.depth, lookup.depth_per_texel)
+class Sites(eqx.Module):
+    """Look-ups laid out in any way, and what the taps round them depend on.
+
+    - `x`, `y`, `depth`, `depth_per_texel`, `slope`, `layer`, `deepest`: as in `Lookup`.
+    - `radius`: in texels, of each or of all.
+    - `turn`: cosine and sine of the angle by which each turns its pattern; none where none does.
+    """
+
+    x: Float[Array, "*n"]
+    y: Float[Array, "*n"]
+    depth: Float[Array, "*n"]
+    depth_per_texel: Float[Array, "*n"]
+    slope: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None
+    layer: Int[Array, "*n"] | None
+    radius: Float[Array, "..."]
+    turn: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None
+    deepest: Float[Array, "*n"] | None = None
+
+    def map(self, function: Callable[[Array], Array]) -> "Sites":
+        """With `function` of every array but a `radius` of all."""
+        return jax.tree.map(lambda leaf: function(leaf) if leaf.ndim else leaf, self)
+
+    def lit(
+        self, padded: PaddedMap, compare: AbstractCompare, place: Array, x: Float[Array, "*n"], y: Float[Array, "*n"]
+    ) -> Float[Array, "*n"]:
+        """The compare with what is stored at `place`, texel (x, y), at whose centre the receiver's plane is met."""
+        depth = self.depth
+        if self.slope is not None:
+            depth = depth + self.slope[0] * (x + 0.5 - self.x) + self.slope[1] * (y + 0.5 - self.y)
+            depth = depth if self.deepest is None else jnp.minimum(depth, self.deepest)
+        return compare(padded.at(place), depth, self.depth_per_texel)
 
 
-def bilinear_tap(padded: PaddedMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-    """Compares with the four texels round each look-up, and blends the four results (never the depths)."""
-    u, v = lookup.texel[..., 0] - 0.5, lookup.texel[..., 1] - 0.5
-    column, row = padded.texel(u, v)
-    right, above = u - lax.stop_gradient(jnp.floor(u)), v - lax.stop_gradient(jnp.floor(v))
-    lit = lambda i, j: compare(padded[column + i, row + j], lookup.depth, lookup.depth_per_texel)
+def sites_of(lookup: Lookup, radius: Float[Array, "..."] | float = 0.0) -> Sites:
+    """The look-ups, pixel by pixel."""
+    slope = None if lookup.slope is None else (lookup.slope[..., 0], lookup.slope[..., 1])
+    x, y, radius = lookup.texel[..., 0], lookup.texel[..., 1], jnp.asarray(radius)
+    return Sites(x, y, lookup.depth, lookup.depth_per_texel, slope, lookup.layer, radius, deepest=lookup.deepest)
+
+
+def nearest_tap(
+    padded: PaddedMap, compare: AbstractCompare, sites: Sites, x: Float[Array, "*n"], y: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Compares with the texel that (x, y) falls into. Its gradient does not see the position."""
+    column, row = jnp.floor(x), jnp.floor(y)
+    return sites.lit(padded, compare, padded.place(column, row, sites.layer), column, row)
+
+
+def bilinear_tap(
+    padded: PaddedMap, compare: AbstractCompare, sites: Sites, x: Float[Array, "*n"], y: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Compares with the four texels round (x, y), and blends the four results (never the depths)."""
+    u, v = x - 0.5, y - 0.5
+    column, row = jnp.floor(u), jnp.floor(v)
+    right, above = u - column, v - row
+    place = padded.place(column, row, sites.layer)
+    lit = lambda i, j: sites.lit(padded, compare, place + (j * padded.stride + i), column + i, row + j)
     lower = lit(0, 0) * (1 - right) + lit(1, 0) * right
     upper = lit(0, 1) * (1 - right) + lit(1, 1) * right
     return lower * (1 - above) + upper * above
 
 
+_TAPS = {"nearest": nearest_tap, "bilinear": bilinear_tap}
+_COSTS = {"nearest": 1.0, "bilinear": 4.0}
+
+
 def single_tap(shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare, mode: TapMode) -> Visibility:
     """One compare a receiver."""
-    return _TAPS[mode](pad(shadow_map), lookup, compare)
+    sites = sites_of(lookup)
+    return _TAPS[mode](pad(shadow_map), compare, sites, sites.x, sites.y)
+
+
+class _DiskTap(eqx.Module):
+    """A tap at `radius · offset`."""
+
+    mode: TapMode = eqx.field(static=True)
+
+    def __call__(self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, offset: tuple[Array, Array]) -> Array:
+        x, y = offset
+        if sites.turn is not None:
+            cosine, sine = sites.turn
+            x, y = cosine * x - sine * y, sine * x + cosine * y
+        return _TAPS[self.mode](padded, compare, sites, sites.x + sites.radius * x, sites.y + sites.radius * y)
+
+    @property
+    def cost(self) -> float:
+        return _COSTS[self.mode]
 
 
 def mean_of_taps(
@@ -80,86 +172,175 @@ def mean_of_taps(
     lookup: Lookup,
     compare: AbstractCompare,
     radius: Float[Array, "..."],
-    offsets: Float[Array, "n *p 2"],
+    pattern: Pattern,
     mode: TapMode,
-    spread: Callable[[Array], Array] = lambda offset: offset,
+    wanted: Mask | None = None,
 ) -> Visibility:
     """The mean of taps at `texel + radius · offset`.
 
     **Arguments:**
 
     - `radius`: in texels, a scalar or one for each receiver.
-    - `offsets`: (n, ..., 2), `n` offsets in the unit disk; `spread` shapes one component (...) to the receivers'.
+    - `pattern`: the offsets of each receiver, as the pixels of an image.
     - `mode`: `"nearest"` or `"bilinear"` taps; nearest ones give `radius` and position no gradient.
+    - `wanted`: the receivers whose mean is wanted, (h, w): others are 0, and most of them cost nothing. All if left
+        out.
 
-    Differentiable with respect to all but `offsets`.
+    Differentiable with respect to all but `pattern`.
     """
-    radius = jnp.broadcast_to(radius, lookup.depth.shape)
-    return _mean(pad(shadow_map), compare, lookup, radius, offsets, mode, spread)
+    sites = sites_of(lookup, radius)
+    if pattern.rotated:
+        angle = 2 * jnp.pi * interleaved_gradient_noise(lookup.depth.shape).astype(lookup.depth.dtype)
+        sites = eqx.tree_at(lambda s: s.turn, sites, (jnp.cos(angle), jnp.sin(angle)), is_leaf=_is_none)
+    blocks = _Blocks.of(pattern, lookup.depth.shape)
+    sites, offsets = sites.map(blocks.cut), blocks.table(pattern)
+    arguments = _DiskTap(mode), pad(shadow_map), compare, sites, offsets
+    total = sum_of_parts(*arguments) if wanted is None else _sum_where_wanted(*arguments, blocks.cut(wanted))
+    return blocks.join(total) / pattern.samples
 
 
-_TAPS = {"nearest": nearest_tap, "bilinear": bilinear_tap}
+class _Blocks(eqx.Module):
+    """An image cut into the tiles of a pattern, without moving anything in memory.
+
+    An image (h, w) becomes (h / rows, rows, w / columns, columns), of which a table (rows, 1, columns) is right for
+    all tiles. Tiles narrower than a vector are repeated.
+    """
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, pattern: Pattern, shape: tuple[int, ...]) -> "_Blocks":
+        size, (height, width) = pattern.offsets.shape[1], shape
+        return cls((height, width), size, size * math.ceil(_VECTOR / size))
+
+    @property
+    def _padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        height, width = self.shape
+        return (0, -height % self.rows), (0, -width % self.columns)
+
+    def cut(self, image: Array) -> Array:
+        # Pixels that fill up the last blocks are copies: whatever is evaluated there is as harmless as elsewhere.
+        padded = jnp.pad(image, self._padding, mode="edge") if any(after for _, after in self._padding) else image
+        height, width = padded.shape
+        return padded.reshape(height // self.rows, self.rows, width // self.columns, self.columns)
+
+    def join(self, blocks: Array) -> Array:
+        height, width = self.shape
+        return blocks.reshape(blocks.shape[0] * self.rows, -1)[:height, :width]
+
+    def table(self, pattern: Pattern) -> tuple[Float[Array, "n p 1 q"], Float[Array, "n p 1 q"]]:
+        offsets = lax.stop_gradient(pattern.offsets)
+        wide = jnp.tile(offsets, (1, 1, self.columns // self.rows, 1))[:, :, None]
+        # Else each tap would cut its own offset out of the pattern, at every pixel.
+        return lax.optimization_barrier((wide[..., 0], wide[..., 1]))
 
 
-def _moved(lookup: Lookup, radius: Array, x: Array, y: Array) -> Lookup:
-    moved = lookup.texel + jnp.stack([radius * x, radius * y], axis=-1)
-    return Lookup(moved, lookup.depth, lookup.depth_per_texel, lookup.inside)
+def _plain_sum(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
+    # Else every part would work out for itself where the look-ups are.
+    sites = lax.optimization_barrier(sites)
+    return _scan_sum(lambda step: part(padded, compare, sites, step), sites.depth, steps, part.cost)
 
 
-def _scan_mean(one: Callable[[Array, Array], Any], like: Any, offsets: Array, spread: Callable) -> Any:
-    """The mean of `one(x, y)` over the offsets."""
-
-    def add(total: Any, offset: Array) -> tuple[Any, None]:
-        return jax.tree.map(jnp.add, total, one(spread(offset[..., 0]), spread(offset[..., 1]))), None
-
-    zero = jax.tree.map(jnp.zeros_like, like)
-    total, _ = lax.scan(add, zero, offsets, unroll=min(_UNROLLED, offsets.shape[0]))
-    return jax.tree.map(lambda x: x / offsets.shape[0], total)
-
-
-def _plain_mean(padded, compare, lookup, radius, offsets, mode, spread):
-    one = lambda x, y: _TAPS[mode](padded, _moved(lookup, radius, x, y), compare)
-    return _scan_mean(one, lookup.depth, offsets, spread)
+def _scan_sum(one: Callable[[Any], Any], like: Any, steps: Any, cost: float) -> Any:
+    """The sum of `one(step)` over `steps`."""
+    add = lambda total, step: (jax.tree.map(jnp.add, total, one(step)), None)
+    count = jax.tree.leaves(steps)[0].shape[0]
+    loops = math.ceil(count * cost / _COST_OF_A_STEP)
+    total, _ = lax.scan(add, jax.tree.map(jnp.zeros_like, like), steps, unroll=math.ceil(count / loops))
+    # Else XLA runs through the pixels as whoever reads the sum lays them out, and no longer vectorizes.
+    return lax.optimization_barrier(total)
 
 
 @eqx.filter_custom_jvp
-def _mean(padded, compare, lookup, radius, offsets, mode, spread):
-    return _plain_mean(padded, compare, lookup, radius, offsets, mode, spread)
+def sum_of_parts(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
+    """The sum of `part(padded, compare, sites, step)` over `steps`.
+
+    **Arguments:**
+
+    - `part`: a module with that method, which treats each site by itself, and with its `cost` in nearest taps.
+    - `steps`: a pytree of arrays whose first axis counts the parts. They carry no gradient.
+    """
+    return _plain_sum(part, padded, compare, sites, steps)
 
 
-@_mean.def_jvp
-def _mean_jvp(primals, tangents):
-    """Each tap gives its derivatives by all of a receiver's numbers at once, in reverse mode, and they are summed as
-    the taps are: a Jacobian then costs the same for any number of parameters."""
-    padded, compare, lookup, radius, offsets, mode, spread = primals
-    d_padded, d_compare, d_lookup, d_radius, *_ = tangents
+@sum_of_parts.def_jvp
+def _sum_of_parts_jvp(primals, tangents):
+    """Each part gives its derivatives by all of a site's numbers at once, in reverse mode, and they are summed as the
+    parts are: a Jacobian then costs the same for any number of parameters."""
+    part, padded, compare, sites, steps = primals
+    _, d_padded, d_compare, d_sites, _ = tangents
+    # A radius of all has a derivative at each site.
+    sites = eqx.tree_at(lambda s: s.radius, sites, jnp.broadcast_to(sites.radius, sites.depth.shape))
+    moving = jax.tree.map(lambda d: d is not None, d_sites, is_leaf=_is_none)
+    moving, still = eqx.partition(lax.optimization_barrier(sites), moving)
 
-    def one(x: Array, y: Array) -> Any:
-        def tap(texel: Array, depth: Array, depth_per_texel: Array) -> Visibility:
-            return _TAPS[mode](padded, Lookup(texel, depth, depth_per_texel, lookup.inside), compare)
+    def one(step: Any) -> Any:
+        value, pull = jax.vjp(lambda moving: part(padded, compare, eqx.combine(moving, still), step), moving)
+        return value, pull(jnp.ones_like(value))[0]
 
-        moved = _moved(lookup, radius, x, y)
-        value, pull = jax.vjp(tap, moved.texel, moved.depth, moved.depth_per_texel)
-        by_texel, by_depth, by_unit = pull(jnp.ones_like(value))
-        by_radius = by_texel[..., 0] * x + by_texel[..., 1] * y
-        return value, by_texel, by_depth, by_unit, by_radius
-
-    like = (lookup.depth, lookup.texel, lookup.depth, lookup.depth, lookup.depth)
-    value, by_texel, by_depth, by_unit, by_radius = _scan_mean(one, like, offsets, spread)
+    value, slopes = _scan_sum(one, (sites.depth, moving), steps, _COST_OF_DERIVATIVES * part.cost)
     tangent = jnp.zeros_like(value)
-    if d_lookup is not None:
-        if d_lookup.texel is not None:
-            tangent = tangent + jnp.sum(by_texel * d_lookup.texel, axis=-1)
-        if d_lookup.depth is not None:
-            tangent = tangent + by_depth * d_lookup.depth
-        if d_lookup.depth_per_texel is not None:
-            tangent = tangent + by_unit * d_lookup.depth_per_texel
-    if d_radius is not None:
-        tangent = tangent + by_radius * d_radius
-    # A map or a compare that itself changes cannot be summed up per receiver.
-    for_map = lambda padded: _plain_mean(padded, compare, lookup, radius, offsets, mode, spread)
-    for_compare = lambda compare: _plain_mean(padded, compare, lookup, radius, offsets, mode, spread)
+    for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_sites), strict=True):
+        tangent = tangent + slope * d
+    # A map or a compare that itself changes cannot be summed up per site.
+    for_map = lambda padded: _plain_sum(part, padded, compare, sites, steps)
+    for_compare = lambda compare: _plain_sum(part, padded, compare, sites, steps)
     for function, primal, d in ((for_map, padded, d_padded), (for_compare, compare, d_compare)):
         if any(leaf is not None for leaf in jax.tree.leaves(d)):
-            tangent = tangent + eqx.filter_jvp(function, (primal,), (d,))[1]
+            change = eqx.filter_jvp(function, (primal,), (d,))[1]
+            # A hard compare does not see the map move.
+            tangent = tangent if change is None else tangent + change
     return value, tangent
+
+
+@eqx.filter_custom_jvp
+def _sum_where_wanted(
+    part: Any,
+    padded: PaddedMap,
+    compare: AbstractCompare,
+    sites: Sites,
+    steps: Any,
+    wanted: Bool[Array, "i p j q"],
+) -> Float[Array, "i p j q"]:
+    """`sum_of_parts` where it is `wanted` and 0 elsewhere, for sites laid out by `_Blocks`.
+
+    Runs of `q` pixels that hold a wanted one are gathered, those of each of a block's rows together so that the table
+    of offsets still fits, and summed a fixed number at a time until none is left.
+    """
+    i, p, j, q = wanted.shape
+    runs = i * p * j
+    chosen = jnp.moveaxis(jnp.any(wanted, axis=-1), 1, 0).reshape(p, i * j)
+    number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
+    rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
+    most = jnp.max(rank) + 1
+    a_step = min(i * j, round_up_to_power_of_two(max(1, _PIXELS_A_STEP // (p * q))))
+    room = math.ceil(i * j / a_step) * a_step
+    # Runs that are not chosen go to a place that is never read, and places that no run takes name none.
+    queue = jnp.full((p, room + 1), runs, jnp.int32)
+    queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, room)].set(number, mode="promise_in_bounds")
+
+    def step(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, total = state
+        own = lax.dynamic_slice(queue, (jnp.zeros_like(done), done), (p, a_step))
+        held = jnp.minimum(own, runs - 1)
+        gathered = sites.map(lambda a: a.reshape(runs, q).at[held].get(mode="promise_in_bounds"))
+        return done + a_step, total.at[own].set(_plain_sum(part, padded, compare, gathered, steps), mode="drop")
+
+    total = jnp.zeros((runs, q), sites.depth.dtype)
+    _, total = lax.while_loop(lambda state: state[0] < most, step, (jnp.zeros((), jnp.int32), total))
+    return jnp.where(wanted, total.reshape(wanted.shape), 0)
+
+
+@_sum_where_wanted.def_jvp
+def _sum_where_wanted_jvp(primals, tangents):
+    """That of the sum over all: loops of unknown length have no reverse mode, and a derivative pays for them anyway."""
+    part, padded, compare, sites, steps, wanted = primals
+    function = lambda padded, compare, sites: sum_of_parts(part, padded, compare, sites, steps)
+    value, tangent = eqx.filter_jvp(function, (padded, compare, sites), tangents[1:4])
+    return jnp.where(wanted, value, 0), jnp.where(wanted, tangent, 0)
+
+
+def _is_none(x: Any) -> bool:
+    return x is None

@@ -2,13 +2,15 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 
 from .._types import Mask, Visibility
 from ..raster import Surface
-from ._bias import AbstractBias
 from ._compare import AbstractCompare, HardCompare
+from ._lookup import Lookup, look_up, within_frustum
 from ._map import ShadowMap
-from ._receiver import Lookup, look_up, receiver, within_frustum
+from ._receiver import receiver
+from .biases import AbstractBias
 from .filters import AbstractFilter
 
 
@@ -41,6 +43,6 @@ class ShadowMapping(eqx.Module):
 
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
         at = receiver(shadow_map, surface)
-        terms = self.bias(at)
-        position = surface.position + terms.displacement
-        return look_up(shadow_map, position, terms.depth, at.depth_per_texel), at.cosine
+        arrays, rest = eqx.partition(look_up(shadow_map, at, self.bias(at)), eqx.is_array)
+        # Else XLA projects every receiver anew for each tap.
+        return eqx.combine(lax.optimization_barrier(arrays), rest), at.cosine

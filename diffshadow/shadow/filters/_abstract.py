@@ -6,8 +6,8 @@ import equinox as eqx
 
 from ..._types import Visibility
 from .._compare import AbstractCompare
+from .._lookup import Lookup
 from .._map import ShadowMap
-from .._receiver import Lookup
 
 
 class AbstractFilter(eqx.Module):

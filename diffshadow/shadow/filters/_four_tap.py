@@ -7,9 +7,10 @@ import numpy as np
 from ..._misc import as_float, concrete
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
+from .._lookup import Lookup
 from .._map import ShadowMap
-from .._receiver import Lookup
 from .._taps import mean_of_taps
+from ..patterns import Pattern
 from ._abstract import AbstractFilter
 
 
@@ -27,5 +28,5 @@ class FourTap(AbstractFilter):
             raise ValueError(f"the four taps' radius is {radius}; expected 0 or more texels")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        corners = jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+        corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])
         return mean_of_taps(shadow_map, lookup, compare, self.radius, corners, "bilinear")

@@ -3,20 +3,21 @@
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float, concrete
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
+from .._lookup import Lookup
 from .._map import ShadowMap
-from .._receiver import Lookup
-from .._taps import nearest_tap, pad
+from .._taps import PaddedMap, Sites, pad, sites_of, sum_of_parts
 from ._abstract import AbstractFilter
 
 # Narrower than this a box cannot be told from a point.
 _LEAST_RADIUS = 1e-3
+# Texels beside each other share what it takes to find them.
+_COST_OF_A_TEXEL = 0.4
 
 
 class PercentageCloser(AbstractFilter):
@@ -27,48 +28,73 @@ class PercentageCloser(AbstractFilter):
 
     - `radius`: half the box's width, in texels.
     - `max_radius`: the largest radius that can be asked for, in texels; the number of taps grows with its square. It
-        defaults to `radius`, rounded up.
+        defaults to `radius`, and is rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is negative or above `max_radius`.
     """
 
     radius: Scalar
-    max_radius: int = eqx.field(static=True)
+    max_radius: float = eqx.field(static=True)
 
     def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
         self.radius = as_float(radius)
         # At least 1: a box without width still needs the least one to divide by.
-        self.max_radius = max(1, math.ceil(float(radius) if max_radius is None else max_radius))
+        self.max_radius = max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
 
     def __check_init__(self):
         radius = concrete(self.radius)
         if radius is not None and not 0 <= radius <= self.max_radius:
             raise ValueError(
-                f"the filter's radius is {radius} texels; expected 0 to max_radius = {self.max_radius}: give a larger "
-                "max_radius"
+                f"the filter's radius is {radius} texels; expected 0 to max_radius = {self.max_radius:g}: give a "
+                "larger max_radius"
             )
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        padded = pad(shadow_map)
+        row = _Row(self.max_radius)
+        sites = sites_of(lookup, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
+        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, jnp.arange(row.texels))
 
-        def tap(x: Array, y: Array) -> Visibility:
-            moved = Lookup(lookup.texel + jnp.stack([x, y]), lookup.depth, lookup.depth_per_texel, lookup.inside)
-            return nearest_tap(padded, moved, compare)
 
-        reach = self.max_radius
-        columns = range(-reach, reach + 1)
+class _Row(eqx.Module):
+    """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
 
-        def add_row(j: Array, total: Visibility) -> Visibility:
-            y = jnp.asarray(j, total.dtype)
-            row = sum(self._share(lookup.texel[..., 0], i) * tap(jnp.asarray(i, total.dtype), y) for i in columns)
-            return total + self._share(lookup.texel[..., 1], y) * row
+    max_radius: float = eqx.field(static=True)
 
-        return jax.lax.fori_loop(-reach, reach + 1, add_row, jnp.zeros_like(lookup.depth))
+    @property
+    def texels(self) -> int:
+        """Texels that a box may cover along a side."""
+        return math.ceil(2 * self.max_radius) + 1
 
-    def _share(self, position: Float[Array, "h w"], offset: Array | int) -> Float[Array, "h w"]:
-        """Share of the box's width that lies in the texel `offset` away from the one `position` is in."""
-        radius = jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius)
-        # Measured from the position's own texel, so that shares add up to 1 however far away that is.
-        within = position - jnp.floor(position)
-        overlap = jnp.minimum(within + radius, offset + 1) - jnp.maximum(within - radius, offset)
-        return jnp.maximum(overlap, 0) / (2 * radius)
+    @property
+    def cost(self) -> float:
+        return _COST_OF_A_TEXEL * self.texels
+
+    def __call__(
+        self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, number: Int[Array, ""]
+    ) -> Float[Array, "*n"]:
+        column, left = _lower_edge(sites.x, sites.radius)
+        row, below = _lower_edge(sites.y, sites.radius)
+        place = padded.place(column, row, sites.layer) + number * padded.stride
+        row = row + number
+        total = sum(
+            _share(left, sites.radius, i) * sites.lit(padded, compare, place + i, column + i, row)
+            for i in range(self.texels)
+        )
+        return _share(below, sites.radius, number) * total
+
+
+def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:
+    """The texel that the lower edge of a box round `position` lies in, and how far into that texel it lies."""
+    own = jnp.floor(position)
+    # Measured from the position's own texel, so that shares add up to 1 however far away that is.
+    edge = position - own - radius
+    first = jnp.floor(edge)
+    return own + first, edge - first
+
+
+def _share(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Float[Array, "*n"]:
+    """Share of a box's width that lies in texel `number` from the one its lower `edge` lies in."""
+    upper = edge + 2 * radius - number
+    # Rather than a clip, whose derivatives halve on its corners at some cost.
+    ends = jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))
+    return (ends - jnp.where(number == 0, edge, 0)) / (2 * radius)

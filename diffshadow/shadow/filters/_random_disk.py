@@ -1,75 +1,46 @@
 """Random disk sampling (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2, ch. 17)."""
 
 import math
-from functools import partial
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete
-from ..._types import Scalar, Visibility
+from ..._types import Mask, Scalar, Visibility
 from .._compare import AbstractCompare
+from .._lookup import Lookup
 from .._map import ShadowMap
-from .._receiver import Lookup
 from .._taps import TapMode, mean_of_taps
+from ..patterns import EARLY_SAMPLES, Pattern, stratified
 from ._abstract import AbstractFilter
-
-EARLY_SAMPLES = 8
-"""How many samples, the outermost, decide the early-out."""
-
-
-def offset_table(pattern_size: int, samples: tuple[int, int], seed: int) -> Float[Array, "p p n 2"]:
-    """Stratified jittered offsets in the unit disk, another set for each pixel of a square pattern.
-
-    **Arguments:**
-
-    - `pattern_size`: pixels on a side of the pattern.
-    - `samples`: (angles, rings), the strata of each set.
-
-    **Returns:** (pattern_size, pattern_size, angles · rings, 2). Sample (u, v) of the jittered unit square lies at
-    radius √v and angle 2πu; samples run from the outer ring inwards.
-    """
-    angles, rings = samples
-    jitter = np.random.default_rng(seed).random((pattern_size, pattern_size, rings, angles, 2))
-    u = (np.arange(angles) + jitter[..., 0]) / angles
-    v = (np.arange(rings)[::-1, None] + jitter[..., 1]) / rings
-    offsets = np.sqrt(v)[..., None] * np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], axis=-1)
-    return as_float(offsets.reshape(pattern_size, pattern_size, angles * rings, 2))
 
 
 class RandomDisk(AbstractFilter):
-    """The mean of taps at random offsets in a disk, which differ from pixel to pixel.
+    """The mean of taps at the points of a pattern, scaled to a disk.
 
     - `radius`: of the disk, in texels.
-    - `offsets`: (p, p, n, 2), the offset table; a pixel uses the set at its coordinates modulo p.
+    - `pattern`: where the taps lie; the classic offset table if left out.
     - `lookup`: `"bilinear"` or `"nearest"` taps. Nearest ones give `radius` no gradient.
-    - `early_out`: whether the first 8 samples, which are the outermost, decide alone where they agree.
+    - `early_out`: whether the first 8 samples, which lie far out, decide alone where they agree; the others are then
+        taken where they do not agree, and nowhere else.
 
-    **Raises** `ValueError` if `radius` is negative, there are no samples, or `lookup` is unknown.
+    **Raises** `ValueError` if `radius` is negative, or `lookup` is unknown.
     """
 
     radius: Scalar
-    offsets: Float[Array, "p p n 2"]
+    pattern: Pattern
     lookup: TapMode = eqx.field(static=True)
     early_out: bool = eqx.field(static=True)
 
     def __init__(
         self,
         radius: float | Scalar = 2.0,
-        samples: tuple[int, int] = (4, 8),
-        pattern_size: int = 8,
+        pattern: Pattern | None = None,
         lookup: TapMode = "bilinear",
         early_out: bool = False,
-        seed: int = 0,
     ):
-        if min(samples) < 1 or pattern_size < 1:
-            raise ValueError(
-                f"the random disk has samples {samples} and pattern_size {pattern_size}; expected each to be 1 or more"
-            )
         self.radius = as_float(radius)
-        self.offsets = offset_table(pattern_size, samples, seed)
+        self.pattern = stratified() if pattern is None else pattern
         self.lookup = lookup
         self.early_out = early_out
 
@@ -81,20 +52,15 @@ class RandomDisk(AbstractFilter):
             raise ValueError(f"the random disk's radius is {radius}; expected 0 or more texels")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        offsets = jnp.moveaxis(self.offsets, 2, 0)
-        spread = partial(_spread, shape=lookup.depth.shape)
-        mean = lambda chosen: mean_of_taps(shadow_map, lookup, compare, self.radius, chosen, self.lookup, spread)
-        if not self.early_out or offsets.shape[0] <= EARLY_SAMPLES:
-            return mean(offsets)
-        outer, inner = mean(offsets[:EARLY_SAMPLES]), mean(offsets[EARLY_SAMPLES:])
-        share = EARLY_SAMPLES / offsets.shape[0]
-        agree = (outer == 0) | (outer == 1)
-        return jnp.where(agree, outer, share * outer + (1 - share) * inner)
+        def mean(pattern: Pattern, wanted: Mask | None = None) -> Visibility:
+            return mean_of_taps(shadow_map, lookup, compare, self.radius, pattern, self.lookup, wanted)
 
-
-def _spread(pattern: Float[Array, "p p"], shape: tuple[int, ...]) -> Float[Array, "h w"]:
-    """The pattern repeated over an image of `shape`."""
-    size = pattern.shape[0]
-    height, width = shape
-    repeats = (math.ceil(height / size), math.ceil(width / size))
-    return jnp.tile(pattern, repeats)[:height, :width]
+        offsets, count = self.pattern.offsets, self.pattern.samples
+        if not self.early_out or count <= EARLY_SAMPLES:
+            return mean(self.pattern)
+        part = lambda offsets: Pattern(offsets, self.pattern.rotated)
+        first = mean(part(offsets[:EARLY_SAMPLES]))
+        agree = (first == 0) | (first == 1)
+        others = mean(part(offsets[EARLY_SAMPLES:]), ~agree)
+        share = EARLY_SAMPLES / count
+        return jnp.where(agree, first, share * first + (1 - share) * others)

@@ -2,8 +2,8 @@
 
 from ..._types import Visibility
 from .._compare import AbstractCompare
+from .._lookup import Lookup
 from .._map import ShadowMap
-from .._receiver import Lookup
 from .._taps import single_tap
 from ._abstract import AbstractFilter
 

@@ -1,0 +1,150 @@
+"""Projective texture shadows: the casters' silhouette as a texture (Blinn 1988; Segal et al. 1992).
+
+The light sees the casters black on white, and that picture is projected onto what does not cast, as a slide would be.
+No depth is compared, so there is no acne and no bias, and the picture may be blurred at will.
+
+    visibility = 1 - coverage at the place in the texture that the light sees the receiver at
+
+It knows nothing of order: casters do not shadow themselves or one another, and a receiver in front of a caster is
+shadowed as well as one behind it.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._misc import as_float, dot, normalize
+from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
+from ..geometry import AbstractLight, Mesh
+from ..raster import NO_FACE, Capacity, Surface, rasterize
+from .filters._prefilter import Blur, Kernel, check_kernel, check_radius, radius_limit
+
+LayerMap = Int[Array, "h w"]
+
+
+class ProjectiveTexture(eqx.Module):
+    """The casters' silhouette as a light sees it.
+
+    - `coverage`: (h, w), how much of each texel's surroundings the casters cover, 0 to 1. Row 0 is the bottom row. Of a
+        light that looks several ways, (l, h, w).
+    - `light`: the light that sees it.
+    - `margin`: how many texels at each side lie beyond the light's frustum. There is nothing there but what the blur
+        spreads out.
+    """
+
+    coverage: Float[Array, "*l h w"]
+    light: AbstractLight
+    margin: int = eqx.field(static=True)
+
+    @property
+    def resolution(self) -> Resolution:
+        """(height, width) of the light's frustum in texels."""
+        height, width = self.coverage.shape[-2:]
+        return height - 2 * self.margin, width - 2 * self.margin
+
+
+class ProjectiveShadow(eqx.Module):
+    """Shadows by a projected texture, with bilinear look-ups.
+
+    Differentiable by what moves receivers within the texture, their positions and the light, while the texture stays,
+    and by its blur. A texel is covered or not by its centre, so how the silhouette moves with casters and light has no
+    gradient: those of their poses are not to be trusted.
+    """
+
+    def visibility(self, texture: ProjectiveTexture, surface: Surface, casts: Bool[Array, " f"]) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        **Arguments:**
+
+        - `casts`: (f,), which faces of the mesh that the surface was drawn from are the casters'. They are lit.
+
+        What the texture does not show is lit, as is what lies behind the light. A surface turned away from the light's
+        centre is dark, the casters' too. Pixels without a surface are lit.
+        """
+        light = texture.light
+        cosine = dot(surface.normal, normalize(light.towards(surface.position)))
+        seen = _bilinear(texture, *_project(texture, surface))
+        lit = jnp.where(casts[jnp.maximum(surface.face, 0)], 1, 1 - seen)
+        return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
+
+    def covered(self, texture: ProjectiveTexture, surface: Surface) -> Mask:
+        """Pixels whose surface the texture is projected on, (h, w): those within the light's frustum."""
+        texel, in_front, _ = _project(texture, surface)
+        height, width = texture.resolution
+        inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)
+        return surface.mask & in_front & inside
+
+
+def draw_projective_texture(
+    casters: Mesh,
+    light: AbstractLight,
+    resolution: Resolution,
+    blur: float | Scalar = 0.0,
+    *,
+    max_blur: float | None = None,
+    kernel: Kernel = "box",
+    capacity: Capacity | None = None,
+) -> ProjectiveTexture:
+    """The silhouette of `casters` under `light`.
+
+    **Arguments:**
+
+    - `resolution`: (height, width) in texels.
+    - `blur`: radius of the kernel that the silhouette is averaged over, in texels; up to 0.5 nothing is blurred. The
+        texture differentiates with respect to it.
+    - `max_blur`: the largest blur that can be asked for; defaults to `blur`, and is needed if that is traced.
+    - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, which ends at three of its standard
+        deviations.
+    - `capacity`: as for `rasterize`; needed under a trace.
+
+    **Raises** `ValueError` if `blur` is negative or above `max_blur`, or `kernel` is unknown.
+    """
+    check_kernel("projective texture", kernel)
+    blurring = Blur(as_float(blur), radius_limit(blur, max_blur), kernel)
+    check_radius("projective texture", blurring.radius, blurring.max_radius)
+    face = rasterize(_clip(casters, light), casters.faces, resolution, capacity=capacity).face
+    return ProjectiveTexture(_blurred(as_float(face != NO_FACE), blurring), light, blurring.margin)
+
+
+@eqx.filter_jit
+def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l H W"]:
+    return blur(silhouette, jnp.zeros((), silhouette.dtype))
+
+
+@eqx.filter_jit
+def _clip(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
+    view = light.view()
+    if view.world_to_eye.ndim == 2:
+        return view.clip(mesh.vertices)
+    return jax.vmap(lambda layer: view.facing(layer).clip(mesh.vertices))(jnp.arange(view.world_to_eye.shape[0]))
+
+
+def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
+    """Where the light sees each surface point, in texels, whether it lies in front of the light, and in which view."""
+    view = texture.light.view()
+    layer = texture.light.layer(surface.position)
+    clip = (view if layer is None else view.facing(layer)).clip(surface.position)
+    w = clip[..., 3:]
+    in_front = w > (1e-3 * view.near if view.is_perspective else 0)
+    window = jnp.where(in_front, clip[..., :2] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
+    height, width = texture.resolution
+    return window * jnp.array([width, height], window.dtype), in_front[..., 0], layer
+
+
+def _bilinear(texture: ProjectiveTexture, texel: TexelMap, in_front: Mask, layer: LayerMap | None) -> Visibility:
+    """The coverage at `texel` (h, w, 2), blended from the four texels round it; nothing lies beyond the border."""
+    height, width = texture.coverage.shape[-2:]
+    # The outermost texels hold nothing, so look-ups may be clamped to them.
+    held = jnp.clip(texel + (texture.margin - 0.5), 0, jnp.array([width - 1, height - 1], texel.dtype))
+    first = jnp.minimum(jnp.floor(lax.stop_gradient(held)).astype(int), jnp.array([width - 2, height - 2]))
+    share = held - first
+    start = first[..., 1] * width + first[..., 0]
+    if layer is not None:
+        start = start + layer * (height * width)
+    at = lambda skip: texture.coverage.reshape(-1)[start + skip]
+    right, above = share[..., 0], share[..., 1]
+    lower = at(0) * (1 - right) + at(1) * right
+    upper = at(width) * (1 - right) + at(width + 1) * right
+    return jnp.where(in_front, lower * (1 - above) + upper * above, 0)

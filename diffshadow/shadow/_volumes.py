@@ -1,0 +1,329 @@
+"""Shadow volumes (Crow 1977): the space that casters hide from a light, and whether surfaces lie inside it.
+
+Every caster's silhouette is extruded away from the light to infinity. How many more volumes a view ray enters than it
+leaves before it meets a surface says whether that surface is shadowed; a stencil buffer counts them (Heidmann 1991).
+No map is sampled, so these shadows are exact up to the rounding of the rasterizer.
+
+A solid, which is closed and has the light outside of it, is counted by its faces that are turned to the light. The
+faces of any other mesh, open, crossing itself or with edges of three faces, are all turned to the light one by one, and
+what is left of their sides after cancelling is extruded as often as it is left (Kim, Kim & Hong 2008, "A shadow volume
+algorithm for opaque and transparent non-manifold casters").
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._misc import as_float, dot, normalize
+from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Resolution, Scalar, Vec3, Visibility
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, View, infinite_far, merge, transform_vectors
+from ..raster import (
+    Capacity,
+    barycentrics,
+    count_fragments,
+    interpolate_depth,
+    light_sides,
+    plan,
+    plan_counts,
+    rasterize,
+    silhouettes_by_adjacency,
+)
+
+# Surfaces count as this much nearer, in window depth, than they are, so that the caps that lie in them lie behind them
+# whatever the rounding. It is some thousand times what float64 rounds off, and what float32 rounds off is 65,000 times
+# as much again.
+_BEFORE = 2.0**-40
+# A parallel view sees nothing of points at infinity, so there volumes end this many times its far distance away.
+_NEARLY_INFINITE = 2.0**20
+# The light counts as outside of a solid that is seen to surround less than this share of it.
+_OUTSIDE = 0.25
+
+
+class VolumeCapacity(NamedTuple):
+    """Room for the triangles of what is seen, `scene`, and for those of the `volumes`; `ShadowVolumes.plan` counts."""
+
+    scene: Capacity
+    volumes: Capacity
+
+
+class Volumes(eqx.Module):
+    """The faces of shadow volumes, in the camera's clip space.
+
+    - `clip`: (v, 4), vertices, first the casters' own, then those at infinity.
+    - `faces`: (t, 3), anticlockwise seen from outside where the weight is positive, clockwise where it is negative.
+    - `weights`: (t,), how often each face counts; 0 for those that are no part of a volume.
+    """
+
+    clip: ClipVertices
+    faces: Faces
+    weights: Int[Array, " t"]
+
+
+class ShadowVolumes(eqx.Module):
+    """Hard shadows by counting the shadow volumes round each visible surface point.
+
+    - `method`: which faces of volumes are counted. `"z_fail"`, those at or behind the surface, with volumes closed by
+        caps at either end (Bilodeau & Songy 1999; Carmack 2000): right wherever the eye is. `"z_pass"`, those in front
+        of the surface, without caps: cheaper, but wrong where the eye is inside a volume or the near plane cuts one.
+
+    Lights of any kind count as points, or as infinitely far away: a spot light's cone is not obeyed, nor is a size.
+
+    Surfaces that are to be seen but cast nothing are given as `receivers`. They stop neither light nor shadow: a
+    caster's shadow falls on such a wall, and once more on whatever lies behind it (a "ghost shadow"). Make the wall a
+    caster to be rid of it.
+
+    What is found is whole numbers, without gradient.
+
+    **Raises** `ValueError` if the method is unknown.
+    """
+
+    method: Literal["z_fail", "z_pass"] = eqx.field(static=True, default="z_fail")
+
+    def __check_init__(self):
+        if self.method not in ("z_fail", "z_pass"):
+            raise ValueError(f'the method of shadow volumes is {self.method!r}; expected "z_fail" or "z_pass"')
+
+    def counts(
+        self,
+        casters: Mesh,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        receivers: Mesh | None = None,
+        *,
+        edges: Edges | None = None,
+        capacity: VolumeCapacity | None = None,
+    ) -> Int[Array, "h w"]:
+        """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
+
+        A solid counts once for each of its faces turned to the light that lie between it and the point, an open mesh
+        once for each of its faces there. Where nothing is seen the number means nothing.
+
+        **Arguments:**
+
+        - `casters`: seen, and cast shadows. Volumes close without a gap if vertices at one place are equal to the bit.
+        - `receivers`: further surfaces that are seen and cast none.
+        - `edges`: of `casters`. Left out, they are found anew, which needs concrete meshes; find them once where one
+            mesh is drawn often.
+        - `capacity`: room for triangles. Left out, they are counted first, which needs concrete arguments; inside
+            `jax.jit` it must be given, by `plan`.
+
+        **Raises** `ValueError` if `edges` or `capacity` is left out under a trace; and a runtime error that names the
+        capacity that is too small.
+        """
+        return self._count(casters, light, camera, receivers, edges, capacity).counts
+
+    def visibility(
+        self,
+        casters: Mesh,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        receivers: Mesh | None = None,
+        *,
+        edges: Edges | None = None,
+        capacity: VolumeCapacity | None = None,
+    ) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        A point is lit if it lies in no volume, and its surface, on the side that the camera sees, is turned to the
+        light. Pixels without a surface between the camera's near and far distances are lit. Arguments and errors are
+        those of `counts`.
+        """
+        found = self._count(casters, light, camera, receivers, edges, capacity)
+        return as_float((found.counts == 0) & found.lit_side | ~found.seen)
+
+    def plan(
+        self,
+        casters: Mesh,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        receivers: Mesh | None = None,
+        *,
+        edges: Edges | None = None,
+    ) -> VolumeCapacity:
+        """The capacity that `counts` and `visibility` need with these arguments; not for use inside `jax.jit`."""
+        view = _view(camera)
+        with jax.enable_x64(True):
+            return _plan(self._prepare(casters, light, camera, view, receivers, edges), camera.resolution)
+
+    def _prepare(self, casters, light, camera, view, receivers, edges) -> "_Drawing":
+        edges = Edges.of(casters) if edges is None else edges
+        casters, light, eye, view, receivers = _widened((casters, light, camera.eye, view, receivers))
+        return _drawing(casters, light, eye, view, receivers, edges, self.method == "z_fail")
+
+    def _count(self, casters, light, camera, receivers, edges, capacity) -> "_Found":
+        # The view is the one that surfaces are drawn with, to the bit. All else is in double precision: a wall may
+        # pass closer to a surface than single-precision depths can tell.
+        view = _view(camera)
+        scene, room = (None, None) if capacity is None else capacity
+        with jax.enable_x64(True):
+            drawing = self._prepare(casters, light, camera, view, receivers, edges)
+            clip = drawing.clip.astype(jnp.float32)
+        face = rasterize(clip, drawing.faces, camera.resolution, capacity=scene).face
+        with jax.enable_x64(True):
+            at = _behind(face, drawing)
+            when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)
+            found = drawing.volumes
+            counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when, capacity=room)
+            return _Found(sign * counts, at.lit_side, at.seen)
+
+
+def shadow_volumes(
+    casters: Mesh, light: AbstractLight, camera: AbstractCamera, edges: Edges, *, caps: bool = True
+) -> Volumes:
+    """The shadow volumes of `casters` under `light`, as `camera` sees them with its far plane at infinity.
+
+    **Arguments:**
+
+    - `edges`: of `casters`.
+    - `caps`: whether volumes are closed, by the casters' faces themselves and by the same at infinity.
+    """
+    view = _endless(camera.view())
+    return _volumes(view.clip(casters.vertices), casters, light, view, edges, caps)
+
+
+class _Drawing(eqx.Module):
+    """What has to be drawn, in float64: all that is seen, (v, 4) and (f, 3), and the volumes.
+
+    - `lit_side`: (f,), whether the camera sees the same side of a face as the light.
+    - `farthest`: window depth of the camera's own far plane.
+    """
+
+    clip: ClipVertices
+    faces: Faces
+    volumes: Volumes
+    lit_side: Bool[Array, " f"]
+    farthest: Scalar
+
+
+class _Seen(eqx.Module):
+    """The surface at each pixel, all (h, w): its depth in float64, whether it shows the light's side, and whether there
+    is one before the far plane."""
+
+    depth: DepthMap
+    lit_side: Mask
+    seen: Mask
+
+
+class _Found(eqx.Module):
+    """As `_Seen`, with the number of volumes in place of the depth."""
+
+    counts: Int[Array, "h w"]
+    lit_side: Mask
+    seen: Mask
+
+
+def _widened(tree: tuple[Any, ...]) -> tuple[Any, ...]:
+    """All floating arrays of `tree` in float64; to be used under `jax.enable_x64`."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, tree)
+
+
+@eqx.filter_jit
+def _view(camera: AbstractCamera) -> View:
+    return camera.view()
+
+
+@eqx.filter_jit
+def _drawing(
+    casters: Mesh, light: AbstractLight, eye: Vec3, view: View, receivers: Mesh | None, edges: Edges, caps: bool
+) -> _Drawing:
+    farthest = 1 - view.near / view.far if view.is_perspective else as_float(1)
+    view = _endless(view)
+    clip = view.clip(casters.vertices)
+    volumes = _volumes(clip, casters, light, view, edges, caps)
+    scene = casters
+    if receivers is not None:
+        scene = merge([casters, receivers])
+        clip = jnp.concatenate([clip, view.clip(receivers.vertices)])
+    return _Drawing(clip, scene.faces, volumes, _lit_side(scene, light, eye, view), farthest)
+
+
+def _plan(drawing: _Drawing, resolution: Resolution) -> VolumeCapacity:
+    found = drawing.volumes
+    return VolumeCapacity(
+        scene=plan(drawing.clip, drawing.faces, resolution),
+        volumes=plan_counts(found.clip, found.faces, found.weights, resolution),
+    )
+
+
+@eqx.filter_jit
+def _behind(face: FaceMap, drawing: _Drawing) -> _Seen:
+    """What is seen where `face` (h, w) is the face at each pixel."""
+    at = barycentrics(face, drawing.clip, drawing.faces)
+    depth = interpolate_depth(at, drawing.clip, drawing.faces)
+    return _Seen(depth - _BEFORE, drawing.lit_side[at.face], at.mask & (depth <= drawing.farthest))
+
+
+def _endless(view: View) -> View:
+    """The view with its far plane at infinity, if it is a perspective one."""
+    if not view.is_perspective:
+        return view
+    return eqx.tree_at(lambda view: view.eye_to_clip, view, infinite_far(view.eye_to_clip, view.near))
+
+
+def _volumes(clip: ClipVertices, casters: Mesh, light: AbstractLight, view: View, edges: Edges, caps: bool) -> Volumes:
+    orientation = _orientation(casters, light, edges)
+    outline = silhouettes_by_adjacency(edges, orientation)
+    a, b = outline.vertices.T
+    count = casters.vertices.shape[0]
+    away = -light.towards(casters.vertices)
+    if light.is_directional and view.is_perspective:
+        # All sides run to one point, and volumes need no cap there.
+        ends = _at_infinity(view, away[:1])
+        sides = [jnp.stack([b, a, jnp.full_like(a, count)], axis=1)]
+        back = []
+    else:
+        ends = _at_infinity(view, away) if view.is_perspective else _far_away(clip, view, away)
+        sides = [jnp.stack([b, a, a + count], axis=1), jnp.stack([b, a + count, b + count], axis=1)]
+        back = [casters.faces + count]
+    weights = [outline.multiplicity] * len(sides)
+    if caps:
+        # In the vertices' own order, whatever the orientation, so that depths are those of the faces seen.
+        sides += [casters.faces, *back]
+        weights += [orientation, -orientation][: 1 + len(back)]
+    return Volumes(jnp.concatenate([clip, ends]), jnp.concatenate(sides), jnp.concatenate(weights))
+
+
+def _orientation(casters: Mesh, light: AbstractLight, edges: Edges) -> Int[Array, " f"]:
+    """How each face counts: solids by their faces turned to the light, all other faces turned over if need be."""
+    sides = light_sides(casters, light)
+    is_solid = edges.solid
+    if not light.is_directional:
+        is_solid = is_solid & ~_surrounds(casters, light, edges)
+    return jnp.where(is_solid[edges.component], jnp.maximum(sides, 0), sides)
+
+
+def _surrounds(casters: Mesh, light: AbstractLight, edges: Edges) -> Bool[Array, " c"]:
+    """Whether the light lies inside each component, by the share of all directions in which it is seen from there.
+
+    Van Oosterom & Strackee 1983, "The solid angle of a plane triangle".
+    """
+    from_light = -light.towards(casters.vertices)
+    a, b, c = (from_light[casters.faces[:, k]] for k in range(3))
+    la, lb, lc = (jnp.sqrt(dot(v, v)) for v in (a, b, c))
+    angle = 2 * jnp.arctan2(dot(a, jnp.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
+    share = jax.ops.segment_sum(angle, edges.component, edges.solid.shape[0]) / (4 * jnp.pi)
+    return jnp.abs(share) > _OUTSIDE
+
+
+def _at_infinity(view: View, directions: Float[Array, "n 3"]) -> Float[Array, "n 4"]:
+    """Clip coordinates of the points infinitely far away along `directions` (n, 3)."""
+    eye = transform_vectors(view.world_to_eye, directions)
+    columns = view.eye_to_clip.T
+    return eye[:, 0:1] * columns[0] + eye[:, 1:2] * columns[1] + eye[:, 2:3] * columns[2]
+
+
+def _far_away(clip: ClipVertices, view: View, directions: Float[Array, "v 3"]) -> Float[Array, "v 4"]:
+    """Clip coordinates of the vertices at `clip` (v, 4), moved very far along `directions` (v, 3)."""
+    reach = jnp.maximum(jnp.abs(view.near), jnp.abs(view.far))
+    return clip / _NEARLY_INFINITE + _at_infinity(view, reach * normalize(directions))
+
+
+def _lit_side(scene: Mesh, light: AbstractLight, eye: Vec3, view: View) -> Bool[Array, " f"]:
+    """Whether the camera at `eye` sees the same side of each face as the light."""
+    a, b, c = (scene.vertices[scene.faces[:, k]] for k in range(3))
+    to_camera = eye - (a + b + c) / 3 if view.is_perspective else view.world_to_eye[2, :3]
+    front = dot(jnp.cross(b - a, c - b), to_camera) >= 0
+    return jnp.where(front, 1, -1) == light_sides(scene, light)

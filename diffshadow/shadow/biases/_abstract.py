@@ -1,0 +1,87 @@
+"""What a bias is."""
+
+import abc
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete
+from ..._types import Scalar, VectorMap
+from .._receiver import Receiver
+
+BiasUnit = Literal["texels", "depth"]
+"""Of a bias along the light's axis: texels' widths at the receiver, or window depth."""
+UNIT_NAMES = {"texels": "texels", "depth": "of window depth"}
+
+
+class BiasTerms(eqx.Module):
+    """What a bias does to a look-up; the terms of several add up.
+
+    - `depth`: (h, w), how much nearer to the light the receiver is taken to be, in window depth.
+    - `displacement`: (h, w, 3), how far the point moves before it is projected, in world units; none for not at all.
+    - `follows_plane`: whether each tap compares with the depth of the receiver's plane at its own texel.
+    - `deepening`: (h, w), how much deeper than the receiver that may be, in window depth; none for as deep as the plane
+        goes. Of several the least counts.
+    """
+
+    depth: Float[Array, "h w"]
+    displacement: VectorMap | None = None
+    follows_plane: bool = eqx.field(static=True, default=False)
+    deepening: Float[Array, "h w"] | None = None
+
+    def __add__(self, other: "BiasTerms") -> "BiasTerms":
+        return BiasTerms(
+            self.depth + other.depth,
+            _either(jnp.add, self.displacement, other.displacement),
+            self.follows_plane or other.follows_plane,
+            _either(jnp.minimum, self.deepening, other.deepening),
+        )
+
+
+class AbstractBias(eqx.Module):
+    """A way to keep receivers clear of their own depth."""
+
+    @abc.abstractmethod
+    def __call__(self, receiver: Receiver) -> BiasTerms:
+        """What the bias does at each receiver."""
+
+
+def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> Float[Array, "h w"]:
+    """A `bias` along the light's axis in window depth."""
+    per_unit = receiver.depth_per_texel if unit == "texels" else jnp.ones_like(receiver.depth_per_texel)
+    return bias * per_unit
+
+
+def at_most(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
+    """`x`, or `bound` where that is less; none for no bound. On the bound itself it has the derivative of `x`."""
+    return x if bound is None else jnp.where(x > bound, bound, x)
+
+
+def at_least(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
+    """`x`, or `bound` where that is more; none for no bound. On the bound itself it has the derivative of `x`."""
+    return x if bound is None else jnp.where(x < bound, bound, x)
+
+
+def optional_float(x: Any) -> Scalar | None:
+    """`x` as a scalar, and none as none."""
+    return None if x is None else as_float(x)
+
+
+def check_not_negative(name: str, value: Scalar | None, unit: str = "texels") -> None:
+    """**Raises** `ValueError` if `value` is negative or not finite."""
+    known = None if value is None else concrete(value)
+    if known is not None and not (known >= 0 and np.isfinite(known)):
+        raise ValueError(f"{name} is {known}; expected 0 or more {unit}")
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """**Raises** `ValueError` if `value` is none of `choices`."""
+    if value not in choices:
+        raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
+
+
+def _either(both: Any, a: Array | None, b: Array | None) -> Array | None:
+    return (a if b is None else b) if a is None or b is None else both(a, b)

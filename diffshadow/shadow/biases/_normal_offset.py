@@ -1,0 +1,48 @@
+"""Normal offset: the look-up moves out along the receiver's normal (Holbert, "Saying Goodbye to Shadow Acne", 2011)."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float
+from ..._types import Scalar
+from .._receiver import Receiver
+from ._abstract import AbstractBias, BiasTerms, check_choice, check_not_negative
+
+OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]
+
+
+class NormalOffset(AbstractBias):
+    """Looks up at a point moved out along the normal, by `value` texels times a profile of the angle θ to the light.
+
+    - `profile`: `"sine"` sin θ, `"constant"` 1, or `"one_minus_cosine"` 1 - cos θ.
+
+    **Raises** `ValueError` if `value` is negative or not finite.
+    """
+
+    value: Scalar = eqx.field(converter=as_float)
+    profile: OffsetProfile = eqx.field(static=True, default="sine")
+
+    def __check_init__(self):
+        check_choice("the normal offset's profile", self.profile, ("sine", "constant", "one_minus_cosine"))
+        check_not_negative("the normal offset", self.value)
+
+    def __call__(self, receiver: Receiver) -> BiasTerms:
+        cosine = jnp.clip(receiver.cosine, 0, 1)
+        match self.profile:
+            case "sine":
+                profile = _sine(cosine)
+            case "constant":
+                profile = jnp.ones_like(cosine)
+            case "one_minus_cosine":
+                profile = 1 - cosine
+        length = self.value * receiver.texel_size * profile
+        return BiasTerms(jnp.zeros_like(length), receiver.normal * length[..., None])
+
+
+def _sine(cosine: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    squared = 1 - cosine * cosine
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

@@ -1,0 +1,69 @@
+"""Slope bias: the steeper the receiver, the more."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete, safe_norm
+from ..._types import Scalar
+from .._receiver import Receiver
+from ._abstract import (
+    UNIT_NAMES,
+    AbstractBias,
+    BiasTerms,
+    BiasUnit,
+    at_least,
+    at_most,
+    check_choice,
+    check_not_negative,
+    in_depth,
+    optional_float,
+)
+
+SlopeProfile = Literal["tangent", "one_minus_cosine"]
+
+
+class SlopeBias(AbstractBias):
+    """In proportion to how steep the receiver is, `clip(value · profile, least, most)`.
+
+    - `value`: along the light's axis, in `unit`.
+    - `profile`: `"tangent"`, the norm of the slope of the receiver's depth in the map: under a directional light and
+        with square texels tan θ, θ between normal and light. Nearest look-ups on a plane need a `value` between 1/2
+        (slanted along an axis of the map) and 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ, which
+        is bounded and so too little for the steepest receivers.
+    - `least`, `most`: bounds of the bias, in `unit`; none for no bound.
+    - `unit`: `"texels"`, or `"depth"` for window depth. `SlopeBias(0.05, "one_minus_cosine", least=0.005,
+        unit="depth")` is the bias that shader cookbooks print; in texels its numbers are those divided by the window
+        depth per texel, `view.texel_size(distance, resolution) · view.depth_slope(distance)`.
+
+    **Raises** `ValueError` if a number is negative or not finite, or `least` is above `most`.
+    """
+
+    value: Scalar = eqx.field(converter=as_float)
+    profile: SlopeProfile = eqx.field(static=True, default="tangent")
+    least: Scalar | None = eqx.field(converter=optional_float, default=None)
+    most: Scalar | None = eqx.field(converter=optional_float, default=None)
+    unit: BiasUnit = eqx.field(static=True, default="texels")
+
+    def __check_init__(self):
+        check_choice("the slope bias's profile", self.profile, ("tangent", "one_minus_cosine"))
+        check_choice("the slope bias's unit", self.unit, ("texels", "depth"))
+        check_not_negative("the slope bias", self.value, UNIT_NAMES[self.unit])
+        check_not_negative("the slope bias's least", self.least, UNIT_NAMES[self.unit])
+        check_not_negative("the slope bias's most", self.most, UNIT_NAMES[self.unit])
+        if self.least is None or self.most is None:
+            return
+        least, most = concrete(self.least), concrete(self.most)
+        if least is not None and most is not None and least > most:
+            raise ValueError(f"the slope bias's least is {least}, above its most, {most}; expected least <= most")
+
+    def __call__(self, receiver: Receiver) -> BiasTerms:
+        bias = at_most(at_least(self.value * self._profile(receiver), self.least), self.most)
+        return BiasTerms(in_depth(bias, self.unit, receiver))
+
+    def _profile(self, receiver: Receiver) -> Float[Array, "h w"]:
+        if self.profile == "tangent":
+            return safe_norm(receiver.slope)
+        return 1 - jnp.clip(receiver.cosine, 0, 1)

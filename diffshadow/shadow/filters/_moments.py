@@ -1,0 +1,136 @@
+"""Moment shadow maps (Peters & Klein, "Moment Shadow Mapping", I3D 2015)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..._misc import as_float, safe_divide
+from ..._types import DepthMap, Scalar, Visibility
+from .._compare import AbstractCompare
+from .._lookup import Lookup
+from .._map import ShadowMap
+from ._abstract import AbstractFilter
+from ._prefilter import (
+    MAX_BLEEDING,
+    Blur,
+    Kernel,
+    blurred_moments,
+    check_kernel,
+    check_number,
+    check_radius,
+    linear_depth,
+    radius_limit,
+    reduce_light_bleeding,
+)
+
+_NAME = "moment shadow map"
+# Moments of 3/8 spread over both ends of [-1, 1] and 5/8 in its middle: far from what any two depths can have.
+_WELL_CONDITIONED = (0.0, 0.375, 0.0, 0.375)
+# What rounding in 32 bits leaves of a variance that is 0.
+_ROUNDING = 1e-7
+# A quadratic's leading coefficient below which one of its roots counts as infinitely far away.
+_ALMOST_LINEAR = 1e-6
+
+
+class MomentShadowMap(AbstractFilter):
+    """The map holds the first four powers of depth, blurred; visibility is the most that any distribution of depths
+    with these moments allows (Hamburger's moment problem).
+
+    The bound is exact for two depths besides the receiver's, so that it takes three occluders for light to bleed. The
+    compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it follows the
+    receiver's plane has no effect.
+
+    - `radius`: of the blur, in texels.
+    - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
+        rounded up to a half texel.
+    - `kernel`: of the blur; all shapes end at the radius.
+    - `moment_bias`: how far moments are blended towards those of a broad distribution, against rounding; in
+        [1e-7, 1]. More bleeds more.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99]. The authors advise
+        0.02, which undoes the moment bias.
+
+    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
+    """
+
+    radius: Scalar
+    max_radius: float = eqx.field(static=True)
+    kernel: Kernel = eqx.field(static=True)
+    moment_bias: Scalar
+    light_bleeding: Scalar
+
+    def __init__(
+        self,
+        radius: float | Scalar = 2.5,
+        max_radius: float | None = None,
+        kernel: Kernel = "box",
+        moment_bias: float | Scalar = 3e-6,
+        light_bleeding: float | Scalar = 0.0,
+    ):
+        self.radius = as_float(radius)
+        self.max_radius = radius_limit(radius, max_radius)
+        self.kernel = kernel
+        self.moment_bias = as_float(moment_bias)
+        self.light_bleeding = as_float(light_bleeding)
+
+    def __check_init__(self):
+        check_radius(_NAME, self.radius, self.max_radius)
+        check_kernel(_NAME, self.kernel)
+        check_number(_NAME, "moment_bias", self.moment_bias, 1e-7, 1.0)
+        check_number(_NAME, "light_bleeding", self.light_bleeding, 0.0, MAX_BLEEDING)
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        blur = Blur(self.radius, self.max_radius, self.kernel)
+
+        def powers(z):
+            w = 2 * z - 1
+            return w, w * w, w * w * w, w * w * w * w
+
+        moments = blurred_moments(shadow_map, lookup, powers, blur)
+        biased = tuple(
+            b + self.moment_bias * (target - b) for b, target in zip(moments, _WELL_CONDITIONED, strict=True)
+        )
+        bound = 1 - _least_shadow(biased, 2 * linear_depth(shadow_map, lookup.depth) - 1)
+        return reduce_light_bleeding(jnp.clip(bound, 0, 1), self.light_bleeding)
+
+
+def _least_shadow(b: tuple[DepthMap, ...], z: DepthMap) -> Visibility:
+    """The least share below `z` of any distribution with the moments `b` (algorithm 3 of the paper).
+
+    One such distribution has masses at z and at two more depths only: the roots of c₁ + c₂ x + c₃ x² with
+    B c = (1, z, z²) and B the Hankel matrix of the moments. No other has less below z.
+    """
+    c1, c2, c3, largest = _solve_hankel(b, z)
+    low, high = _roots(c1, c2, c3)
+    # Masses at low, z and high: they add up to 1, and give the mean b₁.
+    at_z = 1 / largest
+    at_low = (high * (1 - at_z) - b[0] + z * at_z) / (high - low)
+    return jnp.where(z < low, 0, jnp.where(z > high, 1 - at_z, at_low))
+
+
+def _solve_hankel(b: tuple[DepthMap, ...], z: DepthMap) -> tuple[DepthMap, ...]:
+    """c of B c = (1, z, z²) by the Cholesky factors B = L D Lᵀ, and (1, z, z²) · c."""
+    b1, b2, b3, b4 = b
+    d22 = jnp.maximum(b2 - b1 * b1, _ROUNDING)
+    l32_d22 = b3 - b1 * b2
+    l32 = l32_d22 / d22
+    d33 = jnp.maximum(b4 - b2 * b2 - l32 * l32_d22, _ROUNDING)
+    # Solve L y = (1, z, z²), then Lᵀ c = D⁻¹ y.
+    y2 = z - b1
+    y3 = z * z - b2 - l32 * y2
+    c3 = y3 / d33
+    c2 = y2 / d22 - l32 * c3
+    return 1 - c2 * b1 - c3 * b2, c2, c3, 1 + y2 * y2 / d22 + y3 * y3 / d33
+
+
+def _roots(c1: DepthMap, c2: DepthMap, c3: DepthMap) -> tuple[DepthMap, DepthMap]:
+    """Both roots of c₁ + c₂ x + c₃ x², which are real, the lesser first."""
+    # A root at infinity has no mass, on whichever side it lies.
+    c3 = jnp.where(jnp.abs(c3) < _ALMOST_LINEAR, _ALMOST_LINEAR, c3)
+    squared = c2 * c2 - 4 * c1 * c3
+    positive = squared > 0
+    root = jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    # The sum whose terms have one sign loses no digits; the other root follows from the product c₁ / c₃.
+    q = -(c2 + jnp.where(c2 < 0, -root, root)) / 2
+    one, other = q / c3, safe_divide(c1, q)
+    # Apart, so that rounding does not let them meet.
+    low = jnp.minimum(one, other)
+    return low, jnp.maximum(jnp.maximum(one, other), low + _ROUNDING)

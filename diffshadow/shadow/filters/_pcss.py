@@ -1,0 +1,189 @@
+"""Percentage-closer soft shadows (Fernando, "Percentage-Closer Soft Shadows", SIGGRAPH 2005 sketches)."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete
+from ..._types import DepthMap, Mask, Scalar, Visibility
+from ...geometry import AbstractLight
+from .._compare import AbstractCompare
+from .._lookup import Lookup
+from .._map import ShadowMap
+from .._taps import mean_of_taps
+from ..patterns import Pattern, stratified
+from ._abstract import AbstractFilter
+
+# A share of blockers that counts as none: rounding leaves less.
+_FEW = 1e-5
+
+
+class PercentageCloserSoft(AbstractFilter):
+    """The mean of bilinear taps over a disk as wide as the penumbra that the receiver lies in.
+
+    A first round of taps searches the part of the map that may hide the light for blockers: it is as wide as the light
+    seen from the receiver at the near plane, `light_size · (z_r - near) / near`. From the blockers' mean depth z_b
+    follows the penumbra's half width, `light_size · (z_r - z_b) / z_b`, which is the second round's radius. Under a
+    directional light of angular radius a they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances
+    from the light here. Receivers without blockers are lit.
+
+    A soft compare weighs blockers by how dark each leaves the receiver, and makes visibility differentiable with
+    respect to bias. The mean is that of window depths, of which a perspective light's penumbra is a linear function:
+    it is the mean of all blockers' penumbrae.
+
+    - `light_size`: what takes the place of the light's own size, so that it can be fitted: half the angle in degrees
+        for a directional light, else the radius of its disk or sphere in world units. The light's own if left out; a
+        rectangle counts as the disk of its area.
+    - `search`: where the first round taps; another table of the classic kind if left out. Where all its taps miss a
+        blocker, the shadow has a hole.
+    - `pattern`: where the second round taps; the classic offset table if left out.
+    - `min_radius`, `max_radius`: bounds on the penumbra's half width, in texels; `max_radius` bounds the search too.
+
+    **Raises** `ValueError` if the light's size or a radius is negative or not finite, or `min_radius` is above
+    `max_radius`; and when called with a light whose size is not known and none is given.
+    """
+
+    light_size: Scalar | None
+    search: Pattern
+    pattern: Pattern
+    min_radius: Scalar
+    max_radius: Scalar
+
+    def __init__(
+        self,
+        light_size: float | Scalar | None = None,
+        search: Pattern | None = None,
+        pattern: Pattern | None = None,
+        min_radius: float | Scalar = 0.0,
+        max_radius: float | Scalar = 64.0,
+    ):
+        self.light_size = None if light_size is None else as_float(light_size)
+        self.search = stratified(seed=1) if search is None else search
+        self.pattern = stratified() if pattern is None else pattern
+        self.min_radius = as_float(min_radius)
+        self.max_radius = as_float(max_radius)
+
+    def __check_init__(self):
+        size = None if self.light_size is None else concrete(self.light_size)
+        if size is not None and not (size >= 0 and math.isfinite(size)):
+            raise ValueError(f"the soft shadows' light_size is {size}; expected 0 or more degrees or world units")
+        low, high = concrete(self.min_radius), concrete(self.max_radius)
+        if low is not None and high is not None and not 0 <= low <= high < math.inf:
+            raise ValueError(
+                f"the soft shadows' min_radius is {low} and max_radius {high}; expected 0 <= min_radius <= max_radius "
+                "texels"
+            )
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        found = self.find_blockers(shadow_map, lookup, compare)
+        some = found.some
+        lit = mean_of_taps(shadow_map, lookup, compare, found.radius, self.pattern, "bilinear", wanted=some)
+        return jnp.where(some, lit, 1)
+
+    def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
+        """What the first round of taps finds."""
+        penumbra = _Penumbra.of(shadow_map, lookup, self.light_size)
+        reach = jnp.minimum(penumbra.reach, self.max_radius)
+        mean = lambda value, wanted: mean_of_taps(
+            shadow_map, lookup, value, reach, self.search, "bilinear", wanted=wanted
+        )
+        share = mean(_Blocking(compare), None)
+        some = share > _FEW
+        depth = mean(_BlockingDepth(compare), some)
+        blocker = jnp.where(some, depth / jnp.where(some, share, 1), lookup.depth)
+        return BlockerSearch(share, blocker, jnp.clip(penumbra.half_width(blocker), self.min_radius, self.max_radius))
+
+
+class BlockerSearch(eqx.Module):
+    """What percentage-closer soft shadows find on their way.
+
+    - `share`: (h, w), of the search's taps that found a blocker.
+    - `depth`: (h, w), the blockers' mean window depth; the receiver's own where there are none.
+    - `radius`: (h, w), half the width of the penumbra that they make, within the filter's bounds, in texels.
+    """
+
+    share: DepthMap
+    depth: DepthMap
+    radius: DepthMap
+
+    @property
+    def some(self) -> Mask:
+        """Whether there are any, (h, w)."""
+        return self.share > _FEW
+
+
+class _Blocking(AbstractCompare):
+    """How much of the light a stored depth keeps from the receiver."""
+
+    compare: AbstractCompare
+
+    def __call__(self, stored, receiver, depth_per_texel):
+        return 1 - self.compare(stored, receiver, depth_per_texel)
+
+
+class _BlockingDepth(AbstractCompare):
+    """A stored depth, weighed by how much of the light it keeps from the receiver."""
+
+    compare: AbstractCompare
+
+    def __call__(self, stored, receiver, depth_per_texel):
+        # Texels that hold nothing are stored as a great depth, and weigh nothing.
+        return (1 - self.compare(stored, receiver, depth_per_texel)) * jnp.minimum(stored, 1)
+
+
+class _Penumbra(eqx.Module):
+    """How wide blockers make the penumbrae that receivers lie in, in texels.
+
+    - `shadow_map`: whose view tells distances.
+    - `distance`: (h, w), of receivers along the light's axis, world units.
+    - `light_size`: half the light's width in world units; of a directional light, at distance 1.
+    """
+
+    shadow_map: ShadowMap
+    distance: Float[Array, "h w"]
+    light_size: Scalar
+
+    @classmethod
+    def of(cls, shadow_map: ShadowMap, lookup: Lookup, light_size: Scalar | None) -> "_Penumbra":
+        distance = shadow_map.view.eye_depth(jnp.clip(lookup.depth, 0, 1))
+        return cls(shadow_map, distance, half_width_of(shadow_map.light, light_size))
+
+    @property
+    def reach(self) -> Float[Array, "h w"]:
+        """How far aside anything may stand that hides the light from a receiver."""
+        return self._between(self.shadow_map.view.near)
+
+    def half_width(self, blocker: DepthMap) -> Float[Array, "h w"]:
+        """From the middle of the penumbra of something at the window depth `blocker` to where it ends."""
+        return self._between(self.shadow_map.view.eye_depth(jnp.clip(blocker, 0, 1)))
+
+    def _between(self, blocker: Float[Array, "..."]) -> Float[Array, "h w"]:
+        view = self.shadow_map.view
+        width = jnp.maximum(self.distance - blocker, 0) * self.light_size
+        if view.is_perspective:
+            width = width / blocker
+        return width / view.texel_size(self.distance, self.shadow_map.resolution)
+
+
+def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
+    """Half the width of `light` in world units; of a directional light, at distance 1.
+
+    **Arguments:**
+
+    - `size`: takes the place of the light's own: degrees for a directional light, else world units. If it is left out,
+        a directional light must have an `angular_radius`, any other a `radius` or a `size` (2,), whose rectangle counts
+        as the disk of its area.
+
+    **Raises** `ValueError` if it is left out and the light has none of these.
+    """
+    if size is None:
+        size = getattr(light, "angular_radius" if light.is_directional else "radius", None)
+    if size is not None:
+        return jnp.tan(jnp.deg2rad(size)) if light.is_directional else size
+    sides = getattr(light, "size", None)
+    if sides is None:
+        raise ValueError(f"how large a {type(light).__name__} is is not known: give the soft shadows a light_size")
+    area = jnp.prod(sides)
+    return jnp.where(area > 0, jnp.sqrt(jnp.where(area > 0, area, 1) / jnp.pi), 0)

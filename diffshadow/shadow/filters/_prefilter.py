@@ -1,0 +1,201 @@
+"""Pre-filtering: blurring what a shadow map holds once, instead of filtering compares for each receiver.
+
+Depths cannot be blurred and then compared; what a pre-filtered map stores instead, such as moments of depth, can. A
+blur is separable, and a texel counts in it by the integral of the kernel over that texel, so that it grows smoothly
+with its radius. Everything beyond the border counts as depth 1, which is lit, and shadows near the border are blurred
+across it.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._misc import concrete
+from ..._types import DepthMap, Scalar, Visibility
+from .._lookup import Lookup
+from .._map import ShadowMap
+
+Kernel = Literal["box", "tent", "gaussian"]
+"""Shapes of a blur. All end at the radius: the box's half width, the tent's, or three of the Gaussian's standard
+deviations."""
+
+# Narrower than this a kernel cannot be told from a point.
+_LEAST_RADIUS = 1e-3
+# Standard deviations after which the Gaussian is cut off.
+_DEVIATIONS = 3.0
+_WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
+
+
+_INTEGRALS: dict[Kernel, Callable[[Array], Array]] = {
+    "box": lambda u: u / 2,
+    "tent": lambda u: u - u * jnp.abs(u) / 2,
+    "gaussian": lambda u: lax.erf(u * (_DEVIATIONS / math.sqrt(2))) / (2 * _WITHIN_DEVIATIONS),
+}
+"""Integrals of the kernels of radius 1 from 0 to u, for u in [-1, 1]."""
+
+
+def share(
+    kernel: Kernel, radius: Float[Array, "..."], low: Float[Array, "*n"], high: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Share of a kernel of `radius` round 0 that lies between `low` and `high`, in its unit.
+
+    Shares of pieces that cover the kernel add up to 1.
+    """
+    radius = jnp.maximum(radius, _LEAST_RADIUS)
+    until = lambda x: _INTEGRALS[kernel](jnp.clip(x / radius, -1, 1))
+    # Rounding must not make a share negative: exponentials would follow it.
+    return jnp.maximum(until(high) - until(low), 0)
+
+
+def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
+    """The largest radius that a kernel makes room for, in half texels: `radius` itself, unless given."""
+    return max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
+
+
+def check_radius(name: str, radius: Scalar, max_radius: float) -> None:
+    """**Raises** `ValueError` if `radius` is known and negative or above `max_radius`."""
+    known = concrete(radius)
+    if known is not None and not 0 <= known <= max_radius:
+        raise ValueError(
+            f"the {name}'s radius is {known} texels; expected 0 to max_radius = {max_radius:g}: give a larger "
+            "max_radius"
+        )
+
+
+def check_kernel(name: str, kernel: str) -> None:
+    """**Raises** `ValueError` for an unknown kernel."""
+    if kernel not in _INTEGRALS:
+        raise ValueError(f"the {name}'s kernel is {kernel!r}; expected one of {', '.join(_INTEGRALS)}")
+
+
+def check_number(name: str, what: str, value: Scalar, low: float, high: float) -> None:
+    """**Raises** `ValueError` if `value` is known and outside [`low`, `high`]."""
+    known = concrete(value)
+    if known is not None and not low <= known <= high:
+        raise ValueError(f"the {name}'s {what} is {known}; expected {low:g} to {high:g}")
+
+
+class Blur(eqx.Module):
+    """A separable blur of a map.
+
+    - `radius`: in texels; more than `max_radius` counts as that. Up to half a texel, the map stays as it is.
+    - `max_radius`: for which there is room.
+    - `kernel`: its shape.
+    """
+
+    radius: Scalar
+    max_radius: float = eqx.field(static=True)
+    kernel: Kernel = eqx.field(static=True)
+
+    @property
+    def reach(self) -> int:
+        """How many texels on each side of one the blur draws from."""
+        return math.ceil(self.max_radius - 0.5)
+
+    @property
+    def margin(self) -> int:
+        """How many texels a blurred map is wider than the map, on each side: beyond, it holds what lies round it."""
+        return self.reach + 1
+
+    @property
+    def shares(self) -> Float[Array, " k"]:
+        """What the texels in a row count, the middle one at the kernel's centre."""
+        offset = jnp.arange(-self.reach, self.reach + 1, dtype=self.radius.dtype)
+        return share(self.kernel, jnp.minimum(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
+
+    def __call__(self, values: Float[Array, "*n h w"], beyond: Scalar) -> Float[Array, "*n H W"]:
+        """`values` blurred, `margin` texels wider on each side; `beyond` is what lies round them."""
+        around = [(0, 0)] * (values.ndim - 2) + [(self.reach + self.margin,) * 2] * 2
+        wide = jnp.pad(values, around, constant_values=beyond)
+        return self._along(self._along(wide, values.ndim - 1), values.ndim - 2)
+
+    def _along(self, values: Array, axis: int) -> Array:
+        # Written out, the sum runs in one pass over memory. A running total would be no faster below 60 texels or so,
+        # and loses digits to cancellation that variances cannot spare.
+        count, shares = 2 * self.reach + 1, self.shares
+        size = values.shape[axis] - count + 1
+        return sum(
+            (shares[k] * lax.slice_in_dim(values, k, k + size, axis=axis) for k in range(count)),
+            start=jnp.zeros((), values.dtype),
+        )
+
+
+def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Distance along the light's axis as a share of the way from near to far, in [0, 1], of window `depth`."""
+    view = shadow_map.view
+    # Depths out of range can lie behind the eye. Rounding may part the far plane, where nothing is, from 1.
+    inside = (depth >= 0) & (depth < 1)
+    share = (view.eye_depth(jnp.where(inside, depth, 0.5)) - view.near) / (view.far - view.near)
+    return jnp.where(inside, jnp.clip(share, 0, 1), jnp.where(depth < 0, 0.0, 1.0))
+
+
+def blurred_moments(
+    shadow_map: ShadowMap,
+    lookup: Lookup,
+    moments: Callable[[Float[Array, "*n"]], tuple[Float[Array, "*n"], ...]],
+    blur: Blur,
+) -> tuple[DepthMap, ...]:
+    """Blurred `moments` of linear depth at each look-up, (h, w) each: bilinear fetches from blurred maps.
+
+    **Arguments:**
+
+    - `moments`: of linear depths of any shape, each of that shape.
+    """
+    of_map = moments(linear_depth(shadow_map, shadow_map.depth))
+    of_nothing = moments(jnp.ones((), of_map[0].dtype))
+    fetch = _bilinear_fetch(shadow_map, lookup, blur.margin)
+    return tuple(fetch(blur(values, beyond)) for values, beyond in zip(of_map, of_nothing, strict=True))
+
+
+def _bilinear_fetch(shadow_map: ShadowMap, lookup: Lookup, margin: int) -> Callable[[Float[Array, "*l H W"]], DepthMap]:
+    """Fetches from maps that are `margin` texels wider on each side, clamped to what is there."""
+    height, width = (size + 2 * margin for size in shadow_map.resolution)
+
+    def split(position: Array, size: int) -> tuple[Array, Array]:
+        """The texel to the left of `position`, and the share of the one to the right."""
+        # The margin's outermost texels hold what lies beyond, so look-ups may be clamped to them.
+        position = jnp.clip(position - 0.5 + margin, 0, size - 1)
+        left = jnp.minimum(jnp.floor(lax.stop_gradient(position)), size - 2)
+        return left.astype(jnp.int32), position - left
+
+    column, right = split(lookup.texel[..., 0], width)
+    row, above = split(lookup.texel[..., 1], height)
+    first = row * width + column
+    if lookup.layer is not None:
+        first = first + lookup.layer * (height * width)
+
+    def fetch(blurred: Float[Array, "*l H W"]) -> DepthMap:
+        row_of_memory = blurred.reshape(-1)
+        at = lambda skip: row_of_memory.at[first + skip].get(mode="promise_in_bounds")
+        lower = at(0) * (1 - right) + at(1) * right
+        upper = at(width) * (1 - right) + at(width + 1) * right
+        return lower * (1 - above) + upper * above
+
+    return fetch
+
+
+def chebyshev(mean: DepthMap, variance: DepthMap, receiver: DepthMap) -> Visibility:
+    """Chebyshev's one-tailed bound: the most that can lie at `receiver` or beyond, of what has this mean and variance.
+
+    `variance` must be positive.
+    """
+    # p = σ² / (σ² + (z - μ)²) where z > μ, else 1
+    behind = jnp.maximum(receiver - mean, 0)
+    return variance / (variance + behind * behind)
+
+
+def reduce_light_bleeding(visibility: Visibility, amount: Scalar) -> Visibility:
+    """Visibility up to `amount` becomes 0, and the rest is stretched (Lauritzen, GPU Gems 3, ch. 8).
+
+    A bound that is not tight leaves light in shadows; this takes it away, and narrows penumbrae.
+    """
+    return jnp.clip((visibility - amount) / (1 - amount), 0, 1)
+
+
+MAX_BLEEDING = 0.99
+"""The largest amount by which light bleeding can be reduced."""

@@ -1,0 +1,82 @@
+"""Percentage-closer filtering with a tent instead of a box."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..._misc import as_float
+from ..._types import Scalar, Visibility
+from .._compare import AbstractCompare
+from .._lookup import Lookup
+from .._map import ShadowMap
+from .._taps import PaddedMap, Sites, pad, sites_of, sum_of_parts
+from ._abstract import AbstractFilter
+from ._prefilter import check_radius, radius_limit, share
+
+# A compare with a texel of a row, in nearest taps, which have to find theirs.
+_COST_OF_A_TEXEL = 0.4
+
+
+class Tent(AbstractFilter):
+    """The mean of compares with all texels round a receiver, weighed by a tent.
+
+    The tent slides and grows smoothly: a texel counts by the integral of the tent over it. Visibility then has a
+    continuous slope along the map, where that of a box has kinks.
+
+    - `radius`: from the tent's top to where it ends, in texels.
+    - `max_radius`: the largest radius that can be asked for, in texels; the number of taps grows with its square. It
+        defaults to `radius`, and is rounded up to a half texel.
+
+    **Raises** `ValueError` if `radius` is negative or above `max_radius`.
+    """
+
+    radius: Scalar
+    max_radius: float = eqx.field(static=True)
+
+    def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
+        self.radius = as_float(radius)
+        self.max_radius = radius_limit(radius, max_radius)
+
+    def __check_init__(self):
+        check_radius("tent", self.radius, self.max_radius)
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        row = _Row(self.max_radius)
+        sites = sites_of(lookup, jnp.minimum(self.radius, self.max_radius))
+        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, jnp.arange(row.texels))
+
+
+class _Row(eqx.Module):
+    """One row of the tent's texels, numbered from the lowest that the widest tent covers."""
+
+    max_radius: float = eqx.field(static=True)
+
+    @property
+    def texels(self) -> int:
+        """Texels that a tent may cover along a side."""
+        return math.ceil(2 * self.max_radius) + 1
+
+    @property
+    def cost(self) -> float:
+        return _COST_OF_A_TEXEL * self.texels
+
+    def __call__(
+        self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, number: Int[Array, ""]
+    ) -> Float[Array, "*n"]:
+        column, left = self._first(sites.x)
+        row, below = self._first(sites.y)
+        place = padded.place(column, row, sites.layer) + number * padded.stride
+        row = row + number
+        weight = lambda first, i: share("tent", sites.radius, first + i, first + (i + 1))
+        taps = (weight(left, i) * sites.lit(padded, compare, place + i, column + i, row) for i in range(self.texels))
+        return weight(below, number) * sum(taps, start=jnp.zeros_like(sites.x))
+
+    def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """The first texel along one axis, and where it begins, seen from `position`."""
+        own = jnp.floor(position)
+        # Measured from the position's own texel, so that shares add up to 1 however far away that is.
+        within = position - own
+        first = jnp.floor(within - self.max_radius)
+        return own + first, first - within

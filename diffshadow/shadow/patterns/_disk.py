@@ -1,0 +1,37 @@
+"""From the unit square to the unit disk."""
+
+from typing import Literal
+
+import numpy as np
+
+from ..._types import HostArray
+
+DiskMapping = Literal["concentric", "polar"]
+"""How the unit square becomes the unit disk. Both keep areas; concentric squares keep their shape better."""
+
+
+def to_disk(points: HostArray, mapping: DiskMapping) -> HostArray:
+    """Points (..., 2) of the unit square, in the unit disk.
+
+    - `"polar"`: (u, v) goes to radius √v and angle 2πu.
+    - `"concentric"`: squares round the middle become circles (Shirley & Chiu, "A Low Distortion Map Between Disk and
+        Square", Journal of Graphics Tools 2(3), 1997).
+
+    **Raises** `ValueError` if `mapping` is unknown.
+    """
+    if mapping == "polar":
+        return on_rays(np.sqrt(points[..., 1]), 2 * np.pi * points[..., 0])
+    if mapping != "concentric":
+        raise ValueError(f'the mapping to the disk is {mapping!r}; expected "concentric" or "polar"')
+    a, b = 2 * points[..., 0] - 1, 2 * points[..., 1] - 1
+    wide = np.abs(a) > np.abs(b)
+    radius = np.where(wide, a, b)
+    # 0 / 0 in the very middle, where the angle does not matter.
+    ratio = np.where(wide, b, a) / np.where(radius == 0, 1, radius)
+    angle = np.where(wide, np.pi / 4 * ratio, np.pi / 2 - np.pi / 4 * ratio)
+    return on_rays(radius, angle)
+
+
+def on_rays(radius: HostArray, angle: HostArray) -> HostArray:
+    """Points (..., 2) at these polar coordinates."""
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

@@ -1,0 +1,35 @@
+"""Halton's sequence, scrambled."""
+
+import numpy as np
+from scipy.stats import qmc
+
+from ._disk import DiskMapping, to_disk
+from ._pattern import Pattern, check_counts, pattern_of
+
+
+def halton(
+    samples: int = 32,
+    pattern_size: int = 8,
+    seed: int = 0,
+    rotated: bool = False,
+    mapping: DiskMapping = "concentric",
+) -> Pattern:
+    """The first points of Halton's sequence in bases 2 and 3, scrambled anew for each pixel of a tile.
+
+    Each digit is permuted at random (Owen, "A Randomized Halton Algorithm in R", 2017): each point is uniform, and the
+    set stays evenly spread for any number of samples.
+
+    **Arguments:**
+
+    - `samples`: points of each set.
+    - `pattern_size`: pixels on a side of the tile.
+    - `rotated`: as in `Pattern`.
+    - `mapping`: `"concentric"` or `"polar"`, from the square to the disk.
+
+    **Raises** `ValueError` if there are no samples, the tile has no pixels, or `mapping` is unknown.
+    """
+    check_counts(samples, pattern_size)
+    rng = np.random.default_rng(seed)
+    sets = [qmc.Halton(2, scramble=True, rng=rng).random(samples) for _ in range(pattern_size**2)]
+    points = np.reshape(sets, (pattern_size, pattern_size, samples, 2))
+    return pattern_of(to_disk(points, mapping), rotated)

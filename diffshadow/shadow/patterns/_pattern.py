@@ -1,0 +1,74 @@
+"""What a sampling pattern is."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._misc import as_float
+from ..._types import HostArray
+
+EARLY_SAMPLES = 8
+"""How many points, the first, an early-out decides by."""
+
+
+class Pattern(eqx.Module):
+    """A set of points in the unit disk for each pixel.
+
+    - `offsets`: (n, p, p, 2), `n` points for each pixel of a square tile of `p` pixels, which repeats over the image.
+        They carry no gradient. The first 8 are those that an early-out decides by: far out, and all round.
+    - `rotated`: whether each pixel turns its set by an angle of its own, from interleaved gradient noise (Jimenez,
+        "Next Generation Post Processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014).
+
+    **Raises** `ValueError` if the offsets are of another shape.
+    """
+
+    offsets: Float[Array, "n p p 2"]
+    rotated: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        shape = self.offsets.shape
+        if len(shape) != 4 or min(shape) < 1 or shape[1] != shape[2] or shape[3] != 2:
+            raise ValueError(f"the pattern's offsets have shape {shape}; expected (n, p, p, 2), none of them 0")
+
+    @property
+    def samples(self) -> int:
+        """Points of each pixel."""
+        return self.offsets.shape[0]
+
+
+def interleaved_gradient_noise(shape: tuple[int, ...]) -> Float[Array, "h w"]:
+    """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 of them."""
+    height, width = shape
+    x, y = jnp.arange(width, dtype=jnp.float32), jnp.arange(height, dtype=jnp.float32)[:, None]
+    fraction = lambda t: t - jnp.floor(t)
+    return fraction(52.9829189 * fraction(0.06711056 * x + 0.00583715 * y))
+
+
+def check_counts(samples: int | tuple[int, int], pattern_size: int) -> None:
+    """Raises `ValueError` if there are no samples, or the tile has no pixels."""
+    if min(*np.atleast_1d(samples), pattern_size) < 1:
+        raise ValueError(
+            f"the pattern has samples {samples} and pattern_size {pattern_size}; expected each to be 1 or more"
+        )
+
+
+def pattern_of(points: HostArray, rotated: bool) -> Pattern:
+    """The pattern of `points` (p, p, n, 2), a set for each pixel, in the order that suits an early-out."""
+    return Pattern(as_float(np.moveaxis(outer_first(points), 2, 0)), rotated)
+
+
+def outer_first(points: HostArray) -> HostArray:
+    """Sets (..., n, 2) in another order: the outermost point of each of 8 sectors, then all others, inwards."""
+    x, y = points[..., 0], points[..., 1]
+    radius = np.hypot(x, y)
+    sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * EARLY_SAMPLES) % EARLY_SAMPLES
+    leads = np.zeros(radius.shape, bool)
+    for k in range(EARLY_SAMPLES):
+        own = np.where(sector == k, radius, -1)
+        outermost = np.argmax(own, axis=-1)[..., None]
+        held = np.take_along_axis(own, outermost, -1) >= 0
+        np.put_along_axis(leads, outermost, np.take_along_axis(leads, outermost, -1) | held, -1)
+    # Radii are at most 1, so that those that lead come before all others.
+    order = np.argsort(-(radius + 2 * leads), axis=-1, kind="stable")
+    return np.take_along_axis(points, order[..., None], -2)

@@ -1,0 +1,52 @@
+"""Stratified jittered points (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2)."""
+
+import math
+
+import numpy as np
+
+from ..._misc import as_float
+from ._disk import to_disk
+from ._pattern import EARLY_SAMPLES, Pattern, check_counts, outer_first
+
+
+def stratified(
+    samples: int | tuple[int, int] = (4, 8), pattern_size: int = 8, seed: int = 0, rotated: bool = False
+) -> Pattern:
+    """The classic offset table: stratified jittered points, another set for each pixel of a tile.
+
+    **Arguments:**
+
+    - `samples`: (angles, rings), the strata of each set; or their number, for a grid that is as square as it can be,
+        whose outer rings have one stratum more where the number does not divide.
+    - `pattern_size`: pixels on a side of the tile.
+    - `rotated`: as in `Pattern`.
+
+    **Returns:** a pattern of as many points as strata, which are of equal area, from the outer ring inwards; where
+    rings have more than 8 strata, the outermost point of each octant comes first. Point (u, v) of the jittered unit
+    square lies at radius √v and angle 2πu.
+
+    **Raises** `ValueError` if there are no samples, or the tile has no pixels.
+    """
+    check_counts(samples, pattern_size)
+    angles = _angles_of_rings(samples)
+    count, ring = int(angles.sum()), np.repeat(np.arange(angles.size), angles)
+    # Rings run inwards, and each is as wide in v as its strata are many.
+    inner = 1 - np.cumsum(angles) / count
+    sector = np.arange(count) - np.repeat(np.cumsum(angles) - angles, angles)
+    jitter = np.random.default_rng(seed).random((pattern_size, pattern_size, count, 2))
+    u = (sector + jitter[..., 0]) / angles[ring]
+    v = np.maximum(inner[ring], 0) + jitter[..., 1] * angles[ring] / count
+    points = to_disk(np.stack([u, v], axis=-1), "polar")
+    if angles[0] > EARLY_SAMPLES:
+        # The first samples of such a ring would lie on one side.
+        points = outer_first(points)
+    return Pattern(as_float(np.moveaxis(points, 2, 0)), rotated)
+
+
+def _angles_of_rings(samples: int | tuple[int, int]) -> np.ndarray:
+    """Strata of each ring, from the outer one inwards."""
+    if not isinstance(samples, int):
+        angles, rings = samples
+        return np.full(rings, angles)
+    rings = max(1, math.isqrt(samples))
+    return samples // rings + (np.arange(rings) < samples % rings)

@@ -1,0 +1,297 @@
+"""Pre-filtered maps: bounds, light bleeding, blurs in closed form, derivatives."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import lookups_at, map_of, problem, random_lookups, random_map, technique
+from scipy.stats import norm
+
+from diffshadow.fit import with_values
+from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
+from diffshadow.shadow import (
+    ExponentialShadowMap,
+    ExponentialVarianceShadowMap,
+    HardCompare,
+    Lookup,
+    MomentShadowMap,
+    PercentageCloser,
+    ShadowMap,
+    VarianceShadowMap,
+)
+from diffshadow.shadow.filters._prefilter import Blur, chebyshev, linear_depth
+
+HARD = HardCompare()
+KINDS = {
+    "variance": VarianceShadowMap,
+    "exponential": ExponentialShadowMap,
+    "exponential_variance": ExponentialVarianceShadowMap,
+    "moments": MomentShadowMap,
+}
+BOUNDS = ("variance", "exponential_variance", "moments")
+"""Those that are an upper bound of visibility for whatever lies in the map."""
+SUN = DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), 0, 1)
+"""Its window depth is linear depth."""
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+@eqx.filter_jit
+def seen(kernels, shadow_map, lookup):
+    """The visibility by all of some filters at once."""
+    return [kernel(shadow_map, lookup, HARD) for kernel in kernels]
+
+
+def share_below(kernel, radius, u):
+    """Share of a kernel of `radius` below u, by its formula."""
+    u = np.clip(u / radius, -1, 1)
+    if kernel == "box":
+        return (1 + u) / 2
+    if kernel == "tent":
+        return np.where(u < 0, (1 + u) ** 2 / 2, 1 - (1 - u) ** 2 / 2)
+    return (norm.cdf(3 * u) - norm.cdf(-3)) / (norm.cdf(3) - norm.cdf(-3))
+
+
+@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 2.5, 3.3])
+def test_blur_of_a_half_plane_is_the_kernels_integral(kernel, radius):
+    values = np.where(np.arange(24) < 12, 0.0, 1.0) * np.ones((16, 1))
+    blur = Blur(jnp.asarray(radius), 4.0, kernel)
+    for turned in (False, True):
+        blurred = np.asarray(blur(jnp.asarray(values.T if turned else values, jnp.float32), jnp.zeros(())))
+        blurred = blurred.T if turned else blurred
+        assert blurred.shape == (16 + 2 * blur.margin, 24 + 2 * blur.margin)
+        middle = blurred[blurred.shape[0] // 2, blur.margin : -blur.margin][4:-4]
+        exact = share_below(kernel, max(radius, 1e-3), np.arange(24) + 0.5 - 12)[4:-4]
+        np.testing.assert_allclose(middle, exact, atol=2e-6)
+
+
+@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+def test_blur_keeps_constants_and_spreads_the_map_across_its_border(kernel, rng):
+    blur = Blur(jnp.asarray(2.7), 5.0, kernel)
+    constant = blur(jnp.full((9, 11), 0.3), jnp.asarray(0.3))
+    np.testing.assert_allclose(constant, 0.3, atol=1e-6)
+    values = jnp.asarray(rng.random((2, 9, 11)), jnp.float32)
+    wide = np.asarray(blur(values, jnp.zeros(())))
+    # Nothing is lost, and the outermost texels hold what lies beyond.
+    np.testing.assert_allclose(wide.sum(axis=(1, 2)), np.sum(values, axis=(1, 2)), rtol=1e-5)
+    assert (wide[:, 0] == 0).all()
+    assert (wide[:, :, -1] == 0).all()
+    assert (wide[:, blur.margin - 1, blur.margin : -blur.margin] > 0).all()
+
+
+@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+def test_blur_does_not_depend_on_the_largest_radius(kernel, rng):
+    values = jnp.asarray(rng.random((9, 11)), jnp.float32)
+    tight, wide = (Blur(jnp.asarray(1.7), limit, kernel) for limit in (2.0, 6.5))
+    skip = wide.margin - tight.margin
+    inner = np.asarray(wide(values, jnp.ones(())))[skip:-skip, skip:-skip]
+    np.testing.assert_allclose(inner, tight(values, jnp.ones(())), atol=1e-6)
+
+
+def test_linear_depth_runs_from_near_to_far():
+    spot = SpotLight((0, 4, 0), (0, -1, 0), outer_angle=30.0, near=1.0, far=5.0)
+    depth = jnp.array([[-0.1, 0.0, 0.5, 0.9, 1.0, 1.4]])
+    distance = 1 / (1 - np.array([0.0, 0.0, 0.5, 0.9, 1.0, 1.0]) * (1 - 1 / 5))
+    found = linear_depth(ShadowMap(depth, spot), depth)
+    np.testing.assert_allclose(found[0], (distance - 1) / 4, atol=1e-6)
+    np.testing.assert_allclose(linear_depth(ShadowMap(depth, SUN), depth)[0], [0, 0, 0.5, 0.9, 1, 1], atol=1e-6)
+
+
+def receiver_and_occluder(depths, size=24):
+    """A map of stripes at `depths`, four texels wide, which repeat."""
+    column = np.asarray(depths)[np.arange(size) // 4 % len(depths)]
+    return ShadowMap(jnp.asarray(np.broadcast_to(column, (size, size)), jnp.float32), SUN)
+
+
+@pytest.mark.parametrize("radius", [0.5, 2.5])
+@pytest.mark.parametrize("name", ["variance", "exponential_variance", "moments", "exponential"])
+def test_one_occluder_over_one_receiver_is_percentage_closer_filtering(name, radius):
+    """At texels' centres; between them, compares are blended here and moments there."""
+    shadow_map = receiver_and_occluder((0.3, 0.7))
+    lookup = lookups_at(np.arange(4, 20) + 0.5, 12.5, 0.7)
+    expected = PercentageCloser(radius)(shadow_map, lookup, HARD)
+    [found] = seen([KINDS[name](radius)], shadow_map, lookup)
+    np.testing.assert_allclose(found, expected, atol=3e-3)
+    assert np.ptp(expected) > 0.5
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_uniform_depths_are_wholly_lit_or_dark(name, rng):
+    x, y = rng.uniform(8, 16, (2, 5, 6))
+    shadow_map = receiver_and_occluder((0.5,))
+    kernel = KINDS[name](2.2, light_bleeding=0.02)
+    for depth, expected in ((0.2, 1), (0.499, 1), (0.6, 0), (0.95, 0)):
+        [found] = seen([kernel], shadow_map, lookups_at(x, y, depth))
+        np.testing.assert_allclose(found, expected, atol=0)
+    empty = map_of(np.ones((24, 24)))
+    for depth in (0.0, 0.5, 1.0):
+        [found] = seen([kernel], empty, lookups_at(x, y, depth))
+        np.testing.assert_allclose(found, 1, atol=3e-5)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_beyond_the_border_all_is_lit(name, rng):
+    shadow_map = receiver_and_occluder((0.2,))
+    far = lookups_at([-40.0, 40.0, 12.0, 12.0, -3.6, 1e9], [12.0, 12.0, -40.0, 40.0, -3.6, -1e9], 0.9)
+    [found] = seen([KINDS[name](2.5)], shadow_map, far)
+    np.testing.assert_allclose(found, 1, atol=2e-5)
+
+
+@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+def test_bounds_hold_for_any_depths(kernel, rng):
+    """Visibility is never less than the share of the kernel that is not nearer than the receiver."""
+    size, radius = 20, 2.6
+    shadow_map = ShadowMap(jnp.asarray(rng.random((size, size)), jnp.float32), SUN)
+    column, row = np.meshgrid(np.arange(5, 15), np.arange(5, 15))
+    receiver = rng.random((10, 10))
+    offsets = np.arange(-3, 4)
+    weight = share_below(kernel, radius, offsets + 0.5) - share_below(kernel, radius, offsets - 0.5)
+    stored = np.asarray(shadow_map.depth, np.float64)
+    truth = np.zeros((10, 10))
+    for i, wx in zip(offsets, weight, strict=True):
+        for j, wy in zip(offsets, weight, strict=True):
+            truth += wx * wy * (stored[row + j, column + i] >= receiver)
+    kernels = [KINDS[name](radius, kernel=kernel) for name in BOUNDS]
+    for found in seen(kernels, shadow_map, lookups_at(column + 0.5, row + 0.5, receiver)):
+        assert (np.asarray(found) >= truth - 2e-3).all()
+        assert (np.asarray(found) <= 1 + 1e-6).all()
+        # And they say something.
+        assert np.mean(np.asarray(found) - truth) < 0.35
+
+
+def test_chebyshev_is_tight_for_two_depths():
+    share = np.linspace(0.1, 0.9, 5)
+    mean, square = share * 0.2 + (1 - share) * 0.8, share * 0.04 + (1 - share) * 0.64
+    arrays = (jnp.asarray(v[None], jnp.float32) for v in (mean, square - mean**2, np.full(5, 0.8)))
+    np.testing.assert_allclose(chebyshev(*arrays)[0], 1 - share, atol=1e-6)
+
+
+def test_light_bleeding_of_stacked_occluders_falls_from_method_to_method():
+    """A receiver at 0.8 under an occluder at 0.6, of which another at 0.1 hides a half: all dark."""
+    shadow_map = receiver_and_occluder((0.1, 0.6))
+    lookup = lookups_at(np.arange(6, 18) + 0.5, 12.5, 0.8)
+    variance, exponential, moments = (np.max(v) for v in seen([KINDS[n](2.5) for n in BOUNDS], shadow_map, lookup))
+    assert variance > 0.15
+    assert variance > 2 * exponential
+    assert exponential > 0
+    assert moments < 0.5 * exponential or moments < 1e-3
+    reduced = seen([VarianceShadowMap(2.5, light_bleeding=float(variance))], shadow_map, lookup)
+    np.testing.assert_allclose(reduced[0], 0, atol=1e-6)
+
+
+def test_three_depths_bleed_in_moments_less_than_in_variance():
+    shadow_map = receiver_and_occluder((0.1, 0.3, 0.5))
+    lookup = lookups_at(np.arange(6, 18) + 0.5, 12.5, 0.75)
+    variance, _, moments = (np.max(v) for v in seen([KINDS[n](5.0) for n in BOUNDS], shadow_map, lookup))
+    assert 0.01 < moments < 0.6 * variance
+
+
+def test_layers_of_a_point_light_are_filtered_apart(rng):
+    light = PointLight((0, 0, 0), near=0.5, far=5.0)
+    depth = jnp.asarray(rng.uniform(0.5, 0.6, (6, 11, 14)), jnp.float32)
+    lookup = random_lookups(rng)
+    layer = jnp.asarray(rng.integers(0, 6, lookup.depth.shape), jnp.int32)
+    kernels = [kind(1.8) for kind in KINDS.values()]
+    layered = Lookup(lookup.texel, lookup.depth, lookup.depth_per_texel, lookup.inside, layer=layer)
+    together = seen(kernels, ShadowMap(depth, light), layered)
+    spot = SpotLight((0, 0, 0), (0, 0, -1), outer_angle=45.0, near=0.5, far=5.0)
+    apart = [seen(kernels, ShadowMap(depth[k], spot), lookup) for k in range(6)]
+    for kind, found in enumerate(together):
+        one_by_one = np.stack([np.asarray(apart[k][kind]) for k in range(6)])
+        expected = np.take_along_axis(one_by_one, np.asarray(layer)[None], axis=0)[0]
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+        assert np.ptp(expected) > 0.1
+
+
+PARAMETERS = {
+    "variance": {"least_variance": 1e-2, "light_bleeding": 0.01},
+    "exponential": {"exponent": 30.0, "light_bleeding": 0.1},
+    "exponential_variance": {
+        "positive_exponent": 3.0,
+        "negative_exponent": 5.0,
+        "least_variance": 1e-3,
+        "light_bleeding": 0.01,
+    },
+    "moments": {"moment_bias": 1e-2, "light_bleeding": 0.1},
+}
+
+
+@eqx.filter_jit
+def loss(known, names, values):
+    return known.mean_square_error(with_values(known.technique, names, values))
+
+
+@pytest.mark.parametrize(("name", "kernel"), list(zip(KINDS, ("box", "tent", "gaussian", "box"), strict=True)))
+def test_gradient_of_the_loss_matches_central_differences(name, kernel):
+    own = PARAMETERS[name]
+    names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius", *(f"filter.{p}" for p in own))
+    values = np.array([0.2, 0.3, 0.4, 1.7, *own.values()])
+    with jax.enable_x64(True):
+        known = problem(technique(KINDS[name](1.0, 2.5, kernel, **own)), "spot", image=32, texels=96)
+        at, steps = jnp.asarray(values), np.diag(1e-6 * values)
+        slopes = [(loss(known, names, at + d) - loss(known, names, at - d)) / (2 * d.sum()) for d in steps]
+        forward, backward = (
+            np.asarray(jax.jit(jac(lambda values: loss(known, names, values)))(at)) for jac in (jax.jacfwd, jax.jacrev)
+        )
+        slopes = np.array(slopes)
+    assert (np.abs(slopes * values) > 1e-7).all()
+    np.testing.assert_allclose(forward, slopes, rtol=0.01)
+    np.testing.assert_allclose(forward, backward, rtol=1e-8)
+
+
+@eqx.filter_jit
+@eqx.filter_grad
+def slopes_of_sum(arguments):
+    kernels, depth, lookup = arguments
+    return sum(jnp.sum(kernel(ShadowMap(depth, SUN), lookup, HARD)) for kernel in kernels)
+
+
+@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+def test_no_gradient_is_nan_or_infinite(kernel, rng):
+    lookup = random_lookups(rng)
+    depth = lookup.depth.at[0].set(-1.0).at[1].set(0.0).at[2].set(1.0).at[3].set(2.0)
+    maps = [random_map(rng), map_of(np.ones((11, 14))), map_of(np.full((11, 14), 0.5)), map_of(np.zeros((11, 14)))]
+    for radius in (0.0, 0.5, 2.0):
+        kernels = [
+            eqx.tree_at(lambda k: k.radius, kind(1.0, 3.0, kernel), jnp.float32(radius)) for kind in KINDS.values()
+        ]
+        for shadow_map in maps:
+            for scale in (0.0, 1.0, 1e9):
+                texel = jnp.round(lookup.texel) * scale
+                moved = Lookup(texel, depth, lookup.depth_per_texel, lookup.inside)
+                found = slopes_of_sum((kernels, shadow_map.depth, moved))
+                assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: VarianceShadowMap(-1.0), r"the variance shadow map's radius is -1.0 texels; expected 0 to max_radius"),
+        (lambda: MomentShadowMap(4.0, 2.0), r"the moment shadow map's radius is 4.0 texels; .* = 2: give a larger"),
+        (lambda: ExponentialShadowMap(exponent=90.0), r"exponential shadow map's exponent is 90.0; expected 0 to 80"),
+        (lambda: VarianceShadowMap(least_variance=0.0), r"least_variance is 0.0; expected 1e-12 to 1"),
+        (lambda: VarianceShadowMap(light_bleeding=1.0), r"light_bleeding is 1.0; expected 0 to 0.99"),
+        (
+            lambda: ExponentialVarianceShadowMap(positive_exponent=50.0),
+            r"positive_exponent is 50.0; expected 0.001 to 42",
+        ),
+        (lambda: MomentShadowMap(moment_bias=0.0), r"moment_bias is 0.0; expected 1e-07 to 1"),
+    ],
+)
+def test_impossible_settings_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_unknown_kernel_is_refused(name):
+    filter = KINDS[name]()
+    # Where types are checked, as in these tests, the constructor does not get so far.
+    object.__setattr__(filter, "kernel", "disk")
+    with pytest.raises(ValueError, match=r"shadow map's kernel is 'disk'; expected one of box, tent, gaussian"):
+        filter.__check_init__()

@@ -1,0 +1,414 @@
+"""Shadow volumes against float64 rays, and their counts against OpenGL's stencil buffer."""
+
+import functools
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from golden_stencil import stencil_case, stencil_names
+from jaxtyping import TypeCheckError
+from scenes import quad
+from triangle_soups import soup
+from volume_oracle import Truth
+
+from diffshadow.geometry import (
+    DirectionalLight,
+    Edges,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    Scene,
+    SpotLight,
+    drop_to_ground,
+    fit_to_size,
+    library_mesh,
+    merge,
+    rotation,
+    translation,
+)
+from diffshadow.io import load_mesh
+from diffshadow.raster import Capacity, count_fragments, plan_counts, rasterize
+from diffshadow.reference import trace_visibility_exact
+from diffshadow.shadow import ShadowVolumes, VolumeCapacity
+
+REAL_MESHES = Path(__file__).parents[2] / "shared" / "meshes"
+RESOLUTION = (48, 64)
+# Alike for all scenes, so that little is compiled.
+VERTICES, FACES, EDGES = 250, 340, 520
+ROOM = Capacity(clipped=1024, windows=(512,) * 5, large=1024, candidates=16384, blocks=8192)
+ROOMS = VolumeCapacity(ROOM, ROOM)
+# How far from a shadow's edge, in pixels, every count must be right.
+BAR = 1e-3
+
+SUN = DirectionalLight((0.5, -1.0, -0.3), (0, 0, 0), (4, 4), -4, 4)
+LAMP = SpotLight((-1.2, 3.0, 0.9), (0.4, -1.0, -0.3), 40.0, 0.1, 10.0)
+LIGHTS = {"sun": SUN, "lamp": LAMP}
+PERSPECTIVE = PinholeCamera((1.8, 2.2, 3.0), (0.1, 0.3, 0.0), fov_y=35.0, near=0.1, far=20.0, resolution=RESOLUTION)
+PARALLEL = OrthographicCamera((1.8, 2.2, 3.0), (0.1, 0.3, 0.0), height=2.5, near=0.1, far=20.0, resolution=RESOLUTION)
+CAMERAS = {"perspective": PERSPECTIVE, "parallel": PARALLEL}
+GROUND = library_mesh("plane", size=6.0)
+Z_FAIL, Z_PASS = ShadowVolumes("z_fail"), ShadowVolumes("z_pass")
+
+
+def fins():
+    """Three upright sheets, wound anyhow, that meet in one edge."""
+    rim = [[np.cos(a), y, np.sin(a)] for a in (0.4, 2.2, 4.6) for y in (0.1, 0.9)]
+    faces = [[0, 2, 3], [0, 3, 1], [0, 5, 4], [0, 1, 5], [0, 6, 7], [0, 7, 1]]
+    return Mesh([[0, 0.1, 0], [0, 0.9, 0], *rim], faces)
+
+
+CASTERS = {
+    "box": lambda: library_mesh("box"),
+    "torus": lambda: library_mesh("torus", segments=12, sides=7),
+    "blob": lambda: library_mesh("blob", subdivisions=2),
+    "two_boxes": lambda: merge(
+        [library_mesh("box"), library_mesh("box", size=0.4).transformed(translation(jnp.array([0.3, 0.6, 0.1])))]
+    ),
+    "open_sheet": lambda: (
+        library_mesh("plane", segments=3)
+        .transformed(rotation(jnp.array([1.0, 0, 0.4]), 0.7))
+        .transformed(translation(jnp.array([0, 0.6, 0])))
+    ),
+    "fins": fins,
+}
+
+
+def padded(mesh, edges, vertices=VERTICES, faces=FACES, rows=EDGES):
+    """Mesh and edges filled up with what draws nothing, so that shapes are alike."""
+    pad = lambda values, n, with_=0: np.pad(
+        np.asarray(values), [(0, n - len(values))] + [(0, 0)] * (np.ndim(values) - 1), constant_values=with_
+    )
+    filled = Mesh(pad(mesh.vertices, vertices), pad(mesh.faces, faces), np.zeros((faces, 3, 3)))
+    fields = [pad(edges.vertices, rows), pad(edges.faces, rows), pad(edges.directions, rows)]
+    component = pad(edges.component, faces, len(edges.solid))
+    arrays = [jnp.asarray(values, jnp.int32) for values in (*fields, component)]
+    return filled, Edges(*arrays, jnp.asarray(pad(edges.solid, faces + 1)), False)
+
+
+def found(casters, light, camera, method=Z_FAIL, receivers=None):
+    """Visibility and counts."""
+    mesh, edges = padded(casters, Edges.of(casters))
+    arguments = (mesh, light, camera, receivers)
+    rooms = {"edges": edges, "capacity": ROOMS}
+    return tuple(np.asarray(ask(*arguments, **rooms)) for ask in (method.visibility, method.counts))
+
+
+@functools.cache
+def case(name, light, camera, method):
+    """The scene called `name` with a ground that casts too, its truth, and what `method` finds."""
+    casters = merge([CASTERS[name](), GROUND])
+    scene = Scene(casters, CAMERAS[camera], LIGHTS[light])
+    edges = Edges.of(casters)
+    truth = Truth(casters, scene.light, scene.camera)
+    return scene, truth, np.asarray(edges.solid)[np.asarray(edges.component)], found(*_of(scene), ShadowVolumes(method))
+
+
+def _of(scene):
+    return scene.mesh, scene.light, scene.camera
+
+
+def assert_right(visibility, expected, truth, what):
+    """Equal but for pixels within `BAR` of a shadow's edge; lists all others with their distance from one."""
+    differing = np.flatnonzero(np.asarray(visibility != expected).ravel())
+    centres = truth.centres()[differing]
+    distances = truth.distances(centres) if len(differing) else np.zeros(0)
+    listed = [f"{divmod(int(p), truth.resolution[1])}: {d:g}" for p, d in zip(differing, distances, strict=True)]
+    assert (distances <= BAR).all(), (
+        f"{what}: {len(differing)} pixels differ; (row, column) and distance in pixels to the nearest shadow edge: "
+        f"{', '.join(listed)}"
+    )
+
+
+SCENES = [
+    *((name, "lamp", "perspective", "z_fail") for name in CASTERS),
+    *((name, "sun", "perspective", "z_fail") for name in CASTERS),
+    *((name, "lamp", "parallel", "z_fail") for name in ("box", "torus", "fins")),
+    *((name, "lamp", "perspective", "z_pass") for name in ("torus", "two_boxes", "open_sheet")),
+]
+
+
+# Against rays
+
+
+@pytest.mark.parametrize(("name", "light", "camera", "method"), SCENES)
+def test_visibility_is_that_of_float64_rays_beyond_a_thousandth_of_a_pixel(name, light, camera, method):
+    scene, truth, _, (visibility, _) = case(name, light, camera, method)
+    expected = trace_visibility_exact(scene, 1)
+    seen = expected.mask
+    assert 0.02 < np.mean(expected.visibility[seen] == 0) < 0.95
+    assert_right(visibility, expected.visibility, truth, f"{method} of {name} under the {light}")
+
+
+@pytest.mark.parametrize(("name", "light", "camera", "method"), SCENES)
+def test_counts_are_the_faces_between_a_point_and_the_light(name, light, camera, method):
+    _, truth, solid, (_, counts) = case(name, light, camera, method)
+    centres = truth.centres()
+    expected = truth.at(centres, solid)
+    wrong = (counts.ravel() != expected.count) & (expected.face >= 0)
+    assert truth.changes_within(centres[wrong], BAR, solid).all() if wrong.any() else True, np.flatnonzero(wrong)
+    assert expected.count.max() >= 1
+
+
+def test_overlapping_volumes_count_up():
+    _, _, _, (_, counts) = case("two_boxes", "lamp", "perspective", "z_fail")
+    assert {0, 1, 2} <= set(np.unique(counts).tolist())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["spot.obj", "fandisk.obj"])
+def test_real_closed_meshes_agree_with_float64_rays(file):
+    if not (REAL_MESHES / file).exists():
+        pytest.skip(f"{REAL_MESHES / file} is missing: put the meshes for trials beside the repository")
+    mesh = merge([drop_to_ground(fit_to_size(load_mesh(REAL_MESHES / file), 1.0)), GROUND])
+    edges = Edges.of(mesh)
+    assert np.asarray(edges.solid).tolist() == [True, False]
+    camera = eqx.tree_at(lambda c: c.fov_y, PERSPECTIVE, jnp.asarray(25.0))
+    camera = PinholeCamera(camera.eye, camera.target, fov_y=25.0, near=0.1, far=20.0, resolution=(32, 48))
+    room = Capacity(4096, (32768, 8192, 4096, 2048, 1024), 4096, 32768, 16384)
+    filled, rows = padded(mesh, edges, 6600, 13000, 19500)
+    visibility = Z_FAIL.visibility(filled, LAMP, camera, edges=rows, capacity=VolumeCapacity(room, room))
+    expected = trace_visibility_exact(Scene(mesh, camera, LAMP), 1).visibility
+    assert_right(np.asarray(visibility), expected, Truth(mesh, LAMP, camera), file)
+
+
+# Where the eye and the light are
+
+
+def test_with_the_eye_inside_a_volume_z_fail_holds_and_z_pass_fails():
+    casters = merge([library_mesh("box"), GROUND])
+    camera = PinholeCamera((0.9, 0.25, -0.6), (3.0, -0.3, -1.5), fov_y=60.0, near=0.05, far=20.0, resolution=RESOLUTION)
+    expected = trace_visibility_exact(Scene(casters, camera, LAMP), 1)
+    assert 0.1 < expected.visibility[expected.mask].mean() < 0.9
+    by_fail, _ = found(casters, LAMP, camera, Z_FAIL)
+    by_pass, _ = found(casters, LAMP, camera, Z_PASS)
+    assert_right(by_fail, expected.visibility, Truth(casters, LAMP, camera), "z_fail")
+    assert np.mean((by_pass != expected.visibility)[expected.mask]) > 0.5
+
+
+def test_near_plane_that_cuts_a_volume_harms_z_pass_only():
+    casters = merge([library_mesh("box"), GROUND])
+    # The near plane reaches through the shadow to the ground behind it.
+    camera = PinholeCamera((2.6, 1.0, 0.9), (0.8, 0.2, -1.2), fov_y=45.0, near=1.6, far=20.0, resolution=RESOLUTION)
+    expected = trace_visibility_exact(Scene(casters, camera, LAMP), 1)
+    by_fail, _ = found(casters, LAMP, camera, Z_FAIL)
+    by_pass, _ = found(casters, LAMP, camera, Z_PASS)
+    assert_right(by_fail, expected.visibility, Truth(casters, LAMP, camera), "z_fail")
+    assert np.sum((by_pass != expected.visibility)[expected.mask]) > 20
+
+
+def test_light_inside_a_closed_box_lights_nothing_outside():
+    casters = merge([library_mesh("box"), GROUND])
+    inside = eqx.tree_at(lambda lamp: lamp.position, LAMP, jnp.array([0.1, 0.5, 0.2]))
+    visibility, counts = found(casters, inside, PERSPECTIVE)
+    expected = trace_visibility_exact(Scene(casters, PERSPECTIVE, inside), 1)
+    assert (expected.visibility[expected.mask] == 0).all()
+    np.testing.assert_array_equal(visibility, expected.visibility)
+    assert (counts[expected.mask] >= 1).all()
+
+
+def test_parallel_view_along_the_light_sees_shadows_only_where_they_hide():
+    casters = merge([library_mesh("box").transformed(translation(jnp.array([0, 0.5, 0]))), GROUND])
+    down = eqx.tree_at(lambda sun: sun.direction, SUN, jnp.array([0.0, -1.0, 0.0]))
+    above = OrthographicCamera((0, 4, 0), (0, 0, 0), (0, 0, -1), height=2.7, near=0.1, far=9.0, resolution=RESOLUTION)
+    below = OrthographicCamera((0, 0.4, 0), (0, 0, 0), (0, 0, -1), height=2.7, near=0.1, far=9.0, resolution=RESOLUTION)
+    visibility, _ = found(casters, down, above)
+    assert (visibility == 1).all()
+    visibility, counts = found(casters, down, below)
+    expected = trace_visibility_exact(Scene(casters, below, down), 1).visibility
+    np.testing.assert_array_equal(visibility, expected)
+    assert set(np.unique(counts).tolist()) == {0, 1}
+
+
+def test_receivers_cast_nothing_and_let_shadows_through():
+    card, shelf = quad((0, 1.4, 0), (0.5, 0, 0), (0, 0, -0.5)), quad((-0.1, 0.7, 0.25), (0.35, 0, 0), (0, 0, -0.35))
+    receivers = merge([shelf, quad((0, 0, 0), (3, 0, 0), (0, 0, -3))])
+    visibility, _ = found(card, LAMP, PERSPECTIVE, receivers=receivers)
+    truth = Truth(merge([card, receivers]), LAMP, PERSPECTIVE, casters=2)
+    seen = truth.at(truth.centres())
+    assert_right(visibility.ravel(), seen.lit.astype(float), truth, "receivers")
+    # On the shelf, and again on the ground that the shelf hides from the light.
+    everything = merge([card, receivers])
+    as_caster = trace_visibility_exact(Scene(everything, PERSPECTIVE, LAMP), 1).visibility.ravel()
+    assert np.any(~seen.lit & (seen.face == 2))
+    assert np.any(~seen.lit & (seen.face >= 4))
+    assert np.any(seen.lit & (seen.face >= 4) & (as_caster == 0))
+
+
+def test_a_far_plane_in_front_of_the_ground_leaves_it_lit():
+    casters = merge([library_mesh("box"), GROUND])
+    camera = PinholeCamera((1.8, 2.2, 3.0), (0.1, 0.3, 0.0), fov_y=35.0, near=0.1, far=3.6, resolution=RESOLUTION)
+    expected = trace_visibility_exact(Scene(casters, camera, LAMP), 1)
+    assert 0 < expected.mask.mean() < 1
+    visibility, _ = found(casters, LAMP, camera)
+    assert_right(visibility, expected.visibility, Truth(casters, LAMP, camera), "a near far plane")
+
+
+# Meshes
+
+
+def test_faces_without_area_change_nothing():
+    box = library_mesh("box")
+    plain, _ = found(merge([box, GROUND]), LAMP, PERSPECTIVE)
+    # Corners at one place, and a face between an edge and its middle.
+    a, b = np.asarray(box.vertices)[[0, 1]]
+    points = np.concatenate([np.asarray(box.vertices), [(a + b) / 2]])
+    faces = np.concatenate([np.asarray(box.faces), [[0, 0, 1], [2, 2, 2], [0, 1, 8]]])
+    visibility, counts = found(merge([Mesh(points, faces), GROUND]), LAMP, PERSPECTIVE)
+    np.testing.assert_array_equal(visibility, plain)
+    assert counts.min() >= 0
+
+
+def test_a_mesh_scaled_by_powers_of_two_has_the_same_shadows():
+    _, _, _, (plain, _) = case("torus", "lamp", "perspective", "z_fail")
+    for scale in (2.0**-7, 2.0**7):
+        casters = merge([CASTERS["torus"](), GROUND])
+        casters = Mesh(casters.vertices * scale, casters.faces)
+        light = eqx.tree_at(lambda lamp: lamp.position, LAMP, LAMP.position * scale)
+        scaled = [getattr(PERSPECTIVE, key) * scale for key in ("eye", "target", "near", "far")]
+        camera = eqx.tree_at(lambda c: (c.eye, c.target, c.near, c.far), PERSPECTIVE, scaled)
+        np.testing.assert_array_equal(found(casters, light, camera)[0], plain)
+
+
+# Calls
+
+
+def test_compiled_call_equals_the_plain_one():
+    scene, _, _, (visibility, _) = case("blob", "lamp", "perspective", "z_fail")
+    mesh, edges = padded(scene.mesh, Edges.of(scene.mesh))
+
+    @eqx.filter_jit
+    def compiled(mesh, light):
+        return Z_FAIL.visibility(mesh, light, PERSPECTIVE, edges=edges, capacity=ROOMS)
+
+    result = compiled(mesh, scene.light)
+    assert result.dtype == jnp.float32
+    np.testing.assert_array_equal(result, visibility)
+
+
+def test_left_out_edges_and_capacity_are_found():
+    casters = merge([library_mesh("box"), GROUND])
+    visibility = Z_FAIL.visibility(casters, LAMP, PERSPECTIVE)
+    np.testing.assert_array_equal(visibility, found(casters, LAMP, PERSPECTIVE)[0])
+    needed = Z_FAIL.plan(casters, LAMP, PERSPECTIVE)
+    assert all(n == 0 or n & (n - 1) == 0 for n in jax.tree.leaves(needed))
+
+
+def test_a_capacity_too_small_is_named():
+    mesh, edges = padded(merge([library_mesh("box"), GROUND]), Edges.of(merge([library_mesh("box"), GROUND])))
+    short = VolumeCapacity(ROOM, ROOM._replace(large=0))
+    with pytest.raises(Exception, match=r"capacity\.large of 0 is too small"):
+        Z_FAIL.counts(mesh, LAMP, PERSPECTIVE, edges=edges, capacity=short).block_until_ready()
+
+
+def test_traced_call_without_capacity_is_refused():
+    mesh, edges = padded(GROUND, Edges.of(GROUND))
+    with pytest.raises(ValueError, match="without a capacity"):
+        jax.jit(lambda v: Z_FAIL.counts(Mesh(v, mesh.faces), LAMP, PERSPECTIVE, edges=edges))(mesh.vertices)
+
+
+def test_unknown_methods_are_refused():
+    # Shapes and types are checked before, in tests, and say so in their own words.
+    with pytest.raises((ValueError, TypeCheckError), match="z_fail"):
+        ShadowVolumes("z_buffer")  # pyright: ignore[reportArgumentType]
+    clip, one = jnp.zeros((3, 4)), jnp.ones(1, jnp.int32)
+    with pytest.raises((ValueError, TypeCheckError), match="pass"):
+        count_fragments(clip, jnp.array([[0, 1, 2]]), one, jnp.ones((4, 4)), "equal")  # pyright: ignore
+
+
+# Counted fragments
+
+
+def test_faces_counted_against_their_own_depth_have_the_same_bits():
+    """No fragment passes where its own face is seen or hidden, and the seen one fails: depths are equal, not close."""
+    count = 24
+    faces = jnp.arange(3 * count).reshape(-1, 3)
+    for seed in range(8):
+        clip = jnp.asarray(soup(np.random.default_rng(seed), count, RESOLUTION)[0], jnp.float32)
+        seen = rasterize(clip, faces, RESOLUTION, capacity=ROOM)
+        powers = jnp.asarray(np.random.default_rng(seed).integers(1, 1 << 20, count), jnp.int32)
+        passing = count_fragments(clip, faces, powers, seen.depth, "pass", capacity=ROOM)
+        assert (passing == 0).all()
+    assert (seen.face >= 0).any()
+
+
+def test_weights_and_windings_add_up():
+    """A quad in front of half of the depths, one that reaches beyond the far plane, and one that does not count."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    at = lambda z: np.concatenate([corners, np.full((4, 1), 2 * z - 1), np.ones((4, 1))], axis=1)
+    clip = jnp.asarray(np.concatenate([at(0.5), at(1.5), at(0.2)]), jnp.float32)
+    square = np.array([[0, 1, 2], [0, 2, 3]])
+    faces = jnp.asarray(np.concatenate([square, 4 + square[:, ::-1], 8 + square]), jnp.int32)
+    weights = jnp.array([3, 3, 5, 5, 0, 0])
+    depth = jnp.full((16, 32), 0.25).at[:, 16:].set(0.75)
+    halves = lambda counts: (np.unique(counts[:, :16]).tolist(), np.unique(counts[:, 16:]).tolist())
+    capacity = plan_counts(clip, faces, weights, (16, 32))
+    assert halves(count_fragments(clip, faces, weights, depth, "pass", capacity=capacity)) == ([0], [3])
+    assert halves(count_fragments(clip, faces, weights, depth, "fail", capacity=capacity)) == ([3 - 5], [-5])
+
+
+# Against OpenGL
+
+STENCIL = [stencil_case(name) for name in stencil_names()]
+STENCIL_ROOM = Capacity(clipped=1024, windows=(1024,) * 5, large=1024, candidates=32768, blocks=16384)
+# A difference is explained by a depth this close to that of a wall, or by an outline this near, in pixels.
+TIED, NEAR_OUTLINE = 4e-6, 1 / 256
+
+
+def filled_up(values, n, with_):
+    return jnp.asarray(np.concatenate([values, np.tile(with_, (n - len(values),) + (1,) * (np.ndim(values) - 1))]))
+
+
+def counted(stencil):
+    """Whether a pixel is covered, and passing and failing counts."""
+    clip = filled_up(stencil.clip, 1300, np.float32([[0, 0, 2, 1]]))
+    faces = filled_up(stencil.faces, 600, np.int32([[1299] * 3]))
+    volume_faces = filled_up(stencil.volume_faces, 1400, np.int32([[1299] * 3]))
+    weights = filled_up(stencil.weights, 1400, np.int32([0]))
+    seen = rasterize(clip, faces, stencil.resolution, capacity=STENCIL_ROOM)
+    count = lambda when: count_fragments(clip, volume_faces, weights, seen.depth, when, capacity=STENCIL_ROOM)
+    return np.asarray(seen.face >= 0), np.asarray(count("pass")), np.asarray(count("fail"))
+
+
+def test_counts_equal_opengls_stencil_on_999_of_1000_pixels_and_the_rest_is_explained():
+    total, differing, listed, unexplained = 0, 0, [], []
+    for stencil in STENCIL:
+        covered, passing, failing = counted(stencil)
+        for when, ours, theirs in (("pass", passing, stencil.passing), ("fail", failing, stencil.failing)):
+            total += covered.sum()
+            for pixel in np.argwhere(ours != theirs):
+                outline, gap = stencil.near_outlines(pixel)
+                row, column = pixel.tolist()
+                text = (
+                    f"{stencil.name} {when} ({row}, {column}): {ours[row, column]} instead of {theirs[row, column]}, "
+                    f"{outline:.1e} pixels from an outline, {gap:.1e} of depth from a wall"
+                )
+                differing += covered[row, column]
+                listed.append(text)
+                if outline > NEAR_OUTLINE and gap > TIED:
+                    unexplained.append(text)
+    message = f"{differing} of {total} covered pixels differ:\n" + "\n".join(listed)
+    assert differing <= 0.001 * total, message
+    assert not unexplained, message
+
+
+def test_few_pixels_of_the_stencil_goldens_could_be_explained_away():
+    rng = np.random.default_rng(0)
+    near = [
+        stencil.near_outlines(pixel)
+        for stencil in STENCIL
+        for pixel in rng.integers((0, 0), stencil.resolution, (30, 2))
+    ]
+    assert np.mean([outline <= NEAR_OUTLINE or gap <= TIED for outline, gap in near]) < 0.1
+
+
+def test_stencil_goldens_hold_every_kind_of_scene():
+    assert len(STENCIL) >= 8
+    assert any((stencil.weights < 0).any() for stencil in STENCIL)
+    assert any((np.abs(stencil.weights) > 1).any() for stencil in STENCIL)
+    # From outside every volume both ways of counting agree; from inside they do not.
+    outside = [np.array_equal(stencil.passing, -stencil.failing) for stencil in STENCIL]
+    assert 2 <= len(outside) - sum(outside) <= len(outside) // 2
+    assert all((stencil.failing != 0).any() and (stencil.failing == 0).any() for stencil in STENCIL)
