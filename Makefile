@@ -13,7 +13,7 @@ UV := uv
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types constraints clean
+.PHONY: help setup fit gallery test lint types constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -23,6 +23,9 @@ setup: $(STAMP) ## make .venv with the pinned packages and diffshadow itself
 
 fit: $(STAMP) ## run the quickstart fit (CONFIG=another.yaml)
 	$(BIN)/diffshadow fit $(CONFIG) $(ARGS)
+
+gallery: $(STAMP) ## draw every technique into docs/gallery.md (takes minutes)
+	$(BIN)/python experiments/gallery.py configs/gallery.yaml $(ARGS)
 
 test: $(STAMP) ## run the tests (ARGS="-k pcf")
 	$(BIN)/python -m pytest $(ARGS)

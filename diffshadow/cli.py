@@ -73,12 +73,12 @@ def fit(config: Path, /, *overrides: str) -> None:
 
 
 @app.command
-def render(config: Path, /, *overrides: str) -> None:
+def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     """Draws the scene of CONFIG with its technique as it stands, and writes the images.
 
     The path of the run's folder is the last line printed.
 
-    Example: `diffshadow render configs/quickstart.yaml bias.constant=2`
+    Example: `diffshadow render configs/quickstart.yaml bias.constant=2 --debug`
 
     Parameters
     ----------
@@ -86,12 +86,14 @@ def render(config: Path, /, *overrides: str) -> None:
         YAML file that says what to draw.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    debug
+        Also write pictures of what the technique works with: depths, silhouettes, blockers, patterns, volume counts.
     """
     settings = load_config(config, overrides)
     _keep_compiled_programs()
     from . import study
 
-    _console().print(Text(str(study.run_render(settings, console=_console()))), soft_wrap=True)
+    _console().print(Text(str(study.run_render(settings, console=_console(), debug=debug))), soft_wrap=True)
 
 
 @app.command
@@ -147,11 +149,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 def _build_everything(config: Config) -> int:
     """Makes all that a run is made of, for its errors. **Returns** the scene's number of triangles."""
-    from .config import build_fit, build_scene, build_technique
+    from .config import build_fit, build_scene, build_shading, build_technique
 
     scene = build_scene(config)
     build_technique(config)
-    build_fit(config)
+    build_shading(config)
+    if config.technique.type == "shadow_map":
+        build_fit(config)
     return scene.mesh.faces.shape[0]
 
 

@@ -24,13 +24,14 @@ from cyclopts import App
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow.config import Config, build_fit, build_scene, build_technique, load_config
+from diffshadow.config import Config, build_casting, build_fit, build_technique, load_config
 from diffshadow.fit import FitResult, Problem, fit, with_values
 from diffshadow.geometry import Scene
 from diffshadow.io import cached_arrays, read_visibility
 from diffshadow.raster import draw_surface
 from diffshadow.reference import Reference, cache_key, reference_from_image, trace_visibility
-from diffshadow.shadow import ShadowMapping, draw_shadow_map
+from diffshadow.shadow import ShadowMapping
+from diffshadow.study import draw_from_light
 
 AXES = ("bias.constant", "filter.radius")
 
@@ -81,11 +82,12 @@ def main(config: Path, /, *overrides: str, size: int = 33) -> dict[str, Any]:
 
 def make_problem(settings: Config) -> tuple[Problem, float]:
     """The problem of a configuration, and the noise of its reference."""
-    scene = build_scene(settings)
+    casting = build_casting(settings)
+    scene = casting.scene
     technique = build_technique(settings)
     reference = make_reference(settings, scene)
     surface = draw_surface(scene.mesh, scene.camera)
-    shadow_map = draw_shadow_map(scene.mesh, scene.light, settings.shadow_map.resolution, cull=settings.shadow_map.cull)
+    shadow_map = draw_from_light(settings, technique, casting)
     mask = technique.covered(shadow_map, surface) & jnp.asarray(reference.mask)
     return Problem(technique, shadow_map, surface, jnp.asarray(reference.visibility), mask), reference.noise_floor
 

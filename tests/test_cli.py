@@ -30,12 +30,13 @@ def process(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str
 
 @pytest.fixture
 def runner(monkeypatch):
-    """Stands in for `run_fit` and `run_render`; holds the configurations it was given."""
-    seen: list[Config] = []
+    """Stands in for `run_fit` and `run_render`; holds the configurations it was given, and `debug` after one."""
+    seen: list[Config | str] = []
 
-    def work(config, *, console):
+    def work(config, *, console, debug=False):
         console.print("working")
         seen.append(config)
+        seen.extend(["debug"] if debug else [])
         return Path("runs/a folder of a name so long that a terminal of eighty columns would have to wrap it somewhere")
 
     monkeypatch.setattr(diffshadow.study, "run_fit", work, raising=False)
@@ -51,6 +52,11 @@ def test_command_runs_the_config_with_its_overrides(command, runner, capsys):
     assert out.splitlines()[0] == "working"
     assert out.splitlines()[-1].endswith("somewhere")
     assert err == ""
+
+
+def test_render_is_told_to_write_debug_views(runner):
+    assert run("render", QUICKSTART, "seed=1", "--debug") == 0
+    assert runner == [load_config(QUICKSTART, ["seed=1"]), "debug"]
 
 
 @pytest.mark.parametrize("command", ["fit", "render", "validate"])
@@ -152,6 +158,11 @@ def test_validate_finds_what_only_building_shows(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"error: {file}:3: scene.meshes.0: ")
+
+
+def test_validate_takes_techniques_that_cannot_be_fitted(capsys):
+    assert run("validate", QUICKSTART, "technique.type=shadow_volumes") == 0
+    assert "technique.method" in capsys.readouterr().out
 
 
 def test_help_tells_of_commands_and_overrides_with_examples(capsys):

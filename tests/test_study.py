@@ -343,6 +343,141 @@ def test_render_writes_its_images_beside_the_fit_s():
     assert "SSIM" in out.getvalue()
 
 
+SMALL = (
+    "scene.camera.resolution=[40, 40]",
+    "shadow_map.resolution=[48, 48]",
+    "fit.parameters={bias.constant: {lower: 0, upper: 10}}",
+)
+LIGHTS = ("scene.light=null", "scene.lights=[{angular_radius: 1.5}, {type: point, radius: 0.1, guard: 0.5}]")
+
+
+def render(*overrides: str, debug: bool = False) -> tuple[Path, str]:
+    """The folder of a small render, and what was printed."""
+    to, out = console()
+    return study.run_render(tiny(*SMALL, *overrides), console=to, debug=debug), out.getvalue()
+
+
+def test_render_of_several_lights_tells_them_apart():
+    folder, said = render(*LIGHTS, debug=True)
+    per_light = (
+        "visibility",
+        "reference",
+        "difference",
+        "shadow_map",
+        "debug_depth",
+        "debug_silhouettes",
+        "debug_pattern",
+    )
+    names = {f"{name}_{i}.png" for name in per_light for i in range(2)}
+    assert {entry.name for entry in folder.glob("*.png")} == {*names, "shaded.png"}
+    metrics = result_of(folder)["metrics"]
+    assert [light["light"] for light in metrics["lights"]] == ["scene.lights.0", "scene.lights.1"]
+    assert metrics["pixels"] == sum(light["pixels"] for light in metrics["lights"])
+    with np.load(folder / "arrays.npz") as arrays:
+        assert arrays["visibility"].shape == arrays["mask"].shape == (2, 40, 40)
+        assert arrays["shadow_map_depth_1"].shape == (6, 48, 48)
+        difference = (arrays["visibility"].astype(np.float64) - arrays["reference"])[arrays["mask"]]
+    # The errors of all lights together are those over all their pixels.
+    assert metrics["errors"]["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-6)
+    assert metrics["errors"]["mae"] == pytest.approx(np.mean(np.abs(difference)), rel=1e-6)
+    assert "scene.lights.1" in said
+
+
+@pytest.mark.parametrize(
+    ("overrides", "more"),
+    [
+        (("technique.type=shadow_volumes",), {"debug_volumes.png"}),
+        (
+            ("technique={type: projective_texture, resolution: [64, 64], blur: 1}", "scene.meshes.1.casts=false"),
+            {"texture.png"},
+        ),
+        (
+            ("filter={type: pcss, samples: 4, pattern_size: 2, pattern: vogel, rotated: false}",),
+            {"shadow_map.png", "debug_depth.png", "debug_blockers.png", "debug_pattern.png"},
+        ),
+        (("filter={type: nearest}", "shadow_map.layer=midpoint"), {"shadow_map.png", "debug_depth.png"}),
+    ],
+    ids=["volumes", "projective", "pcss", "midpoint"],
+)
+def test_every_technique_renders_with_its_debug_views(overrides, more):
+    folder, _ = render(*overrides, debug=True)
+    always = {"visibility.png", "reference.png", "difference.png", "shaded.png", "debug_silhouettes.png"}
+    assert {entry.name for entry in folder.glob("*.png")} == always | more
+    for picture in folder.glob("*.png"):
+        assert picture.read_bytes().startswith(PNG)
+        assert picture.stat().st_size > 2000
+    result = result_of(folder)
+    assert result["metrics"]["technique"] == tiny(*SMALL, *overrides).technique.type
+    assert 0 < result["metrics"]["errors"]["rmse"] < 0.5
+
+
+def test_debug_views_are_written_only_when_asked_for():
+    folder, _ = render()
+    assert not list(folder.glob("debug_*"))
+
+
+def test_volumes_come_closer_to_a_hard_reference_than_any_map():
+    hard = "scene.light={type: spot, position: [1, 3, 2]}"
+    folders = [render(hard, *more)[0] for more in (["name=map"], ["name=volumes", "technique.type=shadow_volumes"])]
+    errors = [result_of(folder)["metrics"]["errors"]["rmse"] for folder in folders]
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_fit_of_several_lights_is_joint(tmp_path):
+    made, _ = run(*SMALL, *LIGHTS, "fit.solver.max_steps=2", "fit.anneal.phases=1")
+    result = result_of(made)
+    assert {entry.name for entry in made.glob("*.png")} == {
+        *("comparison_0.png", "comparison_1.png", "shadow_map_0.png", "shadow_map_1.png", "loss.png", "shaded.png")
+    }
+    lights = result["metrics"]["lights"]
+    assert [light["light"] for light in lights] == ["scene.lights.0", "scene.lights.1"]
+    with np.load(made / "arrays.npz") as arrays:
+        for when in ("before", "after"):
+            difference = (arrays[when].astype(np.float64) - arrays["reference"])[arrays["mask"]]
+            assert result["metrics"][when]["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-5)
+    assert result["metrics"]["after"]["rmse"] <= result["metrics"]["before"]["rmse"]
+    page = (made / "report.html").read_text()
+    assert "scene.lights.1. Visibility" in page
+    assert page.count("data:image/png;base64,") == 6
+
+
+def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, capsys, tmp_path):
+    before_work(monkeypatch)
+    with pytest.raises(SystemExit) as caught:
+        main(["fit", "tiny.yaml", "technique.type=shadow_volumes"])
+    assert caught.value.code == 2
+    assert "technique.type: is shadow_volumes, whose visibility is whole numbers without a gradient" in (
+        capsys.readouterr().err
+    )
+    assert leftovers(tmp_path) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("technique", "parameters"),
+    [
+        (
+            "filter={type: pcss, light_size: 1, samples: 8, pattern_size: 2}",
+            "{filter.light_size: {lower: 0, upper: 4}}",
+        ),
+        (
+            "filter={type: evsm, radius: 1}",
+            "{filter.radius: {lower: 0, upper: 4}, filter.positive_exponent: {lower: 5, upper: 42}}",
+        ),
+        (
+            "bias={slope: 1, slope_most: 3}",
+            "{bias.slope: {lower: 0, upper: 4}, bias.slope_most: {lower: 0.1, upper: 9}}",
+        ),
+        ("bias={plane: {type: receiver_plane}}", "{bias.plane.fudge: {lower: 0, upper: 4}}"),
+    ],
+)
+def test_parameters_of_any_technique_can_be_fitted(technique, parameters):
+    made, _ = run(*SMALL, technique, f"fit.parameters={parameters}", "fit.solver.max_steps=2", "fit.anneal.phases=1")
+    result = result_of(made)
+    assert result["solver"]["flat"] == []
+    assert result["metrics"]["after"]["rmse"] <= result["metrics"]["before"]["rmse"]
+
+
 def test_progress_is_shown_to_a_terminal_only():
     out = text_io.StringIO()
     watched = Console(file=out, width=100, force_terminal=True, force_interactive=True, color_system=None)

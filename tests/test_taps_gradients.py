@@ -13,6 +13,7 @@ from diffshadow.fit import with_values
 from diffshadow.shadow import (
     Bilinear,
     FourTap,
+    HardCompare,
     Lookup,
     PercentageCloser,
     RandomDisk,
@@ -284,3 +285,11 @@ def test_each_receiver_looks_into_its_own_layer(mode):
     expected = jnp.stack([mean(depth[k], None) for k in range(3)])
     expected = jnp.take_along_axis(expected, layer[None], axis=0)[0]
     np.testing.assert_allclose(mean(depth, layer), expected, atol=1e-6)
+
+
+def test_a_hard_compare_does_not_see_the_map_move():
+    rng = np.random.default_rng(6)
+    shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (4, 5), (9, 9))
+    disk = RandomDisk(1.0, stratified((2, 2), 4))
+    lit = lambda depth: jnp.sum(disk(ShadowMap(depth, shadow_map.light), lookup, HardCompare()))
+    assert (np.asarray(jax.jit(jax.grad(lit))(shadow_map.depth)) == 0).all()

@@ -5,24 +5,47 @@
 
 from typing import TYPE_CHECKING, Any
 
+from ._biases import AdaptiveBiasConfig as AdaptiveBiasConfig
+from ._biases import BiasConfig as BiasConfig
+from ._biases import NoPlaneConfig as NoPlaneConfig
+from ._biases import PlaneConfig as PlaneConfig
+from ._biases import ReceiverPlaneConfig as ReceiverPlaneConfig
 from ._dump import Row as Row
 from ._dump import describe as describe
 from ._dump import dump_resolved as dump_resolved
+from ._dump import fit_units as fit_units
 from ._errors import ConfigError as ConfigError
 from ._errors import Place as Place
 from ._errors import Problem as Problem
+from ._filters import BilinearConfig as BilinearConfig
+from ._filters import CastanoConfig as CastanoConfig
+from ._filters import ExponentialConfig as ExponentialConfig
+from ._filters import ExponentialVarianceConfig as ExponentialVarianceConfig
+from ._filters import FilterConfig as FilterConfig
+from ._filters import FourTapConfig as FourTapConfig
+from ._filters import MomentsConfig as MomentsConfig
+from ._filters import NearestConfig as NearestConfig
+from ._filters import PatternedConfig as PatternedConfig
+from ._filters import PercentageCloserConfig as PercentageCloserConfig
+from ._filters import PercentageCloserSoftConfig as PercentageCloserSoftConfig
+from ._filters import RandomDiskConfig as RandomDiskConfig
+from ._filters import TentConfig as TentConfig
+from ._filters import VarianceConfig as VarianceConfig
+from ._fitted import fit_paths as fit_paths
+from ._lights import DirectionalLightConfig as DirectionalLightConfig
+from ._lights import LightConfig as LightConfig
+from ._lights import LightOrbit as LightOrbit
+from ._lights import PointLightConfig as PointLightConfig
+from ._lights import RectangleLightConfig as RectangleLightConfig
+from ._lights import SpotLightConfig as SpotLightConfig
 from ._load import load_config as load_config
 from ._load import parse_config as parse_config
 from ._scene import CameraConfig as CameraConfig
 from ._scene import CameraOrbit as CameraOrbit
-from ._scene import DirectionalLightConfig as DirectionalLightConfig
-from ._scene import LightConfig as LightConfig
-from ._scene import LightOrbit as LightOrbit
 from ._scene import MeshConfig as MeshConfig
 from ._scene import OrthographicCameraConfig as OrthographicCameraConfig
 from ._scene import PinholeCameraConfig as PinholeCameraConfig
 from ._scene import SceneConfig as SceneConfig
-from ._scene import SpotLightConfig as SpotLightConfig
 from ._schema import AnnealConfig as AnnealConfig
 from ._schema import Config as Config
 from ._schema import FitConfig as FitConfig
@@ -31,28 +54,45 @@ from ._schema import ImageReferenceConfig as ImageReferenceConfig
 from ._schema import ReferenceConfig as ReferenceConfig
 from ._schema import SolverConfig as SolverConfig
 from ._schema import TracedReferenceConfig as TracedReferenceConfig
-from ._schema import fit_names as fit_names
-from ._technique import BiasConfig as BiasConfig
-from ._technique import BilinearConfig as BilinearConfig
+from ._shading import AttenuationConfig as AttenuationConfig
+from ._shading import ModulatedConfig as ModulatedConfig
+from ._shading import PhongConfig as PhongConfig
+from ._shading import ShadingConfig as ShadingConfig
 from ._technique import CompareConfig as CompareConfig
-from ._technique import FilterConfig as FilterConfig
-from ._technique import FourTapConfig as FourTapConfig
 from ._technique import HardCompareConfig as HardCompareConfig
-from ._technique import NearestConfig as NearestConfig
-from ._technique import PercentageCloserConfig as PercentageCloserConfig
-from ._technique import RandomDiskConfig as RandomDiskConfig
+from ._technique import ProjectiveTextureConfig as ProjectiveTextureConfig
 from ._technique import ShadowMapConfig as ShadowMapConfig
+from ._technique import ShadowMappingConfig as ShadowMappingConfig
+from ._technique import ShadowVolumesConfig as ShadowVolumesConfig
 from ._technique import SoftCompareConfig as SoftCompareConfig
-from ._technique import sample_grid as sample_grid
+from ._technique import TechniqueConfig as TechniqueConfig
 
 if TYPE_CHECKING:
+    from ._build import Casting as Casting
     from ._build import FitPlan as FitPlan
+    from ._build import Technique as Technique
+    from ._build import build_casting as build_casting
     from ._build import build_fit as build_fit
     from ._build import build_mesh as build_mesh
     from ._build import build_scene as build_scene
+    from ._build import build_shading as build_shading
+    from ._build import build_shadow_mapping as build_shadow_mapping
     from ._build import build_technique as build_technique
 
-_NEED_JAX = frozenset({"FitPlan", "build_fit", "build_mesh", "build_scene", "build_technique"})
+_NEED_JAX = frozenset(
+    {
+        "Casting",
+        "FitPlan",
+        "Technique",
+        "build_casting",
+        "build_fit",
+        "build_mesh",
+        "build_scene",
+        "build_shading",
+        "build_shadow_mapping",
+        "build_technique",
+    }
+)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,43 +1,32 @@
 """From a configuration to the modules that do the work.
 
-Only this file of the room loads JAX, so that the faults of a configuration are told at once.
+Only this file of the room, and those that it imports for the purpose, load JAX: the faults of a configuration are told
+at once.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool
 
-from .. import fit, geometry, io, shadow
-from .._types import HostArray, Scalar, Vec3
-from ._errors import ConfigError, KeyPath, Problem, dotted
-from ._scene import (
-    DirectionalLightConfig,
-    MeshConfig,
-    OrthographicCameraConfig,
-    PinholeCameraConfig,
-    SpotLightConfig,
-)
+from .. import fit, geometry, shading, shadow
+from ._build_scene import build_camera, build_light, build_mesh, stage_of
+from ._build_technique import build_bias, build_compare, build_filter
+from ._dump import fit_units
+from ._errors import ConfigError, KeyPath, Place, Problem, dotted
+from ._fitted import fit_paths
 from ._schema import Config
-from ._technique import (
-    BilinearConfig,
-    FourTapConfig,
-    HardCompareConfig,
-    NearestConfig,
-    PercentageCloserConfig,
-    RandomDiskConfig,
-    SoftCompareConfig,
-)
+from ._shading import ModulatedConfig
+from ._technique import ProjectiveTextureConfig, ShadowVolumesConfig
 
-# Room left round the scene along the view axis, as a share of its depth.
-_MARGIN = 0.01
-# Nearer than this share of `far`, a perspective depth has little precision left for the rest.
-_LEAST_NEAR = 1e-3
+# Of all lights together, where none is given.
+_INTENSITY = 0.7
+
+Technique = shadow.ShadowMapping | shadow.ShadowVolumes | shadow.ProjectiveShadow
+"""What a configuration's technique may be."""
 
 
 class FitPlan(NamedTuple):
@@ -48,10 +37,32 @@ class FitPlan(NamedTuple):
     anneal: fit.Anneal
 
 
+class Casting(NamedTuple):
+    """A scene, and what of it a technique lets cast shadows.
+
+    - `casters`: the meshes that cast.
+    - `receivers`: those that only receive, or none.
+    - `casts`: (f,), which faces of the scene's mesh are the casters'.
+    """
+
+    scene: geometry.Scene
+    casters: geometry.Mesh
+    receivers: geometry.Mesh | None
+    casts: Bool[Array, " f"]
+
+
 def build_scene(config: Config) -> geometry.Scene:
-    """The scene of `config`: its meshes as one, its camera and its light.
+    """The scene of `config`: its meshes as one, its camera and its lights.
 
     **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with the key it comes from.
+    """
+    return build_casting(config).scene
+
+
+def build_casting(config: Config) -> Casting:
+    """The scene of `config`, and what of it casts shadows.
+
+    **Raises** `ConfigError` as `build_scene`, and for an open mesh that casts where the map holds back faces only.
     """
     meshes, problems = [], []
     for i, mesh in enumerate(config.scene.meshes):
@@ -63,33 +74,26 @@ def build_scene(config: Config) -> geometry.Scene:
     if problems:
         raise ConfigError(problems)
     whole = geometry.merge(meshes)
-    stage = _stage(whole, meshes[0])
+    casts = [mesh.casts for mesh in config.scene.meshes]
+    _check_closed(config, meshes)
+    stage = stage_of(whole, meshes[0])
     with _blame(config, ("scene", "camera")):
-        camera = _camera(config.scene.camera, stage)
-    with _blame(config, ("scene", "light")):
-        light = _light(config.scene.light, stage)
-    return geometry.Scene(whole, camera, light)
+        camera = build_camera(config.scene.camera, stage)
+    lights = []
+    for key, light in config.scene.each_light.items():
+        with _blame(config, ("scene", *key)):
+            lights.append(build_light(light, stage))
+    receivers = [mesh for mesh, does in zip(meshes, casts, strict=True) if not does]
+    return Casting(
+        geometry.Scene(whole, camera, lights),
+        geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does]),
+        geometry.merge(receivers) if receivers else None,
+        jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
+    )
 
 
-def build_mesh(config: MeshConfig) -> geometry.Mesh:
-    """One mesh, at its place in the scene.
-
-    **Raises** `ValueError` if its file cannot be used, or its options do not suit it.
-    """
-    if config.builtin is not None:
-        mesh = geometry.library_mesh(config.builtin, **config.options)
-    else:
-        mesh = io.load_mesh(config.path, config.crease_angle)
-    if config.size is not None:
-        mesh = geometry.fit_to_size(mesh, config.size)
-    if config.drop_to_ground:
-        mesh = geometry.drop_to_ground(mesh)
-    mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    return _placed(mesh, *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
-
-
-def build_technique(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
-    """The shadow-mapping technique of `config`.
+def build_technique(config: Config, *, fitting: bool = True) -> Technique:
+    """The technique of `config`.
 
     **Arguments:**
 
@@ -98,26 +102,57 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.ShadowMap
 
     **Raises** `ConfigError` if its parts cannot be made.
     """
+    match config.technique:
+        case ShadowVolumesConfig(method=method):
+            return shadow.ShadowVolumes(method)
+        case ProjectiveTextureConfig():
+            return shadow.ProjectiveShadow()
+    return build_shadow_mapping(config, fitting=fitting)
+
+
+def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
+    """The shadow mapping of `config`, whatever its technique; as `build_technique`."""
     with _blame(config, ("bias",)):
-        bias = shadow.Bias(
-            constant=config.bias.constant, slope=config.bias.slope, normal_offset=config.bias.normal_offset
-        )
+        bias = build_bias(config)
     with _blame(config, ("compare",)):
-        compare = _compare(config.compare)
+        compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
-        kernel = _filter(config, fitting)
+        kernel = build_filter(config, fitting=fitting)
     return shadow.ShadowMapping(bias=bias, filter=kernel, compare=compare)
+
+
+def build_shading(config: Config) -> shading.AbstractShading:
+    """How pictures are shaded.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    section = config.shading
+    share = _INTENSITY / len(config.scene.each_light)
+    with _blame(config, ("shading",)):
+        phong = shading.Phong(
+            ambient=section.ambient,
+            intensity=share if section.intensity is None else section.intensity,
+            specular=section.specular,
+            shininess=section.shininess,
+            background=section.background,
+            attenuation=shading.Attenuation(**section.attenuation.model_dump()),
+            model=section.model,
+        )
+        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedConfig) else phong
 
 
 def build_fit(config: Config) -> FitPlan:
     """The parameters to fit, the solver and the annealing of `config`.
 
-    **Raises** `ConfigError` if one of them cannot be made.
+    **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
     """
-    parameters = []
+    if config.technique.type != "shadow_map":
+        raise ConfigError([Problem(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
+    parameters, paths, units = [], fit_paths(config), fit_units(config)
     for name, bounds in config.fit.parameters.items():
         with _blame(config, ("fit", "parameters", name)):
-            parameters.append(fit.Parameter(name, config.initial(name), bounds.lower, bounds.upper))
+            start = config.initial(name)
+            parameters.append(fit.Parameter(name, start, bounds.lower, bounds.upper, units[name], paths[name]))
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
         built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol)
@@ -134,128 +169,34 @@ def _blame(config: Config, path: KeyPath) -> Iterator[None]:
     except ConfigError:
         raise
     except (ValueError, OSError) as error:
-        raise ConfigError([Problem(config.origin.place(path), dotted(path), str(error))]) from error
+        raise ConfigError([Problem(*_at(config, path), str(error))]) from error
 
 
-class _Stage(NamedTuple):
-    """What cameras and lights are placed by: all points (n, 3), and the first mesh's middle and radius."""
-
-    points: Float[HostArray, "n 3"]
-    middle: Float[HostArray, "3"]
-    radius: float
-
-    def around(self, azimuth: float, elevation: float, distance: float) -> Vec3:
-        """The point at `distance` radii from the middle, at the angles in degrees."""
-        return geometry.orbit_eye(jnp.asarray(self.middle), distance * self.radius, azimuth, elevation)
+def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
+    """Where the key at `path` was written, and its name."""
+    return config.origin.place(path), dotted(path)
 
 
-def _stage(whole: geometry.Mesh, first: geometry.Mesh) -> _Stage:
-    corners = np.asarray(first.vertices)[np.unique(first.faces)]
-    middle = np.asarray(first.bounds).mean(axis=0)
-    radius = float(np.linalg.norm(corners - middle, axis=-1).max())
-    return _Stage(np.asarray(whole.vertices)[np.unique(whole.faces)], middle, radius)
-
-
-# Compiled as one, since a mesh's first dozens of single operations would take longer than all the rest.
-@eqx.filter_jit
-def _placed(mesh: geometry.Mesh, scale: Scalar, rotate: Vec3, translate: Vec3) -> geometry.Mesh:
-    """The mesh scaled, turned about x, y and z in turn by `rotate` degrees, then moved."""
-    # Some devices multiply matrices in half the digits unless told not to.
-    with jax.default_matmul_precision("highest"):
-        x, y, z = (geometry.rotation(axis, jnp.deg2rad(turn)) for axis, turn in zip(jnp.eye(3), rotate, strict=True))
-        return mesh.transformed(geometry.translation(translate) @ z @ y @ x @ geometry.scaling(scale))
-
-
-def _camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: _Stage) -> geometry.AbstractCamera:
-    target = jnp.asarray(stage.middle if config.target is None else config.target)
-    if config.eye is not None:
-        eye = jnp.asarray(config.eye)
-    else:
-        assert config.orbit is not None
-        eye = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
-    if bool((eye == target).all()):
-        raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
-    up = jnp.asarray(config.up)
-    # What the scene spans across the view, and along it.
-    view = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)
-    across, upwards, backward = (stage.points @ view[:3, :3].T + view[:3, 3]).T
-    near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
-    near = near if config.near is None else config.near
-    far = far if config.far is None else config.far
-    if isinstance(config, PinholeCameraConfig):
-        return geometry.PinholeCamera(
-            eye, target, up, fov_y=jnp.asarray(config.fov_y), near=near, far=far, resolution=config.resolution
-        )
-    rows, columns = config.resolution
-    needed = 2 * max(np.abs(upwards).max(), np.abs(across).max() * rows / columns) * (1 + _MARGIN)
-    height = float(needed) if config.height is None else config.height
-    return geometry.OrthographicCamera(eye, target, up, height=height, near=near, far=far, resolution=config.resolution)
-
-
-def _depth_range(depth: Float[HostArray, "n"], *, perspective: bool) -> tuple[float, float]:
-    """Near and far that hold the points at `depth` (n,) along the view axis, tightly; all in world units.
-
-    **Raises** `ValueError` if `perspective` and all points lie behind the eye.
-    """
-    low, high = float(depth.min()), float(depth.max())
-    if perspective and high <= 0:
-        raise ValueError(
-            f"the whole scene lies behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
-            "expected some of it in front: turn the camera round by its eye or target"
-        )
-    # A scene that is flat seen from the camera still needs a range.
-    margin = max(_MARGIN * (high - low), _LEAST_NEAR * max(abs(low), abs(high)))
-    near, far = low - margin, high + margin
-    return (max(near, _LEAST_NEAR * far) if perspective else near), far
-
-
-def _light(config: DirectionalLightConfig | SpotLightConfig, stage: _Stage) -> geometry.AbstractLight:
-    points = jnp.asarray(stage.points)
-    if isinstance(config, DirectionalLightConfig):
-        if config.direction is not None:
-            direction = jnp.asarray(config.direction)
-        else:
-            assert config.azimuth is not None
-            assert config.elevation is not None
-            direction = -geometry.orbit_eye(jnp.zeros(3), 1.0, config.azimuth, config.elevation)
-        return geometry.DirectionalLight.around(direction, points, config.angular_radius)
-    if config.position is not None:
-        position = jnp.asarray(config.position)
-    else:
-        assert config.orbit is not None
-        position = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
-    target = None if config.target is None else jnp.asarray(config.target)
-    tight = geometry.SpotLight.around(
-        position, points, target=target, outer_angle=config.outer_angle, radius=config.radius
+def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
+    """**Raises** `ConfigError` for every open mesh that casts, if only faces turned away from the light cast."""
+    if config.technique.type != "shadow_map" or config.shadow_map.cull != "front":
+        return
+    said = (
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, whose back faces "
+        "can cast for them: set casts: false if it only receives, or shadow_map.cull to none"
     )
-    near = tight.near if config.near is None else config.near
-    far = tight.far if config.far is None else config.far
-    return geometry.SpotLight(tight.position, tight.direction, tight.outer_angle, near, far, tight.radius)
+    problems = [
+        Problem(*_at(config, ("scene", "meshes", i)), said)
+        for i, (mesh, section) in enumerate(zip(meshes, config.scene.meshes, strict=True))
+        if section.casts and not geometry.Edges.of(mesh).is_closed
+    ]
+    if problems:
+        raise ConfigError(problems)
 
 
-def _compare(config: HardCompareConfig | SoftCompareConfig) -> shadow.AbstractCompare:
-    if isinstance(config, SoftCompareConfig):
-        return shadow.SoftCompare(width=config.width, kernel=config.kernel)
-    return shadow.HardCompare(operator=config.operator)
-
-
-def _filter(config: Config, fitting: bool) -> shadow.AbstractFilter:
-    match config.filter:
-        case NearestConfig():
-            return shadow.Nearest()
-        case BilinearConfig():
-            return shadow.Bilinear()
-        case FourTapConfig(radius=radius):
-            return shadow.FourTap(radius=radius)
-        case PercentageCloserConfig(radius=radius):
-            bounds = config.fit.parameters.get("filter.radius") if fitting else None
-            return shadow.PercentageCloser(radius=radius, max_radius=max(radius, bounds.upper) if bounds else None)
-        case RandomDiskConfig() as disk:
-            return shadow.RandomDisk(
-                radius=disk.radius,
-                samples=disk.grid,
-                pattern_size=disk.pattern_size,
-                lookup=disk.lookup,
-                early_out=disk.early_out,
-                seed=config.seed,
-            )
+def _no_gradient(kind: str) -> str:
+    why = {
+        "shadow_volumes": "whose visibility is whole numbers without a gradient",
+        "projective_texture": "which has neither a bias nor a filter to fit",
+    }[kind]
+    return f"is {kind}, {why}; expected shadow_map, the technique that fits: change it, or render instead"

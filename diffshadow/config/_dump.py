@@ -1,11 +1,13 @@
 """Writes a configuration out again, as YAML and as a table."""
 
 from collections.abc import Iterator, Mapping
+from functools import reduce
 from typing import Any, NamedTuple
 
 import yaml
 
 from ._errors import KeyPath, dotted, show
+from ._fitted import fit_paths
 from ._keys import ROOT, Slot, keys_of, slot_of
 from ._schema import Config
 from ._section import Section
@@ -27,16 +29,23 @@ def dump_resolved(config: Config) -> str:
 
 def describe(config: Config) -> list[Row]:
     """Every setting of `config` that has a value, in the schema's order."""
-    rows = list(_rows(config, ROOT, ()))
-    units = {row.key: row.unit for row in rows}
-    # A fitted number has the unit of the key that it is named after.
     start = dotted(("fit", "parameters", ""))
+    units = fit_units(config)
     return [
-        row._replace(unit=units.get(row.key.removeprefix(start).rpartition(".")[0], row.unit))
-        if row.key.startswith(start)
-        else row
-        for row in rows
+        # A fitted number has the unit of the key that it is named after.
+        row._replace(unit=units[row.key.removeprefix(start).rpartition(".")[0]]) if row.key.startswith(start) else row
+        for row in _rows(config, ROOT, ())
     ]
+
+
+def fit_units(config: Config) -> dict[str, str]:
+    """The unit of every number that the technique of `config` can fit, by its key."""
+    units = {}
+    for name in fit_paths(config):
+        *holders, key = name.split(".")
+        section = reduce(getattr, holders, config)
+        units[name] = section.units().get(key, slot_of(type(section).model_fields[key]).unit)
+    return units
 
 
 def _plain(value: Any) -> Any:
@@ -51,8 +60,10 @@ def _plain(value: Any) -> Any:
 
 def _rows(value: Any, slot: Slot, path: KeyPath) -> Iterator[Row]:
     if isinstance(value, Section):
+        units = value.units()
         for key in keys_of(type(value)):
-            yield from _rows(getattr(value, key), slot_of(type(value).model_fields[key]), (*path, key))
+            for row in _rows(getattr(value, key), slot_of(type(value).model_fields[key]), (*path, key)):
+                yield row._replace(unit=units.get(key, row.unit))
         return
     entries = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, tuple) else ())
     sections = [(step, entry) for step, entry in entries if isinstance(entry, Section)]
@@ -77,9 +88,16 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
+# Those that PyYAML takes for printable.
+_LINE_BREAKS = frozenset("\x85\u2028\u2029")
+
+
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
     # PyYAML quotes what YAML 1.1 would misread; 1.2 takes more for a number, such as 1e-3.
     style = None if isinstance(plain_scalar(text), str) else "'"
+    if _LINE_BREAKS.intersection(text):
+        # Between other quotes, a line break is folded to a space.
+        style = '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 

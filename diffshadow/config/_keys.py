@@ -11,7 +11,7 @@ from pydantic_core import PydanticUndefined
 
 from ._errors import KeyPath, listing, show
 from ._schema import Config
-from ._section import Form, Section, Unit
+from ._section import Form, Section, Unit, type_of
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Slot:
         """The words to choose from; none where the value is no choice."""
         if len(self.variants) > 1:
             return tuple(type_of(variant) for variant in self.variants)
-        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+        return tuple(map(str, get_args(self.kind))) if get_origin(self.kind) is Literal else ()
 
     @property
     def default(self) -> Any:
@@ -92,19 +92,16 @@ def follow(location: Sequence[str | int]) -> Found:
     variants: tuple[type[Section], ...] = ()
     for step in location:
         among = slot.variants if slot is not None else ()
-        if slot is not None and len(among) > 1:
-            slot = Slot(next(variant for variant in among if type_of(variant) == step), slot.marks, slot.field, among)
+        chosen = next((variant for variant in among if len(among) > 1 and type_of(variant) == step), None)
+        if slot is not None and chosen is not None:
+            slot = Slot(chosen, slot.marks, slot.field, among)
             continue
-        section = among[0] if among else None
+        # A fault that the section round this one finds names no variant, so any that has the key serves.
+        section = next((variant for variant in among if step in variant.model_fields), among[0] if among else None)
         variants = (slot.siblings or among) if slot is not None else ()
         path = (*path, step)
         slot = None if slot is None else _inside(slot, step)
     return Found(path, slot, section, variants)
-
-
-def type_of(section: type[Section]) -> str:
-    """The word in `type` that selects this variant of a section."""
-    return get_args(section.model_fields["type"].annotation)[0]
 
 
 def keys_of(section: type[Section]) -> list[str]:
@@ -131,7 +128,7 @@ def all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
 
 def _inside(slot: Slot, step: str | int) -> Slot | None:
     if slot.variants:
-        field = slot.variants[0].model_fields.get(str(step))
+        field = next((v.model_fields[str(step)] for v in slot.variants if step in v.model_fields), None)
         return None if field is None else slot_of(field)
     arguments = get_args(slot.kind)
     if get_origin(slot.kind) is tuple and isinstance(step, int):

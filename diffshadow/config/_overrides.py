@@ -9,6 +9,7 @@ from ._yaml import read_yaml
 
 # Names of parameters hold a dot themselves.
 _DOTTED_NAMES = ("fit", "parameters")
+_DEEPER = ("bias", "plane")
 
 
 def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Problem]:
@@ -39,7 +40,9 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
         raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write it like filter.radius=2")])
     value, inner, problems = read_yaml(text, lambda line, column: place)
     if tuple(words[:2]) == _DOTTED_NAMES and len(words) > 3:
-        words[2:4] = [".".join(words[2:4])]
+        # The longest name that such a key may begin with: `bias.plane` holds numbers as `bias` does.
+        parts = 3 if tuple(words[2:4]) == _DEEPER and len(words) > 4 else 2
+        words[2 : 2 + parts] = [".".join(words[2 : 2 + parts])]
     # Walk to what holds the value, and make the sections that are missing.
     holder: Any = data
     path: KeyPath = ()

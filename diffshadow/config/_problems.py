@@ -6,9 +6,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from ._errors import KeyPath, Problem, did_you_mean, dotted, listing, nearest, show
-from ._keys import ROOT, Found, Slot, all_keys, follow, keys_of, type_of
+from ._keys import ROOT, Found, Slot, all_keys, follow, keys_of
 from ._schema import Origin
-from ._section import FAULT, fault, look
+from ._section import FAULT, fault, look, type_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}

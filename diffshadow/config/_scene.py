@@ -5,7 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from ._errors import listing, nearest
+from ._errors import KeyPath, listing, nearest
+from ._lights import LightConfig
 from ._section import (
     Angles,
     Colour,
@@ -23,6 +24,7 @@ from ._section import (
     exclusive,
     fault,
     given,
+    look,
     ordered,
 )
 
@@ -54,6 +56,10 @@ class MeshConfig(Section):
         default=30.0, ge=0, le=180, description="angle between faces of a file from which an edge is sharp, in degrees"
     )
     albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each share in [0, 1]")
+    casts: bool = Field(
+        default=True,
+        description="whether the technique lets it cast shadows, or only receive them; the reference lets all cast",
+    )
 
     @property
     def builtin(self) -> str | None:
@@ -82,16 +88,6 @@ class CameraOrbit(Section):
     elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
     distance: Annotated[float, Unit("radii")] = Field(
         default=2.5, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
-    )
-
-
-class LightOrbit(Section):
-    """A light placed by angles about the middle of the scene's first mesh."""
-
-    azimuth: Degrees = Field(default=60.0, description="0 on +z of the mesh, 90 on +x, in degrees")
-    elevation: Degrees = Field(default=60.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Annotated[float, Unit("radii")] = Field(
-        default=4.0, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
     )
 
 
@@ -136,83 +132,9 @@ class OrthographicCameraConfig(_CameraConfig):
     far: WorldUnits | None = Field(default=None, description="where seeing ends, in world units; default: tight")
 
 
-class DirectionalLightConfig(Section):
-    """Light from infinitely far away."""
-
-    type: Literal["directional"] = "directional"
-    azimuth: Degrees | None = Field(
-        default=None, description="where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"
-    )
-    elevation: Degrees | None = Field(
-        default=None, ge=-90, le=90, description="height above the horizon the light comes from, in degrees; default 45"
-    )
-    direction: Direction | None = Field(
-        default=None, description="the way the light travels, of any length; instead of azimuth and elevation"
-    )
-    angular_radius: Degrees = Field(
-        default=1.0,
-        ge=0,
-        lt=90,
-        description="half the angle under which the light is seen, in degrees; 0 is a hard light",
-    )
-
-    @classmethod
-    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        if given(data, "direction"):
-            return data
-        angles = {"azimuth": 60.0, "elevation": 45.0}
-        return {**data, **{key: value for key, value in angles.items() if data.get(key) is None}}
-
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from exclusive(data, "direction", "azimuth", "elevation")
-        direction = data.get("direction")
-        if isinstance(direction, list | tuple) and len(direction) == 3 and all(x in (0, 0.0) for x in direction):
-            yield (
-                ("direction",),
-                fault(
-                    "is [0, 0, 0]", "a vector that is not zero", "give the way the light travels, such as [0, -1, 0]"
-                ),
-            )
-
-
-class SpotLightConfig(Section):
-    """Light from a point or a small disk, into a cone."""
-
-    type: Literal["spot"] = "spot"
-    orbit: LightOrbit | None = Field(
-        default=None, description="place by angles about the first mesh, instead of position"
-    )
-    position: Position | None = Field(default=None, description="where the light stands, in world units")
-    target: Position | None = Field(
-        default=None, description="point the light is turned to, in world units; default: the scene's middle"
-    )
-    outer_angle: Degrees | None = Field(
-        default=None, gt=0, lt=90, description="half the cone's opening, in degrees; default: just holds the scene"
-    )
-    radius: WorldUnits = Field(default=0.0, ge=0, description="of the disk that shines, in world units; 0 is a point")
-    near: WorldUnits | None = Field(
-        default=None, gt=0, description="where the map begins, in world units; default: tight"
-    )
-    far: WorldUnits | None = Field(default=None, gt=0, description="where the map ends, in world units; default: tight")
-
-    @classmethod
-    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        return data if given(data, "orbit", "position") else {**data, "orbit": {}}
-
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from exclusive(data, "orbit", "position")
-        yield from ordered(data, "near", "far")
-
-
 CameraConfig = Annotated[
     Annotated[PinholeCameraConfig, Tag("pinhole")] | Annotated[OrthographicCameraConfig, Tag("orthographic")],
     by_type("pinhole"),
-]
-LightConfig = Annotated[
-    Annotated[DirectionalLightConfig, Tag("directional")] | Annotated[SpotLightConfig, Tag("spot")],
-    by_type("directional"),
 ]
 
 
@@ -223,10 +145,35 @@ class SceneConfig(Section):
         description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
     )
     camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="where the image is drawn from")
-    light: LightConfig = Field(default_factory=DirectionalLightConfig, description="what casts the shadows")
+    light: LightConfig | None = Field(default=None, description="what casts the shadows")
+    lights: Annotated[tuple[LightConfig, ...], as_list, Form("a list of lights")] | None = Field(
+        default=None, description="several lights instead of one"
+    )
+
+    @property
+    def each_light(self) -> dict[KeyPath, LightConfig]:
+        """All lights, by their keys inside this section."""
+        if self.lights is None:
+            assert self.light is not None
+            return {("light",): self.light}
+        return {("lights", i): light for i, light in enumerate(self.lights)}
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        # A light that is written as null is an error of its own, unless several are given instead.
+        return data if "light" in data or given(data, "lights") else {**data, "light": {}}
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         meshes = data.get("meshes")
         if isinstance(meshes, list | tuple) and not meshes:
             yield ("meshes",), fault("is an empty list", "at least one mesh", "add '- path: builtin:torus_knot'")
+        if isinstance(meshes, list | tuple) and meshes and all(look(mesh, "casts") is False for mesh in meshes):
+            mend = "remove casts from one of them"
+            yield ("meshes",), fault("hold nothing that casts a shadow", "at least one mesh that casts", mend)
+        yield from exclusive(data, "light", "lights")
+        lights = data.get("lights")
+        if isinstance(lights, list | tuple) and not lights:
+            yield ("lights",), fault("is an empty list", "at least one light", "add '- type: directional'")
+        if lights is None and "light" in data and data["light"] is None:
+            yield ("light",), fault("is empty", "a light", "remove the key to have its default")

@@ -5,20 +5,23 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr, Tag
-from pydantic_core import PydanticCustomError
 
-from ._errors import KeyPath, Place, did_you_mean, listing
+from ._biases import BiasConfig
+from ._errors import KeyPath, Place, dotted
+from ._filters import FilterConfig, RandomDiskConfig
+from ._fitted import outside, parameter_faults, start_of
+from ._lights import PointLightConfig
 from ._scene import SceneConfig
 from ._section import Conflict, Section, Texels, Unit, by_type, fault, is_number, look, ordered
+from ._shading import PhongConfig, ShadingConfig
 from ._technique import (
-    FILTERS,
-    BiasConfig,
     CompareConfig,
-    FilterConfig,
     HardCompareConfig,
     Kernel,
-    RandomDiskConfig,
+    ProjectiveTextureConfig,
     ShadowMapConfig,
+    ShadowMappingConfig,
+    TechniqueConfig,
 )
 
 
@@ -83,7 +86,7 @@ class FitParameterConfig(Section):
         yield from ordered(data, "lower", "upper")
         initial, lower, upper = (data.get(key) for key in ("initial", "lower", "upper"))
         if is_number(initial) and is_number(lower) and is_number(upper) and lower < upper:
-            yield from ((("initial",), what) for what in _outside(initial, lower, upper))
+            yield from ((("initial",), what) for what in outside(initial, lower, upper))
 
 
 class SolverConfig(Section):
@@ -148,10 +151,12 @@ class Config(Section):
     )
     seed: int = Field(default=0, ge=0, lt=2**32, description="of everything random")
     scene: SceneConfig = Field(description="what is drawn, from where, and lit by what")
+    technique: TechniqueConfig = Field(default_factory=ShadowMappingConfig, description="how shadows are drawn")
     shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
     bias: BiasConfig = Field(default_factory=BiasConfig, description="how far receivers move towards the light")
     compare: CompareConfig = Field(default_factory=HardCompareConfig, description="how depths are compared")
     filter: FilterConfig = Field(default_factory=RandomDiskConfig, description="how compares are averaged")
+    shading: ShadingConfig = Field(default_factory=PhongConfig, description="how the pictures are shaded")
     reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="the truth to fit to")
     fit: FitConfig = Field(default_factory=FitConfig, description="what is fitted, and how")
     output: str = Field(
@@ -168,58 +173,43 @@ class Config(Section):
     def initial(self, name: str) -> float:
         """Where the fit of the parameter `name` starts."""
         initial = self.fit.parameters[name].initial
-        return float(_value(self, name) if initial is None else initial)
+        return float(start_of(self, name) if initial is None else initial)
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        kind = str(look(data, "filter", "type", default="random_disk"))
         parameters = look(data, "fit", "parameters", default={})
-        if not isinstance(parameters, Mapping):
-            return
-        if kind not in FILTERS:
-            # The misspelt type is an error of its own; a name may still be wrong for every filter.
-            kind, data = "random_disk", {**data, "filter": {}}
-        known = fit_names(kind)
-        for name, parameter in parameters.items():
-            path = ("fit", "parameters", name)
-            if name not in known:
-                yield path, _no_such_parameter(name, known, kind)
+        if isinstance(parameters, Mapping):
+            yield from parameter_faults(data, parameters)
+
+    def faults(self) -> Iterator[Conflict]:
+        if isinstance(self.technique, ShadowMappingConfig):
+            yield from self._beyond_guards()
+        if isinstance(self.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in self.scene.meshes):
+            said = "projects shadows on meshes that cast none, and all of scene.meshes cast"
+            yield ("technique", "type"), fault(said, "one that does not", "set casts: false for those that receive")
+        if isinstance(self.reference, ImageReferenceConfig) and len(self.scene.each_light) > 1:
+            said = f"is one image, for {len(self.scene.each_light)} lights"
+            yield ("reference", "type"), fault(said, "one light, or a traced reference", "set it to traced")
+
+    def _beyond_guards(self) -> Iterator[Conflict]:
+        """Faults of a filter that reads further than the faces of a point light's map go."""
+        path, reach = ("filter", self.filter.radius_key), self.filter.reach
+        bounds = self.fit.parameters.get("filter.radius")
+        if bounds is not None and bounds.upper - getattr(self.filter, "radius", 0.0) > 0:
+            path = ("fit", "parameters", "filter.radius", "upper")
+            reach += bounds.upper - getattr(self.filter, "radius", 0.0)
+        reach += self.bias.normal_offset
+        half = min(self.shadow_map.resolution) / 2
+        for key, light in self.scene.each_light.items():
+            if not isinstance(light, PointLightConfig) or reach <= light.guard / (1 + light.guard) * half:
                 continue
-            lower, upper = look(parameter, "lower"), look(parameter, "upper")
-            if is_number(lower) and lower < 0:
-                yield (*path, "lower"), fault(f"is {lower}", f"a number at least 0, as for {name}", "raise it")
-            initial = _value(data, name)
-            if look(parameter, "initial") is not None or not (is_number(lower) and is_number(upper)):
-                continue
-            # A value below 0 is an error of the key that sets it.
-            if is_number(initial) and initial >= 0 and lower < upper:
-                yield from ((path, what) for what in _outside(initial, lower, upper, name))
-
-
-def fit_names(filter_type: str) -> tuple[str, ...]:
-    """The names of the parameters that a technique with this filter can fit."""
-    bias = tuple(f"bias.{key}" for key in BiasConfig.model_fields)
-    return (*bias, "filter.radius") if "radius" in FILTERS[filter_type].model_fields else bias
-
-
-def _value(data: Any, name: str) -> Any:
-    """What the key `name` is set to, or its default."""
-    section, key = name.split(".")
-    kind = FILTERS[str(look(data, "filter", "type", default="random_disk"))] if section == "filter" else BiasConfig
-    return look(data, section, key, default=kind.model_fields[key].default)
-
-
-def _no_such_parameter(name: str, known: tuple[str, ...], kind: str) -> PydanticCustomError:
-    mend = did_you_mean(name, known, "name one of these")
-    return fault(f"cannot be fitted with filter type {kind!r}", listing(known), mend)
-
-
-def _outside(
-    initial: float | int, lower: float | int, upper: float | int, name: str | None = None
-) -> Iterator[PydanticCustomError]:
-    """A fault unless `initial`, taken from the key `name` if there is one, lies within the bounds."""
-    if lower <= initial <= upper:
-        return
-    given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
-    mend = "move it inside" if name is None else f"give an initial value, change {name}"
-    yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")
+            name = dotted(("scene", *key, "guard"))
+            raised = f"raise {name} to {reach / (half - reach):.2g}, " if reach <= half / 2 else ""
+            yield (
+                path,
+                fault(
+                    f"lets the filter read {reach:g} texels away, across a face's edge of a point light's map",
+                    f"at most {light.guard / (1 + light.guard) * half:.3g} texels, which {name} = {light.guard} allows",
+                    f"{raised}raise shadow_map.resolution, or make the filter smaller",
+                ),
+            )

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeGuard
+from typing import Annotated, Any, TypeGuard, get_args
 
 from pydantic import (
     BaseModel,
@@ -21,7 +21,7 @@ from ._errors import show
 FAULT = "diffshadow"
 """The type of the errors that `fault` makes, among pydantic's own."""
 
-Conflict = tuple[tuple[str, ...], PydanticCustomError]
+Conflict = tuple[tuple[str | int, ...], PydanticCustomError]
 """A key inside a section, and what is wrong with it."""
 
 
@@ -37,6 +37,16 @@ class Form:
     """How a value that is no plain number, text or choice is written."""
 
     words: str
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Says of a number that it has a gradient, so that a fit may change it.
+
+    - `path`: dotted, to the number in the module that its section stands for; its key if left out.
+    """
+
+    path: str | None = None
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
@@ -70,6 +80,15 @@ Angles = Annotated[tuple[float, float, float], *_list_of(3, "three angles [x, y,
 Colour = Annotated[
     tuple[Share, Share, Share], *_list_of(3, "three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]")
 ]
+_FACTOR = Annotated[float, Field(ge=0)]
+Radiance = Annotated[
+    tuple[_FACTOR, _FACTOR, _FACTOR],
+    *_list_of(3, "a number, or three [red, green, blue], at least 0", "[0.8, 0.8, 0.8]"),
+    # One number stands for all three.
+    BeforeValidator(lambda value: (value,) * 3 if is_number(value) else value),
+]
+Pair = Annotated[tuple[float, float], *_list_of(2, "two numbers [factor, units]", "[1.1, 4]")]
+Extent = Annotated[tuple[_FACTOR, _FACTOR], *_list_of(2, "two numbers [width, height], each at least 0", "[0.5, 0.5]")]
 Count = Annotated[int, Field(ge=1, le=8192)]
 Size = Annotated[tuple[Count, Count], *_list_of(2, "two whole numbers [height, width]", "[512, 512]")]
 
@@ -93,6 +112,14 @@ class Section(BaseModel):
         """Faults that lie between keys of `data`, whose values may be of any type."""
         yield from ()
 
+    def faults(self) -> Iterator[Conflict]:
+        """Faults that lie between keys whose values are right by themselves."""
+        yield from ()
+
+    def units(self) -> Mapping[str, str]:
+        """The units that depend on other keys of the section, by key."""
+        return {}
+
     @model_validator(mode="wrap")
     @classmethod
     def _check_everything(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
@@ -105,6 +132,8 @@ class Section(BaseModel):
         except ValidationError as error:
             faults += [_again(details) for details in error.errors(include_url=False)]
         else:
+            if not faults:
+                faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in section.faults()]
             if not faults:
                 return section
         raise ValidationError.from_exception_data(cls.__name__, faults)
@@ -123,6 +152,17 @@ def by_type(default: str) -> Discriminator:
         return str(look(value, "type", default=default))
 
     return Discriminator(kind)
+
+
+def type_of(section: type[Section]) -> str:
+    """The word in `type` that selects this variant of a section."""
+    return get_args(section.model_fields["type"].annotation)[0]
+
+
+def variants_of(union: Any) -> dict[str, type[Section]]:
+    """The variants of a section that `by_type` tells apart, by their `type`."""
+    marked = get_args(get_args(union)[0])
+    return {type_of(variant): variant for variant in (get_args(kind)[0] for kind in marked)}
 
 
 def look(data: Any, *path: str, default: Any = None) -> Any:

@@ -20,10 +20,11 @@ _INSET = 0.01
 class Parameter(eqx.Module):
     """A number to fit.
 
-    - `name`: dotted path to it, such as `"filter.radius"`. A path may stop at a module that holds one number:
-        `"bias.constant"` means `"bias.constant.value"`.
+    - `name`: what it is called.
     - `initial`, `lower`, `upper`: where it starts, and the bounds it keeps.
     - `unit`: of all three, for reports.
+    - `path`: dotted path to it, such as `"filter.radius"`; its name if left out. A path may stop at a module that holds
+        one number: `"bias.constant"` means `"bias.constant.value"`.
 
     **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
     """
@@ -33,6 +34,12 @@ class Parameter(eqx.Module):
     lower: float = eqx.field(static=True)
     upper: float = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="texels")
+    path: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def where(self) -> str:
+        """The dotted path to it."""
+        return self.name if self.path is None else self.path
 
     def __check_init__(self):
         if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
@@ -95,7 +102,12 @@ def parameter_names(module: PyTree) -> list[str]:
     """Dotted paths of every single number in `module` that could be fitted."""
     paths = jax.tree_util.tree_leaves_with_path(eqx.filter(module, eqx.is_inexact_array))
     names = [".".join(key.name for key in path if hasattr(key, "name")) for path, leaf in paths if leaf.ndim == 0]
-    return [name.removesuffix(".value") for name in names]
+    holders = [name.rpartition(".")[0] for name in names]
+    # A module that holds one number goes by its own name.
+    return [
+        name.removesuffix(".value") if holders.count(holder) == 1 else name
+        for name, holder in zip(names, holders, strict=True)
+    ]
 
 
 def _listed(module: PyTree) -> str:

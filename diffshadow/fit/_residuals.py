@@ -1,8 +1,10 @@
 """Residuals: how far shadow mapping is from its reference, pixel by pixel."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._types import Mask, Scalar, Visibility
 from ..raster import Surface
@@ -30,21 +32,62 @@ class Problem(eqx.Module):
 
         Scaled so that the sum of its squares is the mean square error.
         """
-        visibility = technique.visibility(self.shadow_map, self.surface)
-        count = jnp.maximum(jnp.sum(self.mask), 1)
-        return jnp.where(self.mask, visibility - self.reference, 0) / jnp.sqrt(count)
+        return self.difference(technique) / jnp.sqrt(jnp.maximum(self.count, 1))
 
     def mean_square_error(self, technique: ShadowMapping) -> Scalar:
         """The mean square error over the pixels that count."""
         return jnp.sum(self.residual(technique) ** 2)
 
+    def difference(self, technique: ShadowMapping) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere."""
+        visibility = technique.visibility(self.shadow_map, self.surface)
+        return jnp.where(self.mask, visibility - self.reference, 0)
 
-def residual_at(problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]) -> Float[Array, "h w"]:
-    """The residual with the named parameters at the free values `y` (p,)."""
+    @property
+    def count(self) -> Int[Array, ""]:
+        """How many pixels count."""
+        return jnp.sum(self.mask)
+
+
+class Joint(eqx.Module):
+    """Several problems that share one technique, such as one for each light; every pixel that counts weighs the same.
+
+    - `technique`: that of them all.
+    - `problems`: whose own techniques are not asked.
+    """
+
+    technique: ShadowMapping
+    problems: tuple[Problem, ...]
+
+    @classmethod
+    def of(cls, problems: Problem | Sequence[Problem]) -> "Joint":
+        """One problem or several, with the technique of the first.
+
+        **Raises** `ValueError` if there is none.
+        """
+        each = (problems,) if isinstance(problems, Problem) else tuple(problems)
+        if not each:
+            raise ValueError("got no problem to fit; expected one, or one for each light")
+        return cls(each[0].technique, each)
+
+    def residual(self, technique: ShadowMapping) -> tuple[Float[Array, "h w"], ...]:
+        """The residuals of all problems, scaled so that the sum of all their squares is the mean square error."""
+        count = jnp.maximum(sum(problem.count for problem in self.problems), 1)
+        return tuple(problem.difference(technique) / jnp.sqrt(count) for problem in self.problems)
+
+    def mean_square_error(self, technique: ShadowMapping) -> Scalar:
+        """The mean square error over all pixels that count."""
+        return sum((jnp.sum(residual**2) for residual in self.residual(technique)), start=jnp.zeros(()))
+
+
+def residual_at(
+    problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]
+) -> tuple[Float[Array, "h w"], ...]:
+    """The residuals with the named parameters at the free values `y` (p,)."""
     return problem.residual(with_values(problem.technique, names, bounds.to_bounded(y)))
 
 
-def check_problem(problem: Problem, names: tuple[str, ...], bounds: Bounds) -> None:
+def check_problem(problem: Joint, names: tuple[str, ...], bounds: Bounds) -> None:
     """**Raises** `ValueError` unless each of `names` can be fitted, and some pixel counts."""
     if not names:
         raise ValueError("got no parameters to fit; expected at least one, such as bias.constant")
@@ -57,7 +100,7 @@ def check_problem(problem: Problem, names: tuple[str, ...], bounds: Bounds) -> N
         raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
     for end in (bounds.lower, bounds.upper):
         _check_allowed(with_values(technique, names, end))
-    if not bool(jnp.any(problem.mask)):
+    if not any(bool(jnp.any(each.mask)) for each in problem.problems):
         raise ValueError(
             "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
             "light to see the same part of the scene: move one of them"

@@ -21,7 +21,7 @@ from .._misc import as_float
 from ..shadow import HardCompare, ShadowMapping, SoftCompare
 from ._history import Report, Reporter, Step
 from ._parameters import Bounds, Parameter, bounds_of, with_values
-from ._residuals import Problem, check_problem, residual_at
+from ._residuals import Joint, Problem, check_problem, residual_at
 from ._settings import Anneal, Solver, check_anneal, check_solver
 
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
@@ -74,7 +74,7 @@ class FitResult(NamedTuple):
 
 
 def fit(
-    problem: Problem,
+    problem: Problem | Sequence[Problem],
     parameters: Sequence[Parameter],
     *,
     solver: Solver | None = None,
@@ -85,6 +85,7 @@ def fit(
 
     **Arguments:**
 
+    - `problem`: one, or several that share a technique, such as one for each light; their errors are stacked.
     - `parameters`: what is fitted, and within which bounds.
     - `solver`, `anneal`: defaults if left out.
     - `on_step`: called with every evaluation of the loss, while the fit runs.
@@ -94,25 +95,25 @@ def fit(
     not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
-    names = tuple(p.name for p in parameters)
-    bounds = bounds_of(parameters)
+    names, paths = tuple(p.name for p in parameters), tuple(p.where for p in parameters)
+    bounds, joint = bounds_of(parameters), Joint.of(problem)
     check_solver(solver)
     check_anneal(anneal)
-    check_problem(problem, names, bounds)
-    hard = eqx.tree_at(lambda p: p.technique.compare, problem, _hard(problem.technique))
-    soft = eqx.tree_at(lambda p: p.technique.compare, problem, SoftCompare(anneal.start, anneal.kernel))
+    check_problem(joint, paths, bounds)
+    hard = eqx.tree_at(lambda p: p.technique.compare, joint, _hard(joint.technique))
+    soft = eqx.tree_at(lambda p: p.technique.compare, joint, SoftCompare(anneal.start, anneal.kernel))
     initial = as_float([p.initial for p in parameters])
 
     history: list[Step] = []
     reporter = Reporter(bounds, history, on_step)
     started = time.perf_counter()
-    compiled = _compile(soft, names, bounds, bounds.to_free(initial), solver, reporter.token)
-    hard_loss = _hard_loss.lower(hard, names, initial).compile()
+    compiled = _compile(soft, paths, bounds, bounds.to_free(initial), solver, reporter.token)
+    hard_loss = _hard_loss.lower(hard, paths, initial).compile()
     seconds_compiling = time.perf_counter() - started
 
     started = time.perf_counter()
     phases: list[Outcome] = []
-    best_loss, best, chosen = float(hard_loss(hard, names, initial)), initial, -1
+    best_loss, best, chosen = float(hard_loss(hard, paths, initial)), initial, -1
     if not np.isfinite(best_loss):
         raise ValueError(
             "the visibility or the reference is not finite at the initial values; expected numbers: check "
@@ -123,19 +124,19 @@ def fit(
         for number, width in enumerate(anneal.widths):
             reporter.begin(number, width)
             soft = eqx.tree_at(lambda p: p.technique.compare.width, soft, as_float(width))
-            solution = compiled(soft, names, bounds, y, solver, reporter.token)
+            solution = compiled(soft, paths, bounds, y, solver, reporter.token)
             jax.effects_barrier()
             if bool(jnp.all(jnp.isfinite(solution.value))):
                 y = solution.value
             slopes = np.maximum(slopes, np.abs(np.asarray(solution.first_gradient)))
             values = bounds.to_bounded(y)
-            loss = float(hard_loss(hard, names, values))
+            loss = float(hard_loss(hard, paths, values))
             phases.append(_outcome(solution, width, loss, values))
             if loss < best_loss:
                 best_loss, best, chosen = loss, values, number
     flat = [name for name, slope in zip(names, slopes, strict=True) if slope == 0]
     return FitResult(
-        technique=with_values(hard.technique, names, best),
+        technique=with_values(hard.technique, paths, best),
         initial=dict(zip(names, initial.tolist(), strict=True)),
         fitted=dict(zip(names, best.tolist(), strict=True)),
         phases=phases,
@@ -157,10 +158,8 @@ class _Solution(NamedTuple):
     result: optx.RESULTS
 
 
-def _phase(
-    problem: Problem, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array
-) -> _Solution:
-    def residual(y: Array, args: tuple[Problem, Bounds]) -> Array:
+def _phase(problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array) -> _Solution:
+    def residual(y: Array, args: tuple[Joint, Bounds]) -> tuple[Array, ...]:
         problem, bounds = args
         return residual_at(problem, names, bounds, y)
 

@@ -13,10 +13,13 @@ from .. import shadow
 from .._types import HostArray
 from ..fit import FitResult
 from . import _style as style
+from ._techniques import FromLight
 
 Image = Float[HostArray, "h w"]
 Colours = Float[HostArray, "h w 3"]
 Pixels = Bool[HostArray, "h w"]
+# The ways that the views of a point light look.
+_FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
 
 
 def write_comparison(
@@ -43,7 +46,7 @@ def write_comparison(
 
 def write_visibility(path: Path, title: str, image: Image, mask: Pixels) -> None:
     """A visibility image alone."""
-    figure, axes = _single(image)
+    figure, axes = single(image)
     shown = _visibility(axes, image, mask)
     style.title(axes, title)
     style.colour_bar(figure, shown, [axes], "visibility, 1 lit")
@@ -52,7 +55,7 @@ def write_visibility(path: Path, title: str, image: Image, mask: Pixels) -> None
 
 def write_difference(path: Path, image: Image, reference: Image, mask: Pixels) -> None:
     """A signed difference alone."""
-    figure, axes = _single(image)
+    figure, axes = single(image)
     shown = _difference(axes, image, reference, mask)
     style.title(axes, "Visibility − reference")
     style.colour_bar(figure, shown, [axes], "visibility: too dark (−), too light (+)")
@@ -70,22 +73,53 @@ def write_shaded(path: Path, images: Sequence[tuple[str, Colours]]) -> None:
     style.save(figure, path)
 
 
+def write_from_light(folder: Path, end: str, from_light: FromLight) -> None:
+    """What a technique drew from a light: its map or its texture; edges have no picture."""
+    match from_light:
+        case shadow.ShadowMap():
+            write_shadow_map(folder / f"shadow_map{end}.png", from_light)
+        case shadow.ProjectiveTexture():
+            write_texture(folder / f"texture{end}.png", from_light)
+
+
 def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
     """The shadow map's distances along the light's axis; empty texels stay blank."""
     view, depth = shadow_map.view, np.asarray(shadow_map.depth)
     distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)
-    figure, axes = _single(depth, ticks=True)
     near, far = float(view.near), float(view.far)
-    axes.set_facecolor(style.NO_SURFACE)
-    shown = style.picture(
-        axes, distance, cmap=style.DISTANCE, vmin=near, vmax=far, extent=(0, depth.shape[1], 0, depth.shape[0])
-    )
-    style.chart(axes, "x [texels]", "y [texels]")
-    axes.grid(False)
-    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    style.title(axes, f"Shadow map, near {near:.3g} to far {far:.3g}")
-    style.colour_bar(figure, shown, [axes], "distance along the light's axis [world units]")
+    title = f"Shadow map, near {near:.3g} to far {far:.3g}"
+    label = "distance along the light's axis [world units]"
+    write_map(path, title, distance, label, cmap=style.DISTANCE, vmin=near, vmax=far)
+
+
+def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
+    """The texture as it is projected."""
+    margin = texture.margin
+    inside = np.asarray(texture.coverage)[..., margin:-margin, margin:-margin]
+    write_map(path, "Projective texture", 1 - inside, "light let through", vmin=0.0, vmax=1.0)
+
+
+def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: str = "gray", **limits: float) -> None:
+    """A light's map (h, w), or the maps of several views side by side, (l, h, w), with texels along the axes."""
+    layers = values if values.ndim > 2 else values[None]
+    height, width = values.shape[-2:]
+    columns = min(len(layers), 3)
+    rows = -(-len(layers) // columns)
+    if len(layers) == 1:
+        figure, one = single(values, ticks=True)
+        axes = [one]
+    else:
+        figure, axes = style.figure(3.1 * columns + 0.9, 3.1 * rows * height / width + 0.6, rows, columns)
+    shown = None
+    for i, (each, layer) in enumerate(zip(axes, layers, strict=True)):
+        each.set_facecolor(style.NO_SURFACE)
+        shown = style.picture(each, layer, cmap=cmap, extent=(0, width, 0, height), **limits)
+        style.chart(each, "x [texels]", "y [texels]")
+        each.grid(False)
+        each.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        each.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        style.title(each, title if len(layers) == 1 else f"{title if i == 0 else ''} {_FACES[i]}".strip())
+    style.colour_bar(figure, shown, axes, label)
     style.save(figure, path)
 
 
@@ -130,7 +164,8 @@ def write_loss(path: Path, result: FitResult, hard_before: float) -> None:
     style.save(figure, path)
 
 
-def _single(image: Image, ticks: bool = False) -> tuple[Figure, Axes]:
+def single(image: Image, ticks: bool = False) -> tuple[Figure, Axes]:
+    """A figure for one picture of the shape of `image`, and its axes."""
     height, width = image.shape
     figure, (axes,) = style.figure(5.4, min(max(4.3 * height / width, 1.6), 12.0) + (0.6 if ticks else 0.3))
     return figure, axes

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float32
 from rich.console import Console
 
-from .. import fit
+from .. import fit, shadow
 from .._types import HostArray
-from ..config import Config, FitPlan, build_fit, build_technique
+from ..config import Config, FitPlan, build_fit, build_shadow_mapping
 from . import _record as record
 from . import _table as table
 from ._progress import Stages
@@ -20,16 +20,18 @@ from ._run_folder import folder_of, write_whole
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
 
+Images = list[Float32[HostArray, "h w"]]
+
 
 class Fitted(NamedTuple):
-    """A finished fit, and its images and errors under the hard compare."""
+    """A finished fit, and its images, one for each light, and errors under the hard compare."""
 
     config: Config
     plan: FitPlan
-    drawn: Drawn
+    drawn: list[Drawn]
     result: fit.FitResult
-    before: Float32[HostArray, "h w"]
-    after: Float32[HostArray, "h w"]
+    before: Images
+    after: Images
     errors_before: dict[str, float]
     errors_after: dict[str, float]
     remarks: list[str]
@@ -51,7 +53,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
         console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
     )
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
-    noise = table.noise_text(fitted.drawn.noise_floor)
+    noise = table.noise_text(record.noise(fitted.drawn))
     table.print_lines(
         console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
     )
@@ -60,24 +62,35 @@ def run_fit(config: Config, *, console: Console) -> Path:
 
 
 def _fit(config: Config, stages: Stages) -> Fitted:
-    scene = load(config, stages)
-    technique, plan = build_technique(config), build_fit(config)
-    drawn = draw(config, scene, technique, stages)
-    problem = fit.Problem(
-        technique, drawn.shadow_map, drawn.surface, jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
-    )
+    plan = build_fit(config)
+    casting, technique = load(config, stages), build_shadow_mapping(config)
+    drawn = draw(config, casting, technique, stages)
     stages.show("compiling")
     result = fit.fit(
-        problem, plan.parameters, solver=plan.solver, anneal=plan.anneal, on_step=_watch(stages, plan.anneal.phases)
+        [_problem(technique, each) for each in drawn],
+        plan.parameters,
+        solver=plan.solver,
+        anneal=plan.anneal,
+        on_step=_watch(stages, plan.anneal.phases),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
-        start = fit.with_values(result.technique, list(result.initial), jnp.asarray(list(result.initial.values())))
-        before, after = (visibility_of(t, drawn) for t in (start, result.technique))
-        truth = drawn.reference.visibility
-        errors_before, errors_after = (record.measured(image, truth, drawn.mask) for image in (before, after))
+        paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
+        techniques = fit.with_values(result.technique, paths, start), result.technique
+        before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
+        errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
     said = remarks(config, plan.parameters, result)
     return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said)
+
+
+def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.Problem:
+    assert isinstance(drawn.from_light, shadow.ShadowMap)
+    truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
+    return fit.Problem(technique, drawn.from_light, drawn.surface, truth, mask)
+
+
+def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
+    return record.combined([record.measured(image, each) for image, each in zip(images, drawn, strict=True)], drawn)
 
 
 def _watch(stages: Stages, phases: int) -> Callable[[fit.Step], None]:
@@ -94,30 +107,35 @@ def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float])
     from . import _figures as figures
     from ._report import write_report
 
-    drawn, truth = fitted.drawn, fitted.drawn.reference.visibility
-    rmse = [errors["rmse"] for errors in (fitted.errors_before, fitted.errors_after)]
-    pairs = [("Before", fitted.before), ("After", fitted.after)]
-    shaded = [(title, shade(drawn, image)) for title, image in pairs]
-    compared = [(title, image, error) for (title, image), error in zip(pairs, rmse, strict=True)]
+    drawn = fitted.drawn
+    shaded = [(title, shade(fitted.config, drawn, images)) for title, images in _pairs(fitted)]
     record.write_config(draft, fitted.config)
-    figures.write_comparison(draft / "comparison.png", truth, compared, ("After, shaded", shaded[1][1]), drawn.mask)
+    for i, each in enumerate(drawn):
+        end, truth = record.suffix(i, drawn), each.reference.visibility
+        compared = [(title, images[i], record.measured(images[i], each)["rmse"]) for title, images in _pairs(fitted)]
+        picture = ("After, shaded", shaded[1][1])
+        figures.write_comparison(draft / f"comparison{end}.png", truth, compared, picture, each.mask)
+        figures.write_from_light(draft, end, each.from_light)
     figures.write_shaded(draft / "shaded.png", shaded)
-    figures.write_shadow_map(draft / "shadow_map.png", drawn.shadow_map)
-    figures.write_loss(draft / "loss.png", fitted.result, rmse[0])
+    figures.write_loss(draft / "loss.png", fitted.result, fitted.errors_before["rmse"])
     record.write_arrays(draft, _arrays(fitted))
     result = _result(folder, fitted, seconds)
     write_report(draft, result, fitted.config, fitted.plan.parameters)
     record.write_result(draft, result)
 
 
+def _pairs(fitted: Fitted) -> list[tuple[str, Images]]:
+    return [("Before", fitted.before), ("After", fitted.after)]
+
+
 def _arrays(fitted: Fitted) -> dict[str, Any]:
     history = fitted.result.history
     return {
-        "reference": fitted.drawn.reference.visibility,
-        "before": fitted.before,
-        "after": fitted.after,
-        "mask": fitted.drawn.mask,
-        "shadow_map_depth": fitted.drawn.shadow_map.depth,
+        "reference": record.stacked([each.reference.visibility for each in fitted.drawn]),
+        "before": record.stacked(fitted.before),
+        "after": record.stacked(fitted.after),
+        "mask": record.stacked([each.mask for each in fitted.drawn]),
+        **record.light_arrays(fitted.drawn),
         "history_phase": np.asarray([step.phase for step in history], np.int32),
         "history_step": np.asarray([step.step for step in history], np.int32),
         "history_width": np.asarray([step.width for step in history], np.float32),
@@ -142,8 +160,12 @@ def _result(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> dict[str
             "compare": "hard",
             "before": fitted.errors_before,
             "after": fitted.errors_after,
-            "reference_noise_floor": fitted.drawn.noise_floor,
-            "pixels": int(fitted.drawn.mask.sum()),
+            "reference_noise_floor": record.noise(fitted.drawn),
+            "pixels": sum(each.pixels for each in fitted.drawn),
+            "lights": [
+                {"light": each.key, "before": record.measured(before, each), "after": record.measured(after, each)}
+                for each, before, after in zip(fitted.drawn, fitted.before, fitted.after, strict=True)
+            ],
         },
         "solver": {
             "name": fitted.plan.solver.name,

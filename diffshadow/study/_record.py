@@ -1,19 +1,21 @@
 """What a run writes down: `result.json`, `config.yaml` and the arrays."""
 
+import dataclasses
 import importlib.metadata
 import json
 import math
 import platform
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from .. import metrics
+from .. import metrics, shadow
 from ..config import Config, dump_resolved
+from ._setup import Drawn
 
 SCHEMA_VERSION = 1
 _PACKAGES = ("diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy")
@@ -35,9 +37,59 @@ def command(verb: str, folder: Path) -> str:
     return shlex.join(["diffshadow", verb, str(folder / "config.yaml")])
 
 
-def measured(image: Any, reference: Any, mask: Any) -> dict[str, float]:
-    """The errors of `image` (h, w) by name."""
-    return metrics.measure_errors(image, reference, mask).as_dict()
+def measured(image: Any, drawn: Drawn) -> dict[str, float]:
+    """The errors of `image` (h, w) by name; not a number where no pixel counts."""
+    if not drawn.pixels:
+        return {field.name: math.nan for field in dataclasses.fields(metrics.ShadowErrors)}
+    return metrics.measure_errors(image, drawn.reference.visibility, drawn.mask).as_dict()
+
+
+def combined(errors: Sequence[Mapping[str, float]], drawn: Sequence[Drawn]) -> dict[str, float]:
+    """The errors of all lights as one: the mean over all pixels that count, of the RMSE that of its square."""
+    pixels = np.asarray([each.pixels for each in drawn], np.float64)
+    share = pixels / pixels.sum()
+    return {
+        name: math.sqrt(_mean([one[name] ** 2 for one in errors], share))
+        if name == "rmse"
+        else _mean([one[name] for one in errors], share)
+        for name in errors[0]
+    }
+
+
+def _mean(values: Sequence[float], share: np.ndarray) -> float:
+    # A light that no pixel counts for has no errors.
+    return float(sum(value * part for value, part in zip(values, share, strict=True) if part > 0))
+
+
+def noise(drawn: Sequence[Drawn]) -> float | None:
+    """The reference's own error over all lights; `None` if that is not known."""
+    floors = [each.noise_floor for each in drawn]
+    if any(floor is None for floor in floors):
+        return None
+    return combined([{"rmse": floor} for floor in floors if floor is not None], drawn)["rmse"]
+
+
+def suffix(index: int, drawn: Sequence[Drawn]) -> str:
+    """What tells the files of the light at `index` apart: nothing where there is but one."""
+    return "" if len(drawn) == 1 else f"_{index}"
+
+
+def stacked(images: Sequence[Any]) -> np.ndarray:
+    """The one image (h, w), or those of several lights (l, h, w)."""
+    return np.asarray(images[0]) if len(images) == 1 else np.stack([np.asarray(image) for image in images])
+
+
+def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
+    """What the technique drew from each light, by name."""
+    names = {
+        shadow.ShadowMap: ("shadow_map_depth", "depth"),
+        shadow.ProjectiveTexture: ("texture_coverage", "coverage"),
+    }
+    kind = type(drawn[0].from_light)
+    if kind not in names:
+        return {}
+    name, field = names[kind]
+    return {f"{name}{suffix(i, drawn)}": getattr(each.from_light, field) for i, each in enumerate(drawn)}
 
 
 def write_config(folder: Path, config: Config) -> None:

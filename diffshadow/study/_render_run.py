@@ -1,11 +1,13 @@
 """A technique as it stands, drawn and measured."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from jaxtyping import Float32
 from rich.console import Console
 
-from ..config import Config, build_technique
+from .._types import HostArray
+from ..config import Config, Technique, build_technique
 from . import _record as record
 from . import _table as table
 from ._progress import Stages
@@ -17,8 +19,22 @@ SUFFIX = "-render"
 """Ends the name of a render's folder, which keeps it apart from the fit's."""
 
 
-def run_render(config: Config, *, console: Console) -> Path:
+class Rendered(NamedTuple):
+    """A finished render: what was drawn, and visibility and errors of each light."""
+
+    config: Config
+    technique: Technique
+    drawn: list[Drawn]
+    visibility: list[Float32[HostArray, "h w"]]
+    errors: list[dict[str, float]]
+
+
+def run_render(config: Config, *, console: Console, debug: bool = False) -> Path:
     """Draws the scene of `config` with its technique as it stands, prints its errors, and writes the run's folder.
+
+    **Arguments:**
+
+    - `debug`: whether to write pictures of what the technique works with, too.
 
     **Returns** the folder, `<output>/<name>-render`. An earlier one is replaced once all is written, not before.
 
@@ -26,55 +42,71 @@ def run_render(config: Config, *, console: Console) -> Path:
     """
     folder = folder_of(config, SUFFIX)
     with Stages(console) as stages:
-        scene, technique = load(config, stages), build_technique(config, fitting=False)
-        drawn = draw(config, scene, technique, stages)
+        casting, technique = load(config, stages), build_technique(config, fitting=False)
+        drawn = draw(config, casting, technique, stages)
         with stages.stage("measuring"):
-            visibility = visibility_of(technique, drawn)
-            errors = record.measured(visibility, drawn.reference.visibility, drawn.mask)
+            visibility = [visibility_of(technique, each) for each in drawn]
+            errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
+        rendered = Rendered(config, technique, drawn, visibility, errors)
         with stages.stage("writing"):
-            write_whole(folder, lambda draft: _write(draft, folder, config, drawn, visibility, errors, stages.seconds))
-    table.print_errors(console, config.name, errors)
-    table.print_lines(console, [table.noise_text(drawn.noise_floor)])
+            write_whole(folder, lambda draft: _write(draft, folder, rendered, stages.seconds, debug))
+    table.print_errors(console, config.name, {each.key: e for each, e in zip(drawn, errors, strict=True)})
+    table.print_lines(console, [table.noise_text(record.noise(drawn))])
     return folder
 
 
-def _write(
-    draft: Path,
-    folder: Path,
-    config: Config,
-    drawn: Drawn,
-    visibility: Any,
-    errors: dict[str, float],
-    seconds: dict[str, float],
-) -> None:
+def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool) -> None:
     # Here, since only a run that got this far needs Matplotlib.
+    from . import _debug as debug_figures
     from . import _figures as figures
 
-    truth, mask = drawn.reference.visibility, drawn.mask
+    config, drawn = rendered.config, rendered.drawn
     record.write_config(draft, config)
-    figures.write_visibility(draft / "visibility.png", "Visibility", visibility, mask)
-    figures.write_visibility(draft / "reference.png", "Reference", truth, mask)
-    figures.write_difference(draft / "difference.png", visibility, truth, mask)
-    figures.write_shaded(draft / "shaded.png", [("Shaded", shade(drawn, visibility))])
-    figures.write_shadow_map(draft / "shadow_map.png", drawn.shadow_map)
+    for i, (each, visibility) in enumerate(zip(drawn, rendered.visibility, strict=True)):
+        end, truth = record.suffix(i, drawn), each.reference.visibility
+        figures.write_visibility(draft / f"visibility{end}.png", "Visibility", visibility, each.mask)
+        figures.write_visibility(draft / f"reference{end}.png", "Reference", truth, each.mask)
+        figures.write_difference(draft / f"difference{end}.png", visibility, truth, each.mask)
+        figures.write_from_light(draft, end, each.from_light)
+        if debug:
+            debug_figures.write_debug(draft, end, config, rendered.technique, each)
+    picture = shade(config, drawn, rendered.visibility)
+    figures.write_shaded(draft / "shaded.png", [("Shaded", picture)])
     record.write_arrays(
         draft,
-        {"reference": truth, "visibility": visibility, "mask": mask, "shadow_map_depth": drawn.shadow_map.depth},
-    )
-    record.write_result(
-        draft,
         {
-            "name": config.name,
-            "kind": "render",
-            "metrics": {
-                "compare": config.compare.type,
-                "errors": errors,
-                "reference_noise_floor": drawn.noise_floor,
-                "pixels": int(mask.sum()),
-            },
-            "seconds": {name: round(s, 3) for name, s in seconds.items()},
-            "versions": record.versions(),
-            "seed": config.seed,
-            "command": record.command("render", folder),
+            "reference": record.stacked([each.reference.visibility for each in drawn]),
+            "visibility": record.stacked(rendered.visibility),
+            "mask": record.stacked([each.mask for each in drawn]),
+            **record.light_arrays(drawn),
         },
     )
+    record.write_result(draft, _result(folder, rendered, seconds))
+
+
+def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict[str, Any]:
+    config, drawn, errors = rendered.config, rendered.drawn, rendered.errors
+    return {
+        "name": config.name,
+        "kind": "render",
+        "metrics": {
+            "technique": config.technique.type,
+            "compare": config.compare.type,
+            "errors": record.combined(errors, drawn),
+            "reference_noise_floor": record.noise(drawn),
+            "pixels": sum(each.pixels for each in drawn),
+            "lights": [
+                {
+                    "light": each.key,
+                    "errors": e,
+                    "reference_noise_floor": each.noise_floor,
+                    "pixels": each.pixels,
+                }
+                for each, e in zip(drawn, errors, strict=True)
+            ],
+        },
+        "seconds": {name: round(s, 3) for name, s in seconds.items()},
+        "versions": record.versions(),
+        "seed": config.seed,
+        "command": record.command("render", folder),
+    }

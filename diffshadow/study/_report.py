@@ -1,7 +1,7 @@
 """A fit's report: one page that needs no other file."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,13 @@ from ..config import Config, describe
 from ..fit import Parameter
 from ._table import ERRORS, noise_text, number
 
-_IMAGES = (
-    (
-        "comparison.png",
-        "Visibility, and its signed difference from the reference. Pixels in blue-grey do not count: no surface is "
-        "seen there, or the light's map does not cover it.",
-    ),
-    ("shaded.png", "The scene, shaded, with the shadows before and after."),
-    ("loss.png", "The error over the fit. The soft compare hardens from phase to phase; the hard one judges."),
-    ("shadow_map.png", "The shadow map: how far from the light each texel's surface lies."),
-)
+_IMAGES = {
+    "comparison": "Visibility, and its signed difference from the reference. Pixels in blue-grey do not count: no "
+    "surface is seen there, or the light's map does not cover it.",
+    "shaded": "The scene, shaded, with the shadows before and after.",
+    "loss": "The error over the fit. The soft compare hardens from phase to phase; the hard one judges.",
+    "shadow_map": "The shadow map: how far from the light each texel's surface lies.",
+}
 
 
 def write_report(folder: Path, result: Mapping[str, Any], config: Config, parameters: Sequence[Parameter]) -> None:
@@ -39,7 +36,7 @@ def write_report(folder: Path, result: Mapping[str, Any], config: Config, parame
         noise=noise_text(result["metrics"]["reference_noise_floor"]),
         parameters=[(p, f"{p.initial:.4g}", f"{result['fitted'][p.name]:.4g}") for p in parameters],
         errors=[(label, number(key, before[key]), number(key, after[key])) for key, label in ERRORS.items()],
-        images=[(name, _data_uri(folder / name), caption) for name, caption in _IMAGES],
+        images=list(_images(folder, result["metrics"]["lights"])),
         settings=describe(config),
         environment={**result["versions"], "seed": result["seed"]},
         seconds=result["seconds"],
@@ -57,6 +54,14 @@ def _summary(result: Mapping[str, Any]) -> str:
         f"Fitting {names} took the shadow's error from {before:.4f} to {after:.4f} RMSE, "
         f"{before / max(after, 1e-12):.1f} times less, in {result['solver']['steps']} steps."
     )
+
+
+def _images(folder: Path, lights: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
+    """Each image's name, data and caption; several lights have images of their own."""
+    for name, caption in _IMAGES.items():
+        for path in sorted(folder.glob(f"{name}*.png"), key=lambda path: (len(path.stem), path.stem)):
+            index = path.stem.removeprefix(name).removeprefix("_")
+            yield path.name, _data_uri(path), f"{lights[int(index)]['light']}. {caption}" if index else caption
 
 
 def _data_uri(path: Path) -> str:

@@ -51,12 +51,14 @@ def print_fit(
     console.print(table)
 
 
-def print_errors(console: Console, name: str, errors: Mapping[str, float]) -> None:
-    """The errors of one image."""
-    table = Table("", "error", title=Text(name), title_justify="left")
-    table.columns[1].justify = "right"
+def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
+    """The errors of each light's image, by the light's key."""
+    heads = ["error"] if len(errors) == 1 else list(errors)
+    table = Table("", *heads, title=Text(name), title_justify="left")
+    for column in table.columns[1:]:
+        column.justify = "right"
     for key, label in ERRORS.items():
-        table.add_row(label, number(key, errors[key]))
+        table.add_row(label, *(number(key, of_light[key]) for of_light in errors.values()))
     console.print(table)
 
 

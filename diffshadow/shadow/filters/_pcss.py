@@ -29,6 +29,9 @@ class PercentageCloserSoft(AbstractFilter):
     directional light of angular radius a they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances
     from the light here. Receivers without blockers are lit.
 
+    The search is wide, and takes a slanted receiver for its own blocker unless the bias follows its plane: use a
+    `ReceiverPlane`, best with `deepening=0`.
+
     A soft compare weighs blockers by how dark each leaves the receiver, and makes visibility differentiable with
     respect to bias. The mean is that of window depths, of which a perspective light's penumbra is a linear function:
     it is the mean of all blockers' penumbrae.

@@ -1,0 +1,97 @@
+"""Sections that say what keeps surfaces from shadowing themselves."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag
+
+from ._section import Conflict, Fitted, Section, Texels, by_type, look, ordered
+
+_TEXELS = 0.5
+"""Default of the constant and the slope bias."""
+
+
+class NoPlaneConfig(Section):
+    """Taps compare with the receiver's own depth."""
+
+    type: Literal["none"] = "none"
+
+
+class ReceiverPlaneConfig(Section):
+    """Taps compare with the receiver's plane."""
+
+    type: Literal["receiver_plane"] = "receiver_plane"
+    fudge: Annotated[float, Fitted()] = Field(
+        default=0.0, ge=0, description="bias besides, in units of the receiver's slope along x plus that along y"
+    )
+    limit: Annotated[Texels | None, Fitted()] = Field(
+        default=None, ge=0, description="the most that fudge may subtract, in texels; default: no limit"
+    )
+    deepening: Annotated[Texels | None, Fitted()] = Field(
+        default=None, ge=0, description="how much deeper than the receiver a tap compares, in texels; default: any"
+    )
+
+
+class AdaptiveBiasConfig(Section):
+    """Just what lifts the receiver to its plane at the texel's centre; for nearest look-ups."""
+
+    type: Literal["adaptive"] = "adaptive"
+    epsilon: Annotated[Texels, Fitted()] = Field(default=0.0, ge=0, description="bias besides, in texels")
+
+
+PlaneConfig = Annotated[
+    Annotated[NoPlaneConfig, Tag("none")]
+    | Annotated[ReceiverPlaneConfig, Tag("receiver_plane")]
+    | Annotated[AdaptiveBiasConfig, Tag("adaptive")],
+    by_type("none"),
+]
+
+
+class BiasConfig(Section):
+    """How far receivers move towards the light before the compare."""
+
+    constant: Annotated[Texels, Fitted("constant.value")] = Field(
+        default=_TEXELS, ge=0, description="constant bias, in texels; default: 0.5, or 0 with a plane"
+    )
+    slope: Annotated[Texels, Fitted("slope.value")] = Field(
+        default=_TEXELS,
+        ge=0,
+        description="bias per unit of the receiver's slope, in texels; default: 0.5, or 0 with a plane",
+    )
+    slope_profile: Literal["tangent", "one_minus_cosine"] = Field(
+        default="tangent", description="how the slope bias grows with the angle to the light"
+    )
+    slope_least: Annotated[Texels | None, Fitted("slope.least")] = Field(
+        default=None, ge=0, description="least slope bias, in texels; default: no bound"
+    )
+    slope_most: Annotated[Texels | None, Fitted("slope.most")] = Field(
+        default=None, ge=0, description="greatest slope bias, in texels; default: no bound"
+    )
+    unit: Literal["texels", "depth"] = Field(
+        default="texels", description="of the constant and the slope bias: texels' widths, or window depth from 0 to 1"
+    )
+    normal_offset: Annotated[Texels, Fitted("normal_offset.value")] = Field(
+        default=0.0, ge=0, description="shift along the receiver's normal, in texels"
+    )
+    normal_offset_profile: Literal["sine", "constant", "one_minus_cosine"] = Field(
+        default="sine", description="how the normal offset grows with the angle to the light"
+    )
+    plane: PlaneConfig = Field(default_factory=NoPlaneConfig, description="what is known of the receiver's plane")
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        # The defaults are in texels, and a bias that knows the plane needs no other.
+        if look(data, "plane", "type", default="none") == "none" and data.get("unit") != "depth":
+            return data
+        return {"constant": 0.0, "slope": 0.0, **data}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        least, most = (data.get(key) for key in ("slope_least", "slope_most"))
+        if least is None or least != most:
+            yield from ordered(data, "slope_least", "slope_most")
+
+    def units(self) -> Mapping[str, str]:
+        if self.unit == "texels":
+            return {}
+        return dict.fromkeys(("constant", "slope", "slope_least", "slope_most"), "window depth")

@@ -1,0 +1,212 @@
+"""Sections that say how compares are averaged: a filter's section has its name, its settings and what it builds.
+
+A section's keys are the arguments of the module that `builds` names, so that nothing is to be said twice.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, Tag
+
+from ._section import Conflict, Fitted, Section, Texels, Unit, by_type, ordered
+
+Radius = Annotated[Texels, Fitted()]
+LeastVariance = Annotated[float, Fitted()]
+_LEAST_VARIANCE = "floor on the variance of depth, which runs from 0 at the map's near plane to 1 at its far plane"
+
+
+class _FilterConfig(Section):
+    builds: ClassVar[str]
+    """The name in `diffshadow.shadow` of the module that the section stands for."""
+    grows_with_radius: ClassVar[bool] = False
+    """Whether the module needs to know how large its radius may become."""
+    radius_key: ClassVar[str] = "radius"
+    """The key that says how far its taps lie."""
+    beyond_radius: ClassVar[float] = 0.0
+    """How far beyond its radius it reads the map, in texels."""
+
+    @property
+    def reach(self) -> float:
+        """How far from where a receiver is seen the map is read, in texels."""
+        return getattr(self, self.radius_key, 0.0) + self.beyond_radius
+
+
+class NearestConfig(_FilterConfig):
+    """The one texel under the receiver."""
+
+    type: Literal["nearest"] = "nearest"
+    builds: ClassVar[str] = "Nearest"
+
+
+class BilinearConfig(_FilterConfig):
+    """Four compares, blended."""
+
+    type: Literal["bilinear"] = "bilinear"
+    builds: ClassVar[str] = "Bilinear"
+    beyond_radius: ClassVar[float] = 0.5
+
+
+class FourTapConfig(_FilterConfig):
+    """Four bilinear taps on the diagonals."""
+
+    type: Literal["four_tap"] = "four_tap"
+    radius: Radius = Field(default=1.0, ge=0, description="of the taps from the middle, in texels")
+    builds: ClassVar[str] = "FourTap"
+    beyond_radius: ClassVar[float] = 0.5
+
+
+class PercentageCloserConfig(_FilterConfig):
+    """A box of texels with fractional edges."""
+
+    type: Literal["pcf"] = "pcf"
+    radius: Radius = Field(default=2.0, ge=0, description="half the box's width, in texels")
+    builds: ClassVar[str] = "PercentageCloser"
+    grows_with_radius: ClassVar[bool] = True
+
+
+class TentConfig(_FilterConfig):
+    """A tent of texels, which weighs those in the middle most."""
+
+    type: Literal["tent"] = "tent"
+    radius: Radius = Field(default=2.0, ge=0, description="half the tent's width, in texels")
+    builds: ClassVar[str] = "Tent"
+    grows_with_radius: ClassVar[bool] = True
+
+
+class CastanoConfig(_FilterConfig):
+    """A fixed kernel folded into few bilinear taps."""
+
+    type: Literal["castano"] = "castano"
+    size: Annotated[Literal[3, 5, 7], Unit("texels")] = Field(default=5, description="width of the kernel, in texels")
+    builds: ClassVar[str] = "Castano"
+
+    @property
+    def reach(self) -> float:
+        return (self.size + 1) / 2
+
+
+class PatternedConfig(_FilterConfig):
+    """A filter whose taps lie on a pattern, another one for each pixel of a tile."""
+
+    pattern: Literal["stratified", "uniform", "poisson", "vogel", "sobol", "halton"] = Field(
+        default="stratified", description="how the taps lie on a disk"
+    )
+    samples: Annotated[int, Unit("taps a pixel")] = Field(default=32, ge=1, le=4096, description="taps a pixel")
+    pattern_size: Annotated[int, Unit("pixels")] = Field(
+        default=8, ge=1, le=256, description="width of the tile of patterns, in pixels; default: 8, or 1 for vogel"
+    )
+    rotated: bool = Field(
+        default=False, description="whether each pixel also turns its pattern; default: false, or true for vogel"
+    )
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {"pattern_size": 1, "rotated": True, **data} if data.get("pattern") == "vogel" else data
+
+
+class RandomDiskConfig(PatternedConfig):
+    """Taps on a disk."""
+
+    type: Literal["random_disk"] = "random_disk"
+    radius: Radius = Field(default=2.0, ge=0, description="of the disk, in texels")
+    lookup: Literal["bilinear", "nearest"] = Field(default="bilinear", description="how each tap reads the map")
+    early_out: bool = Field(
+        default=False, description="whether to spare pixels that a first few taps find all lit or shadowed"
+    )
+    builds: ClassVar[str] = "RandomDisk"
+    beyond_radius: ClassVar[float] = 0.5
+
+
+class PercentageCloserSoftConfig(PatternedConfig):
+    """A disk as wide as the penumbra, which a search for blockers tells."""
+
+    type: Literal["pcss"] = "pcss"
+    light_size: Annotated[float | None, Fitted()] = Field(
+        default=None,
+        ge=0,
+        description="radius in world units, or half a directional light's angle in degrees; default: the light's own",
+    )
+    search_samples: Annotated[int, Unit("taps a pixel")] = Field(
+        default=16, ge=1, le=4096, description="taps a pixel that search for blockers"
+    )
+    min_radius: Radius = Field(default=0.0, ge=0, description="least radius of the disk, in texels")
+    max_radius: Texels = Field(default=32.0, ge=0, description="greatest radius of disk and search, in texels")
+    builds: ClassVar[str] = "PercentageCloserSoft"
+    radius_key: ClassVar[str] = "max_radius"
+    beyond_radius: ClassVar[float] = 0.5
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        if data.get("min_radius") != data.get("max_radius"):
+            yield from ordered(data, "min_radius", "max_radius")
+
+
+class _PrefilteredConfig(_FilterConfig):
+    """A map that is blurred before it is looked up. The compare is not asked."""
+
+    radius: Radius = Field(default=2.0, ge=0, description="of the blur, in texels")
+    kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")
+    light_bleeding: Annotated[float, Fitted()] = Field(
+        default=0.0, ge=0, le=0.99, description="visibility up to which a receiver counts as dark"
+    )
+    grows_with_radius: ClassVar[bool] = True
+    beyond_radius: ClassVar[float] = 0.5
+
+
+class VarianceConfig(_PrefilteredConfig):
+    """Chebyshev's bound from the mean of depth and its square."""
+
+    type: Literal["vsm"] = "vsm"
+    least_variance: LeastVariance = Field(default=1e-6, ge=1e-12, le=1, description=_LEAST_VARIANCE)
+    builds: ClassVar[str] = "VarianceShadowMap"
+
+
+class ExponentialConfig(_PrefilteredConfig):
+    """An exponential of depth, whose blur is apart from the receiver's."""
+
+    type: Literal["esm"] = "esm"
+    exponent: Annotated[float, Fitted()] = Field(
+        default=80.0, ge=0, le=80, description="how steeply light ends behind an occluder, per depth from near to far"
+    )
+    builds: ClassVar[str] = "ExponentialShadowMap"
+
+
+class ExponentialVarianceConfig(_PrefilteredConfig):
+    """The lesser of Chebyshev's bounds for two exponentials of depth."""
+
+    type: Literal["evsm"] = "evsm"
+    positive_exponent: Annotated[float, Fitted()] = Field(
+        default=40.0, ge=1e-3, le=42, description="of the warp that parts overlapping occluders"
+    )
+    negative_exponent: Annotated[float, Fitted()] = Field(
+        default=5.0, ge=1e-3, le=42, description="of the warp that parts receivers from what is deeper"
+    )
+    least_variance: LeastVariance = Field(default=1e-6, ge=1e-12, le=1, description=_LEAST_VARIANCE)
+    builds: ClassVar[str] = "ExponentialVarianceShadowMap"
+
+
+class MomentsConfig(_PrefilteredConfig):
+    """Hamburger's bound from four moments of depth."""
+
+    type: Literal["msm"] = "msm"
+    moment_bias: Annotated[float, Fitted()] = Field(
+        default=3e-6, ge=1e-7, le=1, description="how far moments are blended to safe ones, against rounding"
+    )
+    builds: ClassVar[str] = "MomentShadowMap"
+
+
+FilterConfig = Annotated[
+    Annotated[NearestConfig, Tag("nearest")]
+    | Annotated[BilinearConfig, Tag("bilinear")]
+    | Annotated[FourTapConfig, Tag("four_tap")]
+    | Annotated[PercentageCloserConfig, Tag("pcf")]
+    | Annotated[TentConfig, Tag("tent")]
+    | Annotated[CastanoConfig, Tag("castano")]
+    | Annotated[RandomDiskConfig, Tag("random_disk")]
+    | Annotated[PercentageCloserSoftConfig, Tag("pcss")]
+    | Annotated[VarianceConfig, Tag("vsm")]
+    | Annotated[ExponentialConfig, Tag("esm")]
+    | Annotated[ExponentialVarianceConfig, Tag("evsm")]
+    | Annotated[MomentsConfig, Tag("msm")],
+    by_type("random_disk"),
+]

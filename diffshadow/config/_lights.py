@@ -1,0 +1,159 @@
+"""Sections that say what light falls on the scene."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag
+
+from ._section import (
+    Conflict,
+    Degrees,
+    Direction,
+    Extent,
+    Position,
+    Section,
+    Unit,
+    WorldUnits,
+    by_type,
+    exclusive,
+    fault,
+    given,
+    is_number,
+    ordered,
+)
+
+
+class LightOrbit(Section):
+    """A light placed by angles about the middle of the scene's first mesh."""
+
+    azimuth: Degrees = Field(default=60.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    elevation: Degrees = Field(default=60.0, ge=-90, le=90, description="height above the horizon, in degrees")
+    distance: Annotated[float, Unit("radii")] = Field(
+        default=4.0, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
+    )
+
+
+class DirectionalLightConfig(Section):
+    """Light from infinitely far away."""
+
+    type: Literal["directional"] = "directional"
+    azimuth: Degrees | None = Field(
+        default=None, description="where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"
+    )
+    elevation: Degrees | None = Field(
+        default=None, ge=-90, le=90, description="height above the horizon the light comes from, in degrees; default 45"
+    )
+    direction: Direction | None = Field(
+        default=None, description="the way the light travels, of any length; instead of azimuth and elevation"
+    )
+    angular_radius: Degrees = Field(
+        default=1.0,
+        ge=0,
+        lt=90,
+        description="half the angle under which the light is seen, in degrees; 0 is a hard light",
+    )
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        if given(data, "direction"):
+            return data
+        angles = {"azimuth": 60.0, "elevation": 45.0}
+        return {**data, **{key: value for key, value in angles.items() if data.get(key) is None}}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from exclusive(data, "direction", "azimuth", "elevation")
+        direction = data.get("direction")
+        if isinstance(direction, list | tuple) and len(direction) == 3 and all(x in (0, 0.0) for x in direction):
+            yield (
+                ("direction",),
+                fault(
+                    "is [0, 0, 0]", "a vector that is not zero", "give the way the light travels, such as [0, -1, 0]"
+                ),
+            )
+
+
+class _PlacedLightConfig(Section):
+    """A light that stands somewhere."""
+
+    orbit: LightOrbit | None = Field(
+        default=None, description="place by angles about the first mesh, instead of position"
+    )
+    position: Position | None = Field(default=None, description="where the light stands, in world units")
+    near: WorldUnits | None = Field(
+        default=None, gt=0, description="where the map begins, in world units; default: tight"
+    )
+    far: WorldUnits | None = Field(default=None, gt=0, description="where the map ends, in world units; default: tight")
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return data if given(data, "orbit", "position") else {**data, "orbit": {}}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from exclusive(data, "orbit", "position")
+        yield from ordered(data, "near", "far")
+
+
+class _AimedLightConfig(_PlacedLightConfig):
+    """A light that shines one way."""
+
+    target: Position | None = Field(
+        default=None, description="point the light is turned to, in world units; default: the scene's middle"
+    )
+    outer_angle: Degrees | None = Field(
+        default=None, gt=0, lt=90, description="half the map's opening, in degrees; default: just holds the scene"
+    )
+
+
+class SpotLightConfig(_AimedLightConfig):
+    """Light from a point or a small disk, into a cone."""
+
+    type: Literal["spot"] = "spot"
+    inner_angle: Degrees | None = Field(
+        default=None,
+        ge=0,
+        lt=90,
+        description="half the cone's part of full light, in degrees; default: shading does not obey the cone",
+    )
+    radius: WorldUnits = Field(default=0.0, ge=0, description="of the disk that shines, in world units; 0 is a point")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from super().conflicts(data)
+        inner, outer = data.get("inner_angle"), data.get("outer_angle")
+        if is_number(inner) and is_number(outer) and inner > outer:
+            said = f"is {inner} and outer_angle is {outer}"
+            yield ("inner_angle",), fault(said, "inner_angle at most outer_angle", "make it smaller")
+
+
+class RectangleLightConfig(_AimedLightConfig):
+    """Light from a rectangle, such as a panel or a window."""
+
+    type: Literal["rectangle"] = "rectangle"
+    size: Annotated[Extent, Unit("world units")] = Field(
+        default=(0.5, 0.5), description="[width, height], in world units"
+    )
+    up: Direction = Field(default=(0.0, 1.0, 0.0), description="the way its height runs")
+
+
+class PointLightConfig(_PlacedLightConfig):
+    """Light from a point or a sphere in all directions, with a map of six faces."""
+
+    type: Literal["point"] = "point"
+    radius: WorldUnits = Field(default=0.0, ge=0, description="of the sphere that shines, in world units; 0 is a point")
+    guard: float = Field(
+        default=0.1,
+        ge=0,
+        le=1,
+        description="room for filters round each face of the map, as a share of half the face's width",
+    )
+
+
+LightConfig = Annotated[
+    Annotated[DirectionalLightConfig, Tag("directional")]
+    | Annotated[SpotLightConfig, Tag("spot")]
+    | Annotated[PointLightConfig, Tag("point")]
+    | Annotated[RectangleLightConfig, Tag("rectangle")],
+    by_type("directional"),
+]

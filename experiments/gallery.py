@@ -1,0 +1,321 @@
+"""Draws one scene with every technique, and writes a page with the pictures, their errors and what they cost:
+
+    python experiments/gallery.py configs/gallery.yaml
+    python experiments/gallery.py configs/gallery.yaml --page docs/gallery.md --repeats 20
+
+Each row of the page is the configuration with a few values replaced, so that it can be drawn again by
+
+    diffshadow render configs/gallery.yaml KEY=VALUE ...
+
+Errors are those of visibility against the traced reference. Times are medians of compiled runs, compilation apart: of
+what is drawn from the light, and of the visibility that is made of it.
+"""
+
+import platform
+import shutil
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from cyclopts import App
+from matplotlib import colormaps
+from rich.console import Console
+from rich.progress import track
+
+from diffshadow import io, metrics, raster, study
+from diffshadow.config import Casting, Config, build_casting, build_shading, build_technique, load_config
+from diffshadow.reference import Reference, cache_key, trace_visibility
+
+NO_SURFACE = 0.85
+"""Grey of pixels that count in no error."""
+LEVELS = 32
+"""Shades of visibility and of its difference in the pictures: few enough that their files stay small."""
+PLANE = "scene.meshes.4"
+"""The ground, which some techniques must not let cast."""
+WIDE = "bias={constant: 0.5, slope: 5}"
+"""A bias that suits kernels of several texels."""
+
+
+class Row(NamedTuple):
+    """A technique: its name, the values to replace, and what to look at."""
+
+    name: str
+    overrides: tuple[str, ...]
+    note: str
+
+
+def disk(pattern: str, samples: int = 16, more: str = "") -> tuple[str, ...]:
+    """What sets a random disk of 4 texels."""
+    return f"filter={{type: random_disk, radius: 4, pattern: {pattern}, samples: {samples}{more}}}", WIDE
+
+
+SECTIONS: dict[str, tuple[Row, ...]] = {
+    "Shadow maps without a filter": (
+        Row("No bias", ("bias={constant: 0, slope: 0}",), "every lit surface shadows itself: acne"),
+        Row("Too much bias", ("bias={constant: 30, slope: 0}",), "shadows leave their casters: Peter-panning"),
+        Row("Nearest", (), "constant and slope bias"),
+        Row("Bilinear", ("filter={type: bilinear}",), "four compares, blended"),
+        Row("Small map", ("shadow_map.resolution=[256, 256]",), "the same with a sixteenth of the texels"),
+        Row("16-bit depths", ("shadow_map.depth_format=unorm16",), "fixed-point depths of 16 bits"),
+        Row(
+            "Polygon offset",
+            ("bias={constant: 0, slope: 0}", "shadow_map.polygon_offset=[2, 4]"),
+            "a bias that is stored in the map",
+        ),
+        Row(
+            "Back faces only",
+            ("bias={constant: 0, slope: 0}", "shadow_map.cull=front", f"{PLANE}.casts=false"),
+            "no acne on closed casters without a bias",
+        ),
+        Row("Midpoint", ("bias={constant: 0, slope: 0}", "shadow_map.layer=midpoint"), "between the nearest surfaces"),
+    ),
+    "Biases, with a box of 5 × 5 texels": (
+        Row("Constant", ("filter={type: pcf, radius: 2.5}", "bias={constant: 4, slope: 0}"), ""),
+        Row("Slope", ("filter={type: pcf, radius: 2.5}", "bias={constant: 0.5, slope: 2.5}"), ""),
+        Row(
+            "1 − cos",
+            (
+                "filter={type: pcf, radius: 2.5}",
+                "bias={slope: 0.01, slope_least: 0.001, slope_profile: one_minus_cosine, unit: depth}",
+            ),
+            "in window depth, as shader cookbooks print it",
+        ),
+        Row(
+            "Normal offset",
+            ("filter={type: pcf, radius: 2.5}", "bias={constant: 0.5, slope: 0, normal_offset: 3}"),
+            "the look-up moves along the normal",
+        ),
+        Row(
+            "Receiver plane",
+            ("filter={type: pcf, radius: 2.5}", "bias={plane: {type: receiver_plane}}"),
+            "taps follow the receiver's plane, which runs deep below steep walls",
+        ),
+        Row(
+            "Receiver plane, kept shallow",
+            ("filter={type: pcf, radius: 2.5}", "bias={plane: {type: receiver_plane, deepening: 0}}"),
+            "as far as the receiver is deep",
+        ),
+        Row("Adaptive", ("bias={plane: {type: adaptive}}",), "with one nearest look-up, for which it is made"),
+    ),
+    "Filters of compares": (
+        Row("Four taps", ("filter={type: four_tap}", "bias.slope=2"), ""),
+        Row("Box", ("filter={type: pcf, radius: 4}", WIDE), "percentage-closer filtering"),
+        Row("Tent", ("filter={type: tent, radius: 6}", WIDE), ""),
+        Row("Castaño 7 × 7", ("filter={type: castano, size: 7}", WIDE), "16 bilinear taps"),
+        Row("Random disk, nearest", disk("stratified", 32, ", lookup: nearest"), "32 taps on a disk"),
+        Row("Random disk, bilinear", disk("stratified", 32), ""),
+        Row("Early-out", disk("stratified", 32, ", early_out: true"), "spares what 8 taps agree on"),
+        Row("Soft compare", (*disk("stratified", 32), "compare={type: soft, width: 0.5}"), "as fits see it"),
+    ),
+    "Patterns of a random disk, 16 taps": tuple(
+        Row(name.capitalize(), disk(name), note)
+        for name, note in (
+            ("stratified", ""),
+            ("uniform", "Monte Carlo"),
+            ("poisson", "taps keep a distance"),
+            ("vogel", "one spiral, turned for each pixel"),
+            ("sobol", ""),
+            ("halton", ""),
+        )
+    ),
+    "Soft shadows, and maps that are filtered beforehand": (
+        Row(
+            "PCSS",
+            (
+                "filter={type: pcss, samples: 64, search_samples: 32, max_radius: 40}",
+                "bias={plane: {type: receiver_plane, deepening: 0}}",
+            ),
+            "a penumbra as wide as the light makes it; the search is wide, so its taps must follow the plane",
+        ),
+        Row("Variance (VSM)", ("filter={type: vsm, radius: 4}",), "light bleeds where casters overlap"),
+        Row("VSM, bleeding reduced", ("filter={type: vsm, radius: 4, light_bleeding: 0.3}",), ""),
+        Row("Exponential (ESM)", ("filter={type: esm, radius: 4}",), ""),
+        Row("Exponential variance (EVSM)", ("filter={type: evsm, radius: 4}",), ""),
+        Row("Moments (MSM)", ("filter={type: msm, radius: 4, light_bleeding: 0.02}",), ""),
+    ),
+    "Without a depth map": (
+        Row("Shadow volumes, z-fail", ("technique={type: shadow_volumes}",), "exact hard shadows"),
+        Row("Shadow volumes, z-pass", ("technique={type: shadow_volumes, method: z_pass}",), "without caps"),
+        Row(
+            "Projective texture",
+            ("technique={type: projective_texture, resolution: [1024, 1024], blur: 4}", f"{PLANE}.casts=false"),
+            "casters do not shadow each other",
+        ),
+    ),
+}
+
+app = App(help=__doc__, help_format="plaintext", result_action="return_value")
+
+
+@app.default
+def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int = 15) -> None:
+    """Draws all techniques, and writes the page and its pictures.
+
+    Parameters
+    ----------
+    config
+        YAML file with the scene.
+    page
+        The page to write; pictures go to the folder images/gallery beside it.
+    repeats
+        Runs that each time is the median of.
+    """
+    console = Console(highlight=False)
+    settings = load_config(config)
+    scene = build_casting(settings)
+    truth = reference_of(settings, scene)
+    surface = raster.draw_surface(scene.scene.mesh, scene.scene.camera)
+    folder = page.parent / "images" / "gallery"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    write_reference(folder, settings, scene, surface, truth)
+    rows = [(section, row) for section, of in SECTIONS.items() for row in of]
+    results = []
+    for section, row in track(rows, "drawing", console=console, disable=not console.is_terminal):
+        result = draw(config, row, surface, truth, folder, repeats)
+        console.print(
+            f"{section}: {row.name}: RMSE {result.errors['rmse']:.4f}, {result.shadow_ms:.1f} ms", soft_wrap=True
+        )
+        results.append((section, row, result))
+    text = page_of(config, settings, scene, truth, results, repeats)
+    page.write_text(text, encoding="utf-8")
+    console.print(str(page))
+
+
+class Result(NamedTuple):
+    """What came of a technique: its errors, its picture's name, and milliseconds of drawing from the light and of the
+    visibility."""
+
+    errors: dict[str, float]
+    picture: str
+    light_ms: float
+    shadow_ms: float
+
+
+def draw(config: Path, row: Row, surface: raster.Surface, truth: Reference, folder: Path, repeats: int) -> Result:
+    """Draws, measures and times one technique."""
+    settings = load_config(config, row.overrides)
+    casting, technique = build_casting(settings), build_technique(settings, fitting=False)
+    from_light = study.draw_from_light(settings, technique, casting)
+    visibility = study.draw_visibility(technique, from_light, casting, surface)
+    image = np.asarray(visibility)
+    errors = metrics.measure_errors(image, truth.visibility, truth.mask).as_dict()
+    picture = f"{slug(row.name)}.png"
+    io.write_png(folder / picture, np.concatenate([grey(image, truth.mask), signed(image, truth)], axis=1))
+    return Result(
+        errors,
+        picture,
+        median_ms(lambda: study.draw_from_light(settings, technique, casting), repeats),
+        median_ms(lambda: study.draw_visibility(technique, from_light, casting, surface), repeats),
+    )
+
+
+def median_ms(run: Callable[[], Any], repeats: int) -> float:
+    """The median time of a run that has been compiled, in milliseconds."""
+    jax.block_until_ready(run())
+    seconds = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        jax.block_until_ready(run())
+        seconds.append(time.perf_counter() - started)
+    return 1e3 * statistics.median(seconds)
+
+
+def reference_of(settings: Config, casting: Casting) -> Reference:
+    """The traced truth, which is kept on disk and found again."""
+    sampling = (settings.reference.samples, settings.reference.sampler, settings.seed)  # type: ignore[union-attr]
+    traced = lambda: vars(trace_visibility(casting.scene, *sampling))
+    arrays = io.cached_arrays(cache_key(casting.scene, *sampling), traced)
+    return Reference(**{**arrays, "samples": int(arrays["samples"])})
+
+
+def write_reference(
+    folder: Path, settings: Config, casting: Casting, surface: raster.Surface, truth: Reference
+) -> None:
+    """Two pictures: the reference, and the scene shaded with it."""
+    io.write_png(folder / "reference.png", grey(truth.visibility, truth.mask))
+    scene = casting.scene
+    linear = build_shading(settings)(surface, jnp.asarray(truth.visibility), scene.light, scene.camera)
+    io.write_png(folder / "shaded.png", np.clip(np.asarray(linear), 0, 1) ** (1 / 2.2))
+
+
+def grey(visibility: Any, mask: Any) -> np.ndarray:
+    """A visibility image as grey colours, (h, w, 3)."""
+    shades = np.rint(visibility * (LEVELS - 1)) / (LEVELS - 1)
+    return np.repeat(np.where(mask, shades, NO_SURFACE)[..., None], 3, axis=-1)
+
+
+def signed(visibility: Any, truth: Reference) -> np.ndarray:
+    """The signed difference from the reference, (h, w, 3): orange too dark, purple too light."""
+    difference = np.where(truth.mask, visibility - truth.visibility, 0)
+    # An even number of steps, so that no difference is the neutral middle.
+    return colormaps["PuOr"](0.5 + 0.5 * np.rint(difference * LEVELS / 2) / (LEVELS / 2))[..., :3]
+
+
+def page_of(
+    config: Path,
+    settings: Config,
+    casting: Casting,
+    truth: Reference,
+    results: list[tuple[str, Row, Result]],
+    repeats: int,
+) -> str:
+    """The page in Markdown."""
+    height, width = settings.scene.camera.resolution
+    rows, columns = settings.shadow_map.resolution
+    device = jax.devices()[0]
+    lines = [
+        "# Gallery",
+        "",
+        f"One scene, {casting.scene.mesh.faces.shape[0]:,} triangles under a spot light with a size, by every "
+        f"technique; `make gallery` draws this page, from `{config}` and the values in each row. Left of each picture: "
+        "visibility. Right: its difference from the reference, orange where it is too dark and purple where it is too "
+        "light.",
+        "",
+        "![Reference](images/gallery/reference.png) ![Shaded with the reference](images/gallery/shaded.png)",
+        "",
+        f"The reference, traced with {truth.samples} rays a pixel (its own noise is {truth.noise_floor:.4f} RMSE), and "
+        "the scene shaded with it. Errors are those of visibility, under the light's true size: a technique that draws "
+        "hard shadows cannot reach it. False shadow is light that is missing outside of shadows (acne), false light is "
+        "light inside of them (leaks, Peter-panning).",
+        "",
+        f"Times are medians of {repeats} runs in milliseconds, compilation apart: *light* draws the map, the texture "
+        "or the table of edges, and *shadow* makes visibility of it. "
+        f"{width} × {height} pixels, {columns} × {rows} texels unless said, float32 (volumes: float64), JAX "
+        f"{jax.__version__} on {device.platform} ({platform.machine()}). They were taken on a machine that others used "
+        "too: compare them with each other only.",
+        "",
+    ]
+    for section in SECTIONS:
+        lines += [f"## {section}", ""]
+        lines += ["| | | RMSE | SSIM | false shadow | false light | light | shadow |"]
+        lines += ["|---|---|---|---|---|---|---|---|"]
+        for of, row, result in results:
+            if of == section:
+                lines.append(table_row(row, result))
+        lines.append("")
+    return "\n".join(lines)
+
+
+def table_row(row: Row, result: Result) -> str:
+    e = result.errors
+    said = "<br>".join([f"**{row.name}**", *([row.note] if row.note else []), *(f"`{o}`" for o in row.overrides)])
+    return (
+        f"| {said} | ![{row.name}](images/gallery/{result.picture}) | {e['rmse']:.4f} | {e['ssim']:.4f} | "
+        f"{e['false_shadow_rate']:.2%} | {e['false_light_rate']:.2%} | {result.light_ms:.1f} | {result.shadow_ms:.1f} |"
+    )
+
+
+def slug(name: str) -> str:
+    """A file's name."""
+    kept = "".join(c if c.isascii() and c.isalnum() else "-" for c in name.lower().replace("ñ", "n"))
+    return "-".join(filter(None, kept.split("-")))
+
+
+if __name__ == "__main__":
+    app()

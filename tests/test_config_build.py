@@ -1,0 +1,337 @@
+"""Configurations: the modules that they stand for."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffshadow.config import (
+    ConfigError,
+    build_casting,
+    build_fit,
+    build_scene,
+    build_shading,
+    build_technique,
+    fit_paths,
+    load_config,
+    parse_config,
+)
+from diffshadow.config._fitted import FILTERS
+from diffshadow.fit import resolve
+
+TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
+
+
+def build(*overrides: str, text: str = TINY):
+    return build_scene(parse_config(text, overrides))
+
+
+def test_builtin_names_are_those_of_the_library():
+    from diffshadow.config._scene import BUILTIN_MESHES
+    from diffshadow.geometry import LIBRARY
+
+    assert set(BUILTIN_MESHES) == set(LIBRARY)
+
+
+def test_mesh_is_sized_dropped_scaled_turned_and_moved():
+    text = "scene: {meshes: [{path: 'builtin:box', size: 2, drop_to_ground: true, scale: 0.5}]}"
+    moved = build("scene.meshes.0.translate=[1, 2, 3]", "scene.meshes.0.rotate=[90, 0, 90]", text=text)
+    # A unit cube on the ground; about x, up becomes +z; about z, +y becomes -x, and +z stays.
+    assert np.allclose(moved.mesh.bounds, [[0.5, 1.5, 3], [1.5, 2.5, 4]], atol=1e-6)
+
+
+def test_albedo_is_that_of_the_mesh():
+    text = "scene: {meshes: [{path: 'builtin:box', albedo: [1, 0, 0]}, {path: 'builtin:plane'}]}"
+    albedo = np.asarray(build(text=text).mesh.albedo)
+    assert np.array_equal(albedo[0], [1, 0, 0])
+    assert np.allclose(albedo[-1], 0.8)
+
+
+def test_camera_orbits_the_first_mesh_in_its_radii():
+    text = "scene: {meshes: [{path: 'builtin:box', translate: [1, 0, 0]}, {path: 'builtin:plane', options: {size: 9}}]}"
+    camera = build("scene.camera.orbit={azimuth: 90, elevation: 0, distance: 4}", text=text).camera
+    radius = math.sqrt(3) / 2
+    assert np.allclose(camera.target, [1, 0.5, 0], atol=1e-6)
+    assert np.allclose(camera.eye, [1 + 4 * radius, 0.5, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+def test_near_and_far_hold_the_scene_tightly(kind):
+    scene = build(f"scene.camera={{type: {kind}, eye: [0.2, 3, 4]}}")
+    view = scene.camera.view()
+    depth = -np.asarray(scene.mesh.vertices @ view.world_to_eye[2, :3] + view.world_to_eye[2, 3])
+    near, far = float(scene.camera.near), float(scene.camera.far)
+    assert near < depth.min()
+    assert depth.max() < far
+    assert far - near < 1.1 * (depth.max() - depth.min())
+
+
+def test_orthographic_camera_holds_the_whole_scene_by_default():
+    scene = build("scene.camera={type: orthographic, resolution: [64, 32]}")
+    clip = np.asarray(scene.camera.view().clip(scene.mesh.vertices))
+    reach = np.abs(clip[:, :2]).max()
+    assert 0.9 < reach <= 1
+
+
+def test_camera_inside_the_scene_keeps_its_near_clear_of_zero():
+    camera = build("scene.camera={eye: [0, 0.5, 0.05]}", text=TINY.replace("torus_knot", "sphere")).camera
+    assert float(camera.near) == pytest.approx(1e-3 * float(camera.far), rel=1e-5)
+
+
+def test_light_comes_from_where_its_angles_say():
+    light = build("scene.light={azimuth: 90, elevation: 0}").light
+    assert np.allclose(light.direction, [-1, 0, 0], atol=1e-6)
+    light = build("scene.light={direction: [0, -2, 0], angular_radius: 0.5}").light
+    assert np.allclose(light.direction, [0, -2, 0])
+    assert float(light.angular_radius) == 0.5
+
+
+def test_spot_light_takes_its_overrides():
+    light = build("scene.light={type: spot, position: [0, 5, 0], near: 1, far: 9, outer_angle: 30, radius: 0.1}").light
+    assert (float(light.near), float(light.far), float(light.outer_angle)) == (1, 9, 30)
+    orbit = build("scene.light={type: spot, orbit: {elevation: 90, distance: 9}}").light
+    assert orbit.position[1] > 3
+    assert 0 < float(orbit.near) < float(orbit.far)
+
+
+def test_faults_found_while_building_name_line_and_key():
+    text = """\
+scene:
+  meshes:
+    - path: builtin:box
+      options: {sise: 3}
+    - path: builtin:plane
+      options: {size: -3}
+"""
+    with pytest.raises(ConfigError) as caught:
+        build(text=text)
+    first, second = (str(problem) for problem in caught.value.problems)
+    assert first.startswith("configuration:3: scene.meshes.0: box has no option 'sise'")
+    assert second.startswith("configuration:5: scene.meshes.1: plane: size is -3")
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("scene.camera={eye: [0, 3, 0], target: [0, 3, 0]}", "scene.camera: the camera's eye and target are both"),
+        ("scene.camera={eye: [0, 3, 0], target: [0, 9, 0]}", "scene.camera: the whole scene lies behind the camera"),
+        ("scene.camera.near=1e6", "scene.camera: the camera has near = 1000000.0"),
+        ("scene.light={type: spot, position: [0, 0.3, 0]}", "scene.light: the spot light at"),
+    ],
+)
+def test_poses_that_cannot_be_are_told_with_their_key(override, said):
+    with pytest.raises(ConfigError) as caught:
+        build(override)
+    assert str(caught.value).startswith(f"override {override!r}: {said}")
+
+
+def test_damaged_mesh_file_is_told_with_line_and_key(tmp_path):
+    (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    file = tmp_path / "c.yaml"
+    file.write_text("scene:\n  meshes:\n    - path: nan.obj\n")
+    with pytest.raises(ConfigError) as caught:
+        build_scene(load_config(file))
+    assert str(caught.value).startswith(f"{file}:3: scene.meshes.0: ")
+
+
+@pytest.mark.parametrize(
+    ("override", "filter_name", "compare_name"),
+    [
+        ("filter={type: nearest}", "Nearest", "HardCompare"),
+        ("filter={type: bilinear}", "Bilinear", "HardCompare"),
+        ("filter={type: four_tap, radius: 1.5}", "FourTap", "HardCompare"),
+        ("filter={type: pcf, radius: 3}", "PercentageCloser", "HardCompare"),
+        ("filter={samples: 6, lookup: nearest, early_out: true}", "RandomDisk", "HardCompare"),
+        ("compare={type: soft, width: 0.2, kernel: gaussian}", "RandomDisk", "SoftCompare"),
+        ("filter={type: tent, radius: 3}", "Tent", "HardCompare"),
+        ("filter={type: castano, size: 7}", "Castano", "HardCompare"),
+        ("filter={type: pcss, light_size: 0.1}", "PercentageCloserSoft", "HardCompare"),
+        ("filter={type: vsm, kernel: gaussian}", "VarianceShadowMap", "HardCompare"),
+        ("filter={type: esm, exponent: 40}", "ExponentialShadowMap", "HardCompare"),
+        ("filter={type: evsm, radius: 3}", "ExponentialVarianceShadowMap", "HardCompare"),
+        ("filter={type: msm, light_bleeding: 0.1}", "MomentShadowMap", "HardCompare"),
+    ],
+)
+def test_technique_is_what_the_config_says(override, filter_name, compare_name):
+    technique = build_technique(parse_config(TINY, [override, "bias.slope=2"]))
+    assert type(technique.filter).__name__ == filter_name
+    assert type(technique.compare).__name__ == compare_name
+    assert float(technique.bias.slope.value) == 2
+
+
+def test_box_filter_has_room_for_the_radii_of_its_fit():
+    config = parse_config(
+        TINY, ["filter={type: pcf, radius: 2}", "fit.parameters={filter.radius: {lower: 0, upper: 7}}"]
+    )
+    assert build_technique(config).filter.max_radius == 7
+    assert build_technique(config, fitting=False).filter.max_radius == 2
+
+
+def test_fit_plan_is_what_the_config_says():
+    overrides = ["bias.slope=2", "fit.parameters.bias.slope={lower: 0, upper: 3}", "fit.solver.max_steps=7"]
+    plan = build_fit(parse_config(TINY, [*overrides, "fit.anneal={start: 1, end: 0.1, phases: 2}"]))
+    (slope,) = plan.parameters
+    assert (slope.name, float(slope.initial), float(slope.lower), float(slope.upper)) == ("bias.slope", 2, 0, 3)
+    assert plan.solver.max_steps == 7
+    assert (float(plan.anneal.start), float(plan.anneal.end), plan.anneal.phases) == (1, 0.1, 2)
+
+
+def technique_of(*overrides: str):
+    return build_technique(parse_config(TINY, overrides))
+
+
+def test_every_filter_s_settings_reach_its_module():
+    for kind, section in FILTERS.items():
+        config = parse_config(TINY, [f"filter={{type: {kind}}}"])
+        built = build_technique(config).filter
+        for key in section.model_fields:
+            if key in ("type", "pattern", "samples", "pattern_size", "rotated", "search_samples"):
+                continue
+            given, found = getattr(config.filter, key), getattr(built, key)
+            assert found == given or float(found) == pytest.approx(given), (kind, key)
+
+
+@pytest.mark.parametrize("pattern", ["stratified", "uniform", "poisson", "vogel", "sobol", "halton"])
+def test_patterns_are_those_of_the_config(pattern):
+    small = "samples: 7, pattern_size: 2"
+    disk = technique_of(f"filter={{pattern: {pattern}, {small}}}").filter
+    assert disk.pattern.offsets.shape == (7, 2, 2, 2)
+    assert disk.pattern.rotated == (pattern == "vogel")
+    soft = technique_of(f"filter={{type: pcss, pattern: {pattern}, {small}, search_samples: 5, rotated: true}}").filter
+    assert (soft.pattern.samples, soft.search.samples) == (7, 5)
+    assert soft.search.rotated
+    other = technique_of(f"filter={{pattern: {pattern}, {small}}}", "seed=1").filter
+    assert not np.array_equal(other.pattern.offsets, disk.pattern.offsets)
+
+
+def test_biases_are_those_of_the_config():
+    bias = technique_of(
+        "bias={constant: 1, slope: 2, slope_profile: one_minus_cosine, slope_least: 0.5, slope_most: 3, "
+        "normal_offset: 4, normal_offset_profile: constant, plane: {type: receiver_plane, fudge: 0.1, deepening: 2}}"
+    ).bias
+    assert (float(bias.constant.value), bias.constant.unit) == (1, "texels")
+    assert (float(bias.slope.value), float(bias.slope.least), float(bias.slope.most)) == (2, 0.5, 3)
+    assert (bias.slope.profile, bias.normal_offset.profile) == ("one_minus_cosine", "constant")
+    assert (float(bias.normal_offset.value), float(bias.plane.fudge)) == (4, pytest.approx(0.1))
+    assert (bias.plane.limit, float(bias.plane.deepening)) == (None, 2)
+    in_depth = technique_of("bias={constant: 0.001, unit: depth, plane: {type: adaptive, epsilon: 0.2}}").bias
+    assert (in_depth.constant.unit, in_depth.slope.unit) == ("depth", "depth")
+    assert float(in_depth.plane.epsilon) == pytest.approx(0.2)
+
+
+def test_technique_follows_its_type():
+    assert type(technique_of()).__name__ == "ShadowMapping"
+    volumes = technique_of("technique={type: shadow_volumes, method: z_pass}")
+    assert (type(volumes).__name__, volumes.method) == ("ShadowVolumes", "z_pass")
+    text = "scene: {meshes: [{path: 'builtin:box'}, {path: 'builtin:plane', casts: false}]}"
+    projected = build_technique(parse_config(text, ["technique={type: projective_texture}"]))
+    assert type(projected).__name__ == "ProjectiveShadow"
+
+
+def test_everything_that_can_be_fitted_is_in_the_module_and_has_its_unit():
+    for kind in FILTERS:
+        for plane in ("none", "receiver_plane", "adaptive"):
+            text = f"{TINY}filter: {{type: {kind}}}\nbias: {{plane: {{type: {plane}}}}}\n"
+            names = fit_paths(parse_config(text))
+            # Those that are not set get their start from the fit.
+            bounds = "".join(f"    {name}: {{initial: {start(name)}, lower: 0.1, upper: 0.9}}\n" for name in names)
+            config = parse_config(f"{text}fit:\n  parameters:\n{bounds}")
+            technique, plan = build_technique(config), build_fit(config)
+            assert [p.name for p in plan.parameters] == list(names)
+            for parameter in plan.parameters:
+                found = resolve(technique, parameter.where)
+                assert jnp.shape(found) == ()
+                assert parameter.unit == ("texels" if parameter.name in TEXELS else ""), parameter.name
+
+
+TEXELS = {
+    *("bias.constant", "bias.slope", "bias.slope_least", "bias.slope_most", "bias.normal_offset"),
+    *("bias.plane.limit", "bias.plane.deepening", "bias.plane.epsilon", "filter.radius", "filter.min_radius"),
+}
+
+
+def start(name: str) -> float:
+    return 0.1 if name == "bias.slope_least" else 0.5
+
+
+def test_lights_are_those_of_the_config():
+    scene = build(
+        "scene.light=null",
+        "scene.lights=[{}, {type: spot, orbit: {}, inner_angle: 5, outer_angle: 20}, "
+        "{type: point, position: [0, 2, 0], radius: 0.1, guard: 0.2, near: 0.5, far: 9}, "
+        "{type: rectangle, position: [1, 3, 0], size: [0.4, 0.2], target: [0, 0, 0], outer_angle: 30}]",
+    )
+    sun, spot, point, panel = scene.lights
+    assert sun.is_directional
+    assert (float(spot.inner_angle), float(spot.outer_angle)) == (5, 20)
+    assert (float(point.near), float(point.far)) == (0.5, 9)
+    assert (float(point.radius), float(point.guard)) == pytest.approx((0.1, 0.2))
+    assert np.allclose(panel.size, [0.4, 0.2])
+    assert float(panel.outer_angle) == 30
+
+
+def test_point_light_inside_the_scene_is_fine():
+    light = build("scene.light={type: point, position: [0, 0.3, 0], near: 50, far: 60}").light
+    assert float(light.near) == 50
+
+
+def test_mistakes_of_one_of_several_lights_name_it():
+    lights = "scene.lights=[{}, {type: spot, position: [0, 5, 0], near: 3, far: 9}, {type: spot, position: [0, 0, 0]}]"
+    with pytest.raises(ConfigError, match=r"scene\.lights\.2: the spot light"):
+        build("scene.light=null", lights)
+
+
+CASTING = """\
+scene:
+  meshes:
+    - path: builtin:plane
+    - path: builtin:box
+      casts: {box}
+shadow_map: {{cull: front}}
+"""
+
+
+def test_open_caster_is_refused_where_back_faces_cast_for_it():
+    with pytest.raises(ConfigError) as caught:
+        build_casting(parse_config(CASTING.format(box="true"), source="file.yaml"))
+    assert str(caught.value).startswith(
+        "file.yaml:3: scene.meshes.0: is an open mesh that casts shadows, while shadow_map.cull is front; expected "
+        "closed meshes, whose back faces can cast for them: set casts: false if it only receives"
+    )
+    volumes = parse_config(CASTING.format(box="true"), ["technique.type=shadow_volumes"])
+    assert build_casting(volumes).receivers is None
+
+
+def test_casters_and_receivers_are_told_apart():
+    casting = build_casting(parse_config(CASTING.format(box="false"), ["shadow_map.cull=none"]))
+    assert casting.casters.faces.shape == (2, 3)
+    assert casting.receivers is not None
+    assert casting.receivers.faces.shape == (12, 3)
+    assert casting.scene.mesh.faces.shape == (14, 3)
+    assert casting.casts.tolist() == [True] * 2 + [False] * 12
+
+
+def test_fit_of_a_technique_without_a_gradient_is_refused():
+    config = parse_config(f"technique:\n  type: shadow_volumes\n{TINY}", source="file.yaml")
+    with pytest.raises(ConfigError) as caught:
+        build_fit(config)
+    assert str(caught.value).startswith(
+        "file.yaml:2: technique.type: is shadow_volumes, whose visibility is whole numbers without a gradient; "
+        "expected shadow_map"
+    )
+
+
+def test_shading_is_that_of_the_config():
+    phong = build_shading(parse_config(TINY, ["shading={ambient: 0.1, model: phong, attenuation: {quadratic: 0.5}}"]))
+    assert phong.model == "phong"
+    assert np.allclose(phong.ambient, 0.1)
+    assert np.allclose(phong.intensity, 0.7)
+    assert float(phong.attenuation.quadratic) == 0.5
+    lights = ["scene.light=null", "scene.lights=[{}, {}]"]
+    modulated = build_shading(parse_config(TINY, ["shading={type: modulated, factor: 0.25}", *lights]))
+    assert float(modulated.factor) == 0.25
+    # Two lights share what one would have.
+    assert np.allclose(modulated.lit.intensity, 0.35)
+    coloured = build_shading(parse_config(TINY, ["shading.intensity=[1, 0.5, 0]"]))
+    assert np.allclose(coloured.intensity, [1, 0.5, 0])
