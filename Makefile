@@ -13,7 +13,7 @@ UV := uv
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit gallery test lint types constraints clean
+.PHONY: help setup fit gallery test test-all lint types constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -29,6 +29,9 @@ gallery: $(STAMP) ## draw every technique into docs/gallery.md (takes minutes)
 
 test: $(STAMP) ## run the tests (ARGS="-k pcf")
 	$(BIN)/python -m pytest $(ARGS)
+
+test-all: $(STAMP) ## run the exhaustive tests too, which takes minutes more
+	$(BIN)/python -m pytest -m '' $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check .

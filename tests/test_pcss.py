@@ -104,6 +104,7 @@ def test_blockers_and_penumbra_of_flat_maps_follow_from_the_formulas():
             np.testing.assert_allclose(bounded, low or high, rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_search_finds_all_that_can_hide_the_light_and_nothing_else():
     """A row of texels that block at the near plane, as seen from receivers at growing distance from it."""
     light = DirectionalLight((0, 0, -1), (0, 0, 0), (64, 64), 0, 64, angular_radius=20.0)
@@ -246,6 +247,7 @@ def slopes_of_sum(arguments):
     return jnp.sum(kernel(shadow_map, lookup, SoftCompare(width)))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", ["directional", "spot"])
 def test_no_gradient_is_nan_or_infinite(light):
     rng = np.random.default_rng(8)

@@ -84,6 +84,7 @@ def test_blur_keeps_constants_and_spreads_the_map_across_its_border(kernel, rng)
     assert (wide[:, blur.margin - 1, blur.margin : -blur.margin] > 0).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
 def test_blur_does_not_depend_on_the_largest_radius(kernel, rng):
     values = jnp.asarray(rng.random((9, 11)), jnp.float32)
@@ -251,6 +252,7 @@ def slopes_of_sum(arguments):
     return sum(jnp.sum(kernel(ShadowMap(depth, SUN), lookup, HARD)) for kernel in kernels)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
 def test_no_gradient_is_nan_or_infinite(kernel, rng):
     lookup = random_lookups(rng)

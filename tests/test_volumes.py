@@ -142,6 +142,7 @@ def test_visibility_is_that_of_float64_rays_beyond_a_thousandth_of_a_pixel(name,
     assert_right(visibility, expected.visibility, truth, f"{method} of {name} under the {light}")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "light", "camera", "method"), SCENES)
 def test_counts_are_the_faces_between_a_point_and_the_light(name, light, camera, method):
     _, truth, solid, (_, counts) = case(name, light, camera, method)
