@@ -26,12 +26,13 @@ def concrete(x: Any) -> np.ndarray | None:
 
 def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]:
     """Dot product over the last axis."""
-    return jnp.sum(a * b, axis=-1)
+    # Written out: XLA fuses sums with what is round them, but no reductions.
+    return sum(a[..., i] * b[..., i] for i in range(1, a.shape[-1])) + a[..., 0] * b[..., 0]
 
 
 def safe_norm(x: Float[Array, "*n d"]) -> Float[Array, "*n"]:
     """Euclidean norm over the last axis, with a zero instead of a NaN gradient at 0."""
-    squared = jnp.sum(x * x, axis=-1)
+    squared = dot(x, x)
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 

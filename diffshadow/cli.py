@@ -9,14 +9,14 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 from cyclopts import App, CycloptsError
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .config import Config, ConfigError, describe, load_config
+from .config import Config, ConfigError, describe, load_config, load_sweep
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: done; a mistake in what was asked for; stopped by Ctrl-C."""
@@ -119,6 +119,97 @@ def validate(config: Path, /, *overrides: str) -> None:
     console.print(Text(f"{config} is valid; its scene has {triangles:,} triangles"), soft_wrap=True)
 
 
+@app.command
+def sweep(
+    config: Path,
+    /,
+    *overrides: str,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    limit: int | None = None,
+    dry_run: bool = False,
+) -> None:
+    """Does the many runs that the section `sweep` of CONFIG describes, and gathers their results in one table.
+
+    Started again, it does what is missing or has failed. The path of the sweep's folder is the last line printed.
+
+    Example: `diffshadow sweep configs/sweep_small.yaml --dry-run`
+
+    Parameters
+    ----------
+    config
+        YAML file with a section `sweep`.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `sweep.repeats=2`.
+    scheduler
+        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this package and see the same files.
+    workers
+        Local worker processes, by default one for each core; 0 does the runs in this process.
+    limit
+        Runs to do at most.
+    dry_run
+        Only list what would be done.
+    """
+    _at_least("--workers", workers, 0)
+    _at_least("--limit", limit, 1)
+    plan = load_sweep(config, overrides)
+    _keep_compiled_programs()
+    from . import study
+
+    if dry_run:
+        study.print_plan(_console(), plan, limit)
+        return
+    done = study.run_sweep(plan, console=_console(), scheduler=scheduler, workers=workers, limit=limit)
+    _console().print(Text(str(done)), soft_wrap=True)
+
+
+@app.command
+def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = None, dpi: int = 150) -> None:
+    """Writes the page of a finished run or sweep again, from the files in FOLDER alone.
+
+    The path of the page is the last line printed.
+
+    Example: `diffshadow report runs/quickstart --figures pdf`
+
+    Parameters
+    ----------
+    folder
+        Folder of a fit, a render or a sweep.
+    figures
+        Also write the run's figures again, in this format; the shadow map and debug views stay as they are.
+    dpi
+        Pixels an inch in these figures.
+    """
+    from . import study
+
+    _console().print(Text(str(study.report(folder, form=figures, dpi=dpi))), soft_wrap=True)
+
+
+@app.command
+def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("compare.html")) -> None:
+    """Prints what differs between finished runs, and writes a page with their images side by side.
+
+    The path of the page is the last line printed.
+
+    Example: `diffshadow compare runs/quickstart runs/spot --output comparison.html`
+
+    Parameters
+    ----------
+    first
+        Folder of a fit or a render.
+    second
+        Another one.
+    more
+        Further ones.
+    output
+        Where the page is written; what is there is replaced.
+    """
+    from . import study
+
+    console = _console()
+    console.print(Text(str(study.compare([first, second, *more], output, console=console))), soft_wrap=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs the command with `arguments`, by default the process's, and exits.
 
@@ -157,6 +248,11 @@ def _build_everything(config: Config) -> int:
     if config.technique.type == "shadow_map":
         build_fit(config)
     return scene.mesh.faces.shape[0]
+
+
+def _at_least(option: str, value: int | None, least: int) -> None:
+    if value is not None and value < least:
+        raise ValueError(f"{option} is {value}; expected a whole number at least {least}, or nothing: leave it out")
 
 
 def _keep_compiled_programs() -> None:

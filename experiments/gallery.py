@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import _common as common
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +30,7 @@ from rich.progress import track
 
 from diffshadow import io, metrics, raster, study
 from diffshadow.config import Casting, Config, build_casting, build_shading, build_technique, load_config
-from diffshadow.reference import Reference, cache_key, trace_visibility
+from diffshadow.reference import Reference
 
 NO_SURFACE = 0.85
 """Grey of pixels that count in no error."""
@@ -168,7 +169,7 @@ def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int 
     console = Console(highlight=False)
     settings = load_config(config)
     scene = build_casting(settings)
-    truth = reference_of(settings, scene)
+    truth = common.truth_of(settings, scene)
     surface = raster.draw_surface(scene.scene.mesh, scene.scene.camera)
     folder = page.parent / "images" / "gallery"
     shutil.rmtree(folder, ignore_errors=True)
@@ -224,14 +225,6 @@ def median_ms(run: Callable[[], Any], repeats: int) -> float:
         jax.block_until_ready(run())
         seconds.append(time.perf_counter() - started)
     return 1e3 * statistics.median(seconds)
-
-
-def reference_of(settings: Config, casting: Casting) -> Reference:
-    """The traced truth, which is kept on disk and found again."""
-    sampling = (settings.reference.samples, settings.reference.sampler, settings.seed)  # type: ignore[union-attr]
-    traced = lambda: vars(trace_visibility(casting.scene, *sampling))
-    arrays = io.cached_arrays(cache_key(casting.scene, *sampling), traced)
-    return Reference(**{**arrays, "samples": int(arrays["samples"])})
 
 
 def write_reference(

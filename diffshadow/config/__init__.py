@@ -58,6 +58,15 @@ from ._shading import AttenuationConfig as AttenuationConfig
 from ._shading import ModulatedConfig as ModulatedConfig
 from ._shading import PhongConfig as PhongConfig
 from ._shading import ShadingConfig as ShadingConfig
+from ._sweep import LABEL as LABEL
+from ._sweep import LIMIT_ERROR as LIMIT_ERROR
+from ._sweep import PlotConfig as PlotConfig
+from ._sweep import QuasiRandomAxisConfig as QuasiRandomAxisConfig
+from ._sweep import QuasiRandomConfig as QuasiRandomConfig
+from ._sweep import SweepConfig as SweepConfig
+from ._sweep_runs import Sweep as Sweep
+from ._sweep_runs import SweepRun as SweepRun
+from ._sweep_runs import load_sweep as load_sweep
 from ._technique import CompareConfig as CompareConfig
 from ._technique import HardCompareConfig as HardCompareConfig
 from ._technique import ProjectiveTextureConfig as ProjectiveTextureConfig

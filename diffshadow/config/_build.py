@@ -18,7 +18,8 @@ from ._build_technique import build_bias, build_compare, build_filter
 from ._dump import fit_units
 from ._errors import ConfigError, KeyPath, Place, Problem, dotted
 from ._fitted import fit_paths
-from ._schema import Config
+from ._poses import is_pose, pose_of
+from ._schema import Config, FitParameterConfig
 from ._shading import ModulatedConfig
 from ._technique import ProjectiveTextureConfig, ShadowVolumesConfig
 
@@ -30,11 +31,20 @@ Technique = shadow.ShadowMapping | shadow.ShadowVolumes | shadow.ProjectiveShado
 
 
 class FitPlan(NamedTuple):
-    """What is fitted, by which solver, and how the compare's width shrinks meanwhile."""
+    """What is fitted, by which solver, and how the compare's width shrinks meanwhile.
+
+    - `arrangement`: technique, lights and meshes as the scene says, where lights or meshes are moved; else none.
+    - `levels`, `starts`: of a fit that moves them, as `fit.fit` takes them.
+    - `truth`: the scene's own values of what is moved, by name, where the reference is traced from it.
+    """
 
     parameters: list[fit.Parameter]
     solver: fit.Solver
     anneal: fit.Anneal
+    arrangement: fit.Arrangement | None = None
+    levels: tuple[int, ...] | None = None
+    starts: int = 1
+    truth: dict[str, float] = {}  # noqa: RUF012
 
 
 class Casting(NamedTuple):
@@ -43,12 +53,14 @@ class Casting(NamedTuple):
     - `casters`: the meshes that cast.
     - `receivers`: those that only receive, or none.
     - `casts`: (f,), which faces of the scene's mesh are the casters'.
+    - `meshes`: those of the scene one by one, in the configuration's order.
     """
 
     scene: geometry.Scene
     casters: geometry.Mesh
     receivers: geometry.Mesh | None
     casts: Bool[Array, " f"]
+    meshes: tuple[geometry.Mesh, ...] = ()
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -89,6 +101,7 @@ def build_casting(config: Config) -> Casting:
         geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does]),
         geometry.merge(receivers) if receivers else None,
         jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
+        tuple(meshes),
     )
 
 
@@ -141,24 +154,69 @@ def build_shading(config: Config) -> shading.AbstractShading:
         return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedConfig) else phong
 
 
-def build_fit(config: Config) -> FitPlan:
+def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
     """The parameters to fit, the solver and the annealing of `config`.
+
+    **Arguments:**
+
+    - `casting`: the scene of `config`, if it is there already; only a fit that moves lights or meshes asks for it.
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
     """
     if config.technique.type != "shadow_map":
         raise ConfigError([Problem(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
-    parameters, paths, units = [], fit_paths(config), fit_units(config)
-    for name, bounds in config.fit.parameters.items():
-        with _blame(config, ("fit", "parameters", name)):
-            start = config.initial(name)
-            parameters.append(fit.Parameter(name, start, bounds.lower, bounds.upper, units[name], paths[name]))
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
-        built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol)
+        built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate)
     with _blame(config, ("fit", "anneal")):
         built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
-    return FitPlan(parameters, built_solver, built_anneal)
+    arrangement = None
+    if any(is_pose(name) for name in config.fit.parameters):
+        casting = build_casting(config) if casting is None else casting
+        arrangement = build_arrangement(config, casting)
+    parameters, truth, units = [], {}, fit_units(config)
+    for name, bounds in config.fit.parameters.items():
+        with _blame(config, ("fit", "parameters", name)):
+            path, start = _start(config, name, arrangement)
+            start, limits = _within(start, bounds, units[name]), (bounds.lower, bounds.upper)
+            if is_pose(name) and config.reference.type == "traced":
+                truth[name] = start
+            start = start if bounds.initial is None else bounds.initial
+            parameters.append(fit.Parameter(name, start, *limits, units[name], path))
+    return FitPlan(parameters, built_solver, built_anneal, arrangement, config.fit.levels, config.fit.multistart, truth)
+
+
+def build_arrangement(config: Config, casting: Casting) -> fit.Arrangement:
+    """The technique of `config`, and its lights and meshes as they stand.
+
+    **Raises** `ConfigError` for a vertex to fit that its mesh does not have.
+    """
+    poses = []
+    for i, (mesh, section) in enumerate(zip(casting.meshes, config.scene.meshes, strict=True)):
+        named = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
+        vertices = {
+            pose.vertex[1]: name for name, pose in named.items() if pose and pose.vertex and pose.vertex[0] == i
+        }
+        for vertex, name in vertices.items():
+            with _blame(config, ("fit", "parameters", name)):
+                fit.MeshPose.of(mesh, (vertex,))
+        poses.append(fit.MeshPose.of(mesh, tuple(vertices), section.translate))
+    return fit.Arrangement.of(build_shadow_mapping(config), casting.scene.lights, poses)
+
+
+def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tuple[str, float]:
+    """Where the parameter `name` is in what is fitted, and what the configuration sets it to."""
+    pose = pose_of(config, name) if is_pose(name) else None
+    if pose is not None:
+        return pose.path, float(fit.resolve(arrangement, pose.path))
+    path = fit_paths(config)[name]
+    return path if arrangement is None else f"technique.{path}", config.initial(name)
+
+
+def _within(value: float, bounds: FitParameterConfig, unit: str) -> float:
+    """An angle turned by whole turns, so that it lies within its bounds if it can."""
+    turned = bounds.lower + (value - bounds.lower) % 360
+    return turned if unit == "degrees" and turned <= bounds.upper else value
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import yaml
 from ._errors import KeyPath, dotted, show
 from ._fitted import fit_paths
 from ._keys import ROOT, Slot, keys_of, slot_of
+from ._poses import is_pose, pose_of
 from ._schema import Config
 from ._section import Section
 from ._yaml import plain_scalar
@@ -39,13 +40,14 @@ def describe(config: Config) -> list[Row]:
 
 
 def fit_units(config: Config) -> dict[str, str]:
-    """The unit of every number that the technique of `config` can fit, by its key."""
+    """The unit of every number that the technique of `config` can fit, and of those of its scene that it does."""
     units = {}
     for name in fit_paths(config):
         *holders, key = name.split(".")
         section = reduce(getattr, holders, config)
         units[name] = section.units().get(key, slot_of(type(section).model_fields[key]).unit)
-    return units
+    moved = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
+    return units | {name: pose.unit for name, pose in moved.items() if pose is not None}
 
 
 def _plain(value: Any) -> Any:

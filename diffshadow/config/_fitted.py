@@ -8,6 +8,7 @@ from pydantic_core import PydanticCustomError
 from ._biases import BiasConfig, PlaneConfig
 from ._errors import did_you_mean, listing, show
 from ._filters import FilterConfig
+from ._poses import is_pose, pose_faults
 from ._section import Conflict, Fitted, Section, fault, is_number, look, variants_of
 
 FILTERS = variants_of(FilterConfig)
@@ -49,6 +50,9 @@ def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Confl
     known = fit_paths(data)
     for name, parameter in parameters.items():
         path = ("fit", "parameters", name)
+        if is_pose(name):
+            yield from ((path, what) for what in pose_faults(data, name, look(parameter, "lower")))
+            continue
         if name not in known:
             yield path, _no_such_parameter(name, tuple(known), data)
             continue

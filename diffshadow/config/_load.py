@@ -4,7 +4,7 @@ import difflib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -14,6 +14,18 @@ from ._problems import problems_of
 from ._scene import BUILTIN, BUILTIN_MESHES
 from ._schema import Config, Origin
 from ._yaml import read_yaml
+
+
+class Draft(NamedTuple):
+    """A configuration as it was written, and what is wrong with it so far.
+
+    - `folder`: what relative paths in the file are relative to.
+    """
+
+    data: dict[str, Any]
+    origin: Origin
+    folder: Path
+    problems: list[Problem]
 
 
 def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Config:
@@ -29,16 +41,7 @@ def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> 
 
     **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
     """
-    file = Path(path)
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = error.object.count(b"\n", 0, error.start) + 1
-        message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
-        raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
-    except OSError as error:
-        raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
-    return parse_config(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
+    return _single(checked(load_draft(path, overrides)))
 
 
 def parse_config(
@@ -59,6 +62,30 @@ def parse_config(
 
     **Raises** `ConfigError` with everything that is wrong.
     """
+    return _single(checked(parse_draft(text, overrides, source=source, folder=folder, name=name)))
+
+
+def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
+    """What the YAML file `path` and `overrides` say, unchecked.
+
+    **Raises** `ConfigError` if the file cannot be read, or is no YAML.
+    """
+    file = Path(path)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
+        raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
+    except OSError as error:
+        raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
+    return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
+
+
+def parse_draft(
+    text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
+) -> Draft:
+    """What YAML `text` and `overrides` say, unchecked; arguments as of `parse_config`."""
     data, places, problems = read_yaml(text, lambda line, column: Place(source, line, column))
     places = {**places, (): Place(source, 1, 1)}
     if data is None:
@@ -68,8 +95,16 @@ def parse_config(
         raise ConfigError([*problems, Problem(places[()], "", message)])
     problems += apply_overrides(data, places, overrides)
     data.setdefault("name", name)
-    origin = Origin(source, places)
-    problems += _resolve_files(data, origin, Path(folder))
+    return Draft(data, Origin(source, places), Path(folder), problems)
+
+
+def checked(draft: Draft) -> Config:
+    """The configuration that `draft` stands for, whose data this completes.
+
+    **Raises** `ConfigError` with everything that is wrong.
+    """
+    data, origin = draft.data, draft.origin
+    problems = [*draft.problems, *_resolve_files(data, origin, draft.folder)]
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
@@ -81,6 +116,16 @@ def parse_config(
         raise ConfigError(problems)
     config._origin = origin
     return config
+
+
+def _single(config: Config) -> Config:
+    """`config`, unless it stands for many runs."""
+    if config.sweep is None:
+        return config
+    message = (
+        "makes many runs of this file; expected a single run; start it with diffshadow sweep, or override sweep=null"
+    )
+    raise ConfigError([Problem(config.origin.place(("sweep",)), "sweep", message)])
 
 
 def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Problem]:

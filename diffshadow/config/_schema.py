@@ -1,5 +1,6 @@
 """The whole configuration of a run."""
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -11,9 +12,11 @@ from ._errors import KeyPath, Place, dotted
 from ._filters import FilterConfig, RandomDiskConfig
 from ._fitted import outside, parameter_faults, start_of
 from ._lights import PointLightConfig
+from ._poses import is_pose
 from ._scene import SceneConfig
-from ._section import Conflict, Section, Texels, Unit, by_type, fault, is_number, look, ordered
+from ._section import Conflict, Form, Section, Texels, Unit, as_list, by_type, fault, is_number, look, ordered
 from ._shading import PhongConfig, ShadingConfig
+from ._sweep import SweepConfig
 from ._technique import (
     CompareConfig,
     HardCompareConfig,
@@ -73,7 +76,10 @@ ReferenceConfig = Annotated[
 
 
 class FitParameterConfig(Section):
-    """A number to fit, in the unit of the key that it names, and its bounds."""
+    """A number to fit, in the unit of the key that it names, and its bounds.
+
+    Of the scene's numbers, those that light and meshes have by `scene` are the truth, if the reference is traced.
+    """
 
     initial: float | None = Field(
         default=None, description="where the fit starts; default: the value of the key it names"
@@ -92,12 +98,15 @@ class FitParameterConfig(Section):
 class SolverConfig(Section):
     """The optimizer."""
 
-    type: Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs"] = Field(
+    type: Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"] = Field(
         default="levenberg_marquardt", description="the method"
     )
     max_steps: Annotated[int, Unit("steps")] = Field(default=30, ge=1, description="most steps in a phase")
     rtol: float = Field(default=1e-4, gt=0, lt=1, description="relative change at which a phase ends")
     atol: float = Field(default=1e-6, gt=0, description="absolute change at which a phase ends")
+    learning_rate: float = Field(
+        default=0.05, gt=0, description="of adam alone: length of its first steps, where the bounds lie pi apart"
+    )
 
 
 class AnnealConfig(Section):
@@ -129,12 +138,30 @@ class FitConfig(Section):
     )
     solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
     anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
+    levels: Annotated[tuple[int, ...], as_list, Form("a list of whole numbers that fall to 1")] | None = Field(
+        default=None,
+        description="of lights and meshes: how many pixels a side make one, phase by phase; default: [8, 1]",
+    )
+    multistart: Annotated[int, Unit("starts")] = Field(
+        default=1, ge=1, le=1024, description="starts that are tried: the initial values, and others over the bounds"
+    )
+    silhouettes: bool = Field(
+        default=True, description="of lights and meshes: whether derivatives see the shadow's outline move"
+    )
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        if data.get("parameters") == {}:
+        parameters, levels = data.get("parameters"), data.get("levels")
+        if parameters == {}:
             mend = "add 'bias.constant: {lower: 0, upper: 10}'"
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
+        if isinstance(levels, list | tuple) and all(isinstance(n, int) for n in levels):
+            if not levels or levels[-1] != 1 or any(a <= b for a, b in itertools.pairwise(levels)):
+                said = "does not fall to 1" if levels else "is empty"
+                yield ("levels",), fault(said, "whole numbers that do", "write a list such as [8, 1]")
+            elif not any(is_pose(str(name)) for name in parameters or ()):
+                mend = "remove the key, or name a number of the scene, such as scene.light.azimuth"
+                yield ("levels",), fault("is given, and nothing moves", "a parameter of light or mesh with it", mend)
 
 
 def _file_name(name: str) -> str:
@@ -159,6 +186,7 @@ class Config(Section):
     shading: ShadingConfig = Field(default_factory=PhongConfig, description="how the pictures are shaded")
     reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="the truth to fit to")
     fit: FitConfig = Field(default_factory=FitConfig, description="what is fitted, and how")
+    sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
     output: str = Field(
         default="runs", min_length=1, description="folder for the runs' folders, from the current folder"
     )

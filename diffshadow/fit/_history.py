@@ -16,8 +16,9 @@ from ._parameters import Bounds
 class Step(NamedTuple):
     """One evaluation of the loss during a fit.
 
-    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels.
+    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels, 0 for the hard one.
     - `loss`: the mean square error under that compare; `values`: of the parameters there.
+    - `start`: of several starts, the one that the fit is at, from 0.
     """
 
     phase: int
@@ -25,6 +26,7 @@ class Step(NamedTuple):
     width: float
     loss: float
     values: tuple[float, ...]
+    start: int = 0
 
 
 class Report(eqx.Module):
@@ -55,18 +57,28 @@ class Reporter:
         self.history, self.on_step = history, on_step
         self.number = next(_TOKENS)
         self.token = as_int(self.number)
-        self.phase, self.width, self.step = 0, 0.0, 0
+        self.start, self.phase, self.width, self.step, self.scale = 0, 0, 0.0, 0, 1.0
+        self.held, self.active = np.zeros_like(self.lower), np.arange(self.lower.size)
 
-    def begin(self, phase: int, width: float) -> None:
-        """Steps from here on belong to `phase`, whose soft compare is `width` texels wide."""
-        self.phase, self.width, self.step = phase, width, 0
+    def begin(self, phase: int, width: float, held: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
+        """Steps from here on belong to `phase`, whose soft compare is `width` texels wide.
+
+        **Arguments:**
+
+        - `held`: (p,), the free values of all parameters; `active`: the indices of those that the phase changes.
+        - `scale`: of the residuals that the solver sees.
+        """
+        self.phase, self.width, self.step, self.scale = phase, width, 0, scale
+        self.held, self.active = np.array(held), active
 
     def add(self, loss: float, y: np.ndarray) -> None:
-        """One more evaluation, at the free values `y` (p,)."""
+        """One more evaluation, of `loss` at the free values `y` (a,) of what is active."""
         # In NumPy, for a callback must not wait for JAX.
-        lower, upper = self.lower, self.upper
-        values = lower + (upper - lower) * (1 + np.sin(y)) / 2
-        step = Step(self.phase, self.step, self.width, loss, tuple(values.tolist()))
+        lower, upper, free = self.lower, self.upper, self.held.copy()
+        free[self.active] = y
+        values = lower + (upper - lower) * (1 + np.sin(free)) / 2
+        loss = loss / self.scale**2
+        step = Step(self.phase, self.step, self.width, loss, tuple(values.tolist()), self.start)
         self.step += 1
         self.history.append(step)
         if self.on_step is not None:

@@ -1,6 +1,6 @@
 """What is fitted: numbers inside a module, named by dotted path and kept within bounds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from typing import Any
 
@@ -85,8 +85,8 @@ def resolve(module: PyTree, name: str) -> Any:
     names is no single number that has a gradient.
     """
     try:
-        found = reduce(getattr, name.split("."), module)
-    except AttributeError as error:
+        found = _follow(module, name)
+    except (AttributeError, LookupError, ValueError) as error:
         raise ValueError(
             f"there is no parameter {name!r} in a {type(module).__name__}; expected one of {_listed(module)}"
         ) from error
@@ -101,13 +101,29 @@ def resolve(module: PyTree, name: str) -> Any:
 def parameter_names(module: PyTree) -> list[str]:
     """Dotted paths of every single number in `module` that could be fitted."""
     paths = jax.tree_util.tree_leaves_with_path(eqx.filter(module, eqx.is_inexact_array))
-    names = [".".join(key.name for key in path if hasattr(key, "name")) for path, leaf in paths if leaf.ndim == 0]
+    names = [".".join(map(_key, path)) for path, leaf in paths if leaf.ndim == 0]
     holders = [name.rpartition(".")[0] for name in names]
     # A module that holds one number goes by its own name.
     return [
         name.removesuffix(".value") if holders.count(holder) == 1 else name
         for name, holder in zip(names, holders, strict=True)
     ]
+
+
+def _follow(module: PyTree, name: str) -> Any:
+    """What the dotted path `name` leads to: fields by name, entries of sequences and mappings by their keys."""
+
+    def step(holder: Any, key: str) -> Any:
+        if isinstance(holder, Mapping):
+            return holder[key]
+        return holder[int(key)] if isinstance(holder, tuple) else getattr(holder, key)
+
+    return reduce(step, name.split("."), module)
+
+
+def _key(entry: Any) -> str:
+    """One step of a path of `jax.tree_util`, as a dotted path has it."""
+    return str(next(getattr(entry, kind) for kind in ("name", "key", "idx") if hasattr(entry, kind)))
 
 
 def _listed(module: PyTree) -> str:
@@ -118,5 +134,5 @@ def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]
     """`module` with the numbers that `names` mean replaced by `values` (p,)."""
     for name in names:
         resolve(module, name)
-    where = lambda module: [jax.tree.leaves(reduce(getattr, name.split("."), module))[0] for name in names]
+    where = lambda module: [jax.tree.leaves(_follow(module, name))[0] for name in names]
     return eqx.tree_at(where, module, [values[k] for k in range(len(names))])

@@ -1,6 +1,7 @@
 """Residuals: how far shadow mapping is from its reference, pixel by pixel."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,8 +9,13 @@ from jaxtyping import Array, Float, Int
 
 from .._types import Mask, Scalar, Visibility
 from ..raster import Surface
-from ..shadow import ShadowMap, ShadowMapping
+from ..shadow import AbstractCompare, ShadowMap, ShadowMapping
+from ._arrangement import Arrangement
 from ._parameters import Bounds, resolve, with_values
+from ._poses import PoseProblem
+
+Subject = ShadowMapping | Arrangement
+"""What is fitted: a technique alone, or with lights and meshes."""
 
 
 class Problem(eqx.Module):
@@ -44,62 +50,95 @@ class Problem(eqx.Module):
         return jnp.where(self.mask, visibility - self.reference, 0)
 
     @property
+    def subject(self) -> ShadowMapping:
+        """What is fitted."""
+        return self.technique
+
+    @property
     def count(self) -> Int[Array, ""]:
         """How many pixels count."""
         return jnp.sum(self.mask)
 
 
 class Joint(eqx.Module):
-    """Several problems that share one technique, such as one for each light; every pixel that counts weighs the same.
+    """Several problems that share what is fitted, such as one for each light; every pixel that counts weighs the same.
 
-    - `technique`: that of them all.
-    - `problems`: whose own techniques are not asked.
+    - `subject`: a technique, or an arrangement.
+    - `problems`: whose own subjects are not asked.
     """
 
-    technique: ShadowMapping
-    problems: tuple[Problem, ...]
+    subject: Subject
+    problems: tuple[Problem | PoseProblem, ...]
 
     @classmethod
-    def of(cls, problems: Problem | Sequence[Problem]) -> "Joint":
-        """One problem or several, with the technique of the first.
+    def of(cls, problems: "AnyProblem | Sequence[AnyProblem]") -> "Joint":
+        """One problem or several, with the technique, or the arrangement, of the first.
 
-        **Raises** `ValueError` if there is none.
+        **Raises** `ValueError` if there is none, or some move and others do not.
         """
-        each = (problems,) if isinstance(problems, Problem) else tuple(problems)
+        each = (problems,) if isinstance(problems, Problem | PoseProblem) else tuple(problems)
         if not each:
             raise ValueError("got no problem to fit; expected one, or one for each light")
-        return cls(each[0].technique, each)
+        if len({type(problem) for problem in each}) > 1:
+            raise ValueError("got both a Problem and a PoseProblem to fit jointly; expected all of one kind")
+        return cls(each[0].subject, each)
 
-    def residual(self, technique: ShadowMapping) -> tuple[Float[Array, "h w"], ...]:
+    def residual(self, subject: Any) -> tuple[Float[Array, "h w"], ...]:
         """The residuals of all problems, scaled so that the sum of all their squares is the mean square error."""
         count = jnp.maximum(sum(problem.count for problem in self.problems), 1)
-        return tuple(problem.difference(technique) / jnp.sqrt(count) for problem in self.problems)
+        return tuple(problem.difference(subject) / jnp.sqrt(count) for problem in self.problems)
 
-    def mean_square_error(self, technique: ShadowMapping) -> Scalar:
+    def mean_square_error(self, subject: Subject) -> Scalar:
         """The mean square error over all pixels that count."""
-        return sum((jnp.sum(residual**2) for residual in self.residual(technique)), start=jnp.zeros(()))
+        return sum((jnp.sum(residual**2) for residual in self.residual(subject)), start=jnp.zeros(()))
+
+    @property
+    def count(self) -> Scalar:
+        """How many pixels count, of all problems."""
+        return jnp.asarray(sum(problem.count for problem in self.problems), jnp.result_type(float))
+
+    @property
+    def technique(self) -> ShadowMapping:
+        """The subject's technique."""
+        return self.subject.technique if isinstance(self.subject, Arrangement) else self.subject
+
+    @property
+    def moves(self) -> bool:
+        """Whether lights or meshes may move."""
+        return isinstance(self.subject, Arrangement)
+
+    def compared_by(self, compare: AbstractCompare) -> "Joint":
+        """With `compare` as the technique's."""
+        where = lambda joint: joint.technique.compare
+        return eqx.tree_at(where, self, compare)
+
+    def each(self, function: Callable[[PoseProblem], PoseProblem]) -> "Joint":
+        """With `function` of each problem in which poses move."""
+        return Joint(self.subject, tuple(function(p) if isinstance(p, PoseProblem) else p for p in self.problems))
+
+
+AnyProblem = Problem | PoseProblem
 
 
 def residual_at(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]
 ) -> tuple[Float[Array, "h w"], ...]:
     """The residuals with the named parameters at the free values `y` (p,)."""
-    return problem.residual(with_values(problem.technique, names, bounds.to_bounded(y)))
+    return problem.residual(with_values(problem.subject, names, bounds.to_bounded(y)))
 
 
 def check_problem(problem: Joint, names: tuple[str, ...], bounds: Bounds) -> None:
     """**Raises** `ValueError` unless each of `names` can be fitted, and some pixel counts."""
     if not names:
         raise ValueError("got no parameters to fit; expected at least one, such as bias.constant")
-    technique = problem.technique
-    numbers = [resolve(technique, name) for name in names]
+    numbers = [resolve(problem.subject, name) for name in names]
     if len({id(number) for number in numbers}) < len(names):
         raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
-    annealed = [name for name in names if name.split(".")[0] == "compare"]
+    annealed = [name for name in names if name.removeprefix("technique.").split(".")[0] == "compare"]
     if annealed:
         raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
     for end in (bounds.lower, bounds.upper):
-        _check_allowed(with_values(technique, names, end))
+        _check_allowed(Joint(with_values(problem.subject, names, end), problem.problems).technique)
     if not any(bool(jnp.any(each.mask)) for each in problem.problems):
         raise ValueError(
             "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "

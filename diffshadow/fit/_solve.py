@@ -1,8 +1,10 @@
-"""Fitting a technique to a reference, by least squares under a soft compare that hardens.
+"""Fitting to a reference, by least squares, in phases.
 
-The hard compare has no gradient, so the fit runs in phases under a soft one whose width shrinks geometrically, each
-phase starting from the last. What counts is the hard compare: it judges the start and the end of every phase, and the
-best of them is the result, so a fit never ends worse than it began.
+The hard compare has no gradient, so the fit of a technique runs in phases under a soft one whose width shrinks
+geometrically, each phase starting from the last. Where lights or meshes move, phases go from coarse images and maps to
+fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the soft
+one, in the end. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
+the best of them is the result, so a fit never ends worse than it began.
 """
 
 import time
@@ -18,24 +20,43 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._misc import as_float
-from ..shadow import HardCompare, ShadowMapping, SoftCompare
+from ..shadow import ShadowMapping
+from ._adam import Adam
+from ._arrangement import Arrangement
 from ._history import Report, Reporter, Step
 from ._parameters import Bounds, Parameter, bounds_of, with_values
-from ._residuals import Joint, Problem, check_problem, residual_at
+from ._phases import Phase, enlarged, hard, phases_of, prepared
+from ._poses import is_overflow
+from ._precision import Precision, precision_of
+from ._residuals import AnyProblem, Joint, check_problem, residual_at
 from ._settings import Anneal, Solver, check_anneal, check_solver
+from ._starts import starts_within
 
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
+_LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
+# Of the decrease that the linear model foretells, as much must come true for the next step to be longer. Outlines are
+# not linear, and optimistix's 0.99 would hardly ever let steps grow.
+_GOOD = 0.5
+# How often a phase may be given more room to draw before its error is passed on.
+_ENLARGEMENTS = 6
+# Of so many of the last evaluations it is counted how much room they take.
+_RECENT = 32
+# Mean square errors are not told from 0 below this.
+_LEAST_LOSS = 1e-10
+# On a bound the reparametrisation has no slope; this close to it, derivatives are scaled as if they were so far off.
+_LEAST_RATE = 1e-3
 
 
 class Outcome(NamedTuple):
     """How a phase ended.
 
-    - `width`: of its soft compare, in texels.
+    - `width`: of its soft compare, in texels; 0 for the hard one.
     - `steps`: the solver took.
     - `result`: `"successful"`, `"max_steps reached"`, or what the solver says went wrong.
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
     - `hard_loss`: the mean square error under the hard compare at the phase's end; `values`: the parameters there.
+    - `level`: how many pixels a side made one.
     """
 
     width: float
@@ -44,6 +65,15 @@ class Outcome(NamedTuple):
     gradient_norm: float
     hard_loss: float
     values: tuple[float, ...]
+    level: int = 1
+
+
+class Start(NamedTuple):
+    """One of several starts: where it began, where the phases that all starts run took it, and the hard loss there."""
+
+    initial: tuple[float, ...]
+    end: tuple[float, ...]
+    loss: float
 
 
 class FitResult(NamedTuple):
@@ -55,6 +85,11 @@ class FitResult(NamedTuple):
     - `history`: every evaluation, in order.
     - `flat`: names of the parameters whose gradient was zero at every phase's start; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
+    - `arrangement`: where lights or meshes were fitted, all that was.
+    - `precision`: how well the values are determined; none if no phase ended where that can be told.
+    - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
+    - `enlargements`: how often a phase ran out of room to draw, and was given more.
+    - `problems`: those that were fitted, with room to draw what the bounds allow.
     """
 
     technique: ShadowMapping
@@ -66,6 +101,11 @@ class FitResult(NamedTuple):
     flat: list[str]
     seconds_compiling: float
     seconds_running: float
+    arrangement: Arrangement | None = None
+    precision: Precision | None = None
+    starts: list[Start] = []  # noqa: RUF012
+    enlargements: int = 0
+    problems: tuple[AnyProblem, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -74,130 +114,290 @@ class FitResult(NamedTuple):
 
 
 def fit(
-    problem: Problem | Sequence[Problem],
+    problem: AnyProblem | Sequence[AnyProblem],
     parameters: Sequence[Parameter],
     *,
     solver: Solver | None = None,
     anneal: Anneal | None = None,
+    levels: Sequence[int] | None = None,
+    starts: int = 1,
+    seed: int = 0,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
-    """Fits numbers of `problem.technique` so that its visibility comes closest to the reference.
+    """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
 
     **Arguments:**
 
-    - `problem`: one, or several that share a technique, such as one for each light; their errors are stacked.
+    - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
     - `parameters`: what is fitted, and within which bounds.
-    - `solver`, `anneal`: defaults if left out.
+    - `solver`, `anneal`: defaults if left out. A fit of poses anneals in its last phases, if it fits a bias along.
+    - `levels`: of a fit of poses, how many pixels a side make one, phase by phase, down to 1. Phases before the last
+        level move poses only. 8 and 1 if left out, or the nearest that divides the resolutions.
+    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
+        by the hard compare, after all phases but those of the last level, is gone on with.
+    - `seed`: of the starts.
     - `on_step`: called with every evaluation of the loss, while the fit runs.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, `solver` or `anneal` hold values that make no sense, no pixel counts, or the visibility is
-    not finite at the start.
+    technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
+    or the visibility is not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
-    names, paths = tuple(p.name for p in parameters), tuple(p.where for p in parameters)
+    paths = tuple(p.where for p in parameters)
     bounds, joint = bounds_of(parameters), Joint.of(problem)
     check_solver(solver)
     check_anneal(anneal)
     check_problem(joint, paths, bounds)
-    hard = eqx.tree_at(lambda p: p.technique.compare, joint, _hard(joint.technique))
-    soft = eqx.tree_at(lambda p: p.technique.compare, joint, SoftCompare(anneal.start, anneal.kernel))
     initial = as_float([p.initial for p in parameters])
-
-    history: list[Step] = []
-    reporter = Reporter(bounds, history, on_step)
-    started = time.perf_counter()
-    compiled = _compile(soft, paths, bounds, bounds.to_free(initial), solver, reporter.token)
-    hard_loss = _hard_loss.lower(hard, paths, initial).compile()
-    seconds_compiling = time.perf_counter() - started
-
-    started = time.perf_counter()
-    phases: list[Outcome] = []
-    best_loss, best, chosen = float(hard_loss(hard, paths, initial)), initial, -1
-    if not np.isfinite(best_loss):
-        raise ValueError(
-            "the visibility or the reference is not finite at the initial values; expected numbers: check "
-            "the mesh, the light and the reference"
-        )
-    y, slopes = bounds.to_free(initial), np.zeros(len(names))
-    with reporter:
-        for number, width in enumerate(anneal.widths):
-            reporter.begin(number, width)
-            soft = eqx.tree_at(lambda p: p.technique.compare.width, soft, as_float(width))
-            solution = compiled(soft, paths, bounds, y, solver, reporter.token)
-            jax.effects_barrier()
-            if bool(jnp.all(jnp.isfinite(solution.value))):
-                y = solution.value
-            slopes = np.maximum(slopes, np.abs(np.asarray(solution.first_gradient)))
-            values = bounds.to_bounded(y)
-            loss = float(hard_loss(hard, paths, values))
-            phases.append(_outcome(solution, width, loss, values))
-            if loss < best_loss:
-                best_loss, best, chosen = loss, values, number
-    flat = [name for name, slope in zip(names, slopes, strict=True) if slope == 0]
+    spread = starts_within(bounds, initial, starts, seed)
+    began = time.perf_counter()
+    joint = prepared(joint, paths, bounds, initial)
+    run = _Run(parameters, hard(joint), phases_of(joint, paths, anneal, levels), solver, on_step)
+    with run.reporter:
+        path, tried = run.through(spread)
+    best = int(np.argmin(path.losses))
+    fitted = path.values[best]
+    subject = with_values(run.judge.subject, paths, as_float(fitted))
     return FitResult(
-        technique=with_values(hard.technique, paths, best),
-        initial=dict(zip(names, initial.tolist(), strict=True)),
-        fitted=dict(zip(names, best.tolist(), strict=True)),
-        phases=phases,
-        chosen=chosen,
-        history=history,
-        flat=flat,
-        seconds_compiling=seconds_compiling,
-        seconds_running=time.perf_counter() - started,
+        technique=Joint(subject, ()).technique,
+        initial=dict(zip(run.names, path.values[0], strict=True)),
+        fitted=dict(zip(run.names, fitted, strict=True)),
+        phases=path.outcomes,
+        chosen=best - 1,
+        history=run.history,
+        flat=[name for name, slope in zip(run.names, run.slopes, strict=True) if slope == 0],
+        seconds_compiling=run.seconds_compiling,
+        seconds_running=time.perf_counter() - began - run.seconds_compiling,
+        arrangement=subject if isinstance(subject, Arrangement) else None,
+        precision=run.precision(path),
+        starts=tried,
+        enlargements=run.enlargements,
+        problems=run.judge.problems,
     )
 
 
 class _Solution(NamedTuple):
-    """The end of a phase, as arrays."""
+    """The end of a phase, as arrays.
 
-    value: Float[Array, " p"]
-    gradient: Float[Array, " p"]
-    first_gradient: Float[Array, " p"]
+    Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
+    `slope` is 0 where a parameter has no gradient; `triangle` is the factor R of the residuals' Jacobian.
+    """
+
+    value: Float[Array, " a"]
+    gradient: Float[Array, " a"]
+    slope: Float[Array, " a"]
+    triangle: Float[Array, "a a"]
+    loss: Array
     steps: Array
     result: optx.RESULTS
 
 
-def _phase(problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array) -> _Solution:
-    def residual(y: Array, args: tuple[Joint, Bounds]) -> tuple[Array, ...]:
-        problem, bounds = args
-        return residual_at(problem, names, bounds, y)
+class _Path(NamedTuple):
+    """Where a start has come to: the free values at the start and after each phase, and the judge's losses there."""
 
-    args = (problem, bounds)
+    free: list[Float[Array, " p"]]
+    values: list[tuple[float, ...]]
+    losses: list[float]
+    outcomes: list[Outcome]
+    last: tuple[Phase, _Solution] | None
+
+
+class _Run:
+    """A fit on its way: its phases, their compiled programs, and what is known so far."""
+
+    def __init__(
+        self,
+        parameters: Sequence[Parameter],
+        judge: Joint,
+        phases: list[Phase],
+        solver: Solver,
+        on_step: Callable[[Step], None] | None,
+    ):
+        self.names, self.paths = tuple(p.name for p in parameters), tuple(p.where for p in parameters)
+        self.bounds = bounds_of(parameters)
+        self.judge, self.phases, self.solver = judge, phases, solver
+        self.history: list[Step] = []
+        self.reporter = Reporter(self.bounds, self.history, on_step)
+        self.slopes = np.zeros(len(parameters))
+        self.enlargements = 0
+        self.seconds_compiling = 0.0
+        self._programs: dict[Any, Any] = {}
+
+    def through(self, spread: Float[Array, "s p"]) -> tuple[_Path, list[Start]]:
+        """The best path from `spread` (s, p), and what became of each start where there are several."""
+        last = [i for i, phase in enumerate(self.phases) if phase.level == 1]
+        first = [i for i in range(len(self.phases)) if i not in last]
+        # Without coarse phases, all starts run all of them.
+        shared, rest = (first, last) if first and len(spread) > 1 else ([*first, *last], [])
+        paths = []
+        for number, initial in enumerate(spread):
+            self.reporter.start = number
+            paths.append(self._along(shared, self._start(initial)))
+        tried = [Start(p.values[0], p.values[int(np.argmin(p.losses))], min(p.losses)) for p in paths]
+        best = int(np.argmin([start.loss for start in tried]))
+        self.reporter.start = best
+        return self._along(rest, paths[best]), tried if len(spread) > 1 else []
+
+    def precision(self, path: _Path) -> Precision | None:
+        """How well the last phase determines what it fitted."""
+        if path.last is None:
+            return None
+        phase, solution = path.last
+        active = np.asarray(phase.active)
+        span = np.asarray(self.bounds.upper - self.bounds.lower)[active]
+        names = [self.names[i] for i in phase.active]
+        count = float(phase.joint.count)
+        return precision_of(names, np.asarray(solution.triangle), span, float(solution.loss), count)
+
+    def _start(self, initial: Float[Array, " p"]) -> _Path:
+        loss = self._judged(initial)
+        if not np.isfinite(loss):
+            raise ValueError(
+                "the visibility or the reference is not finite at the initial values; expected numbers: check "
+                "the mesh, the light and the reference"
+            )
+        return _Path([self.bounds.to_free(initial)], [tuple(initial.tolist())], [loss], [], None)
+
+    def _along(self, numbers: Sequence[int], path: _Path) -> _Path:
+        for number in numbers:
+            path = self._solved(number, path)
+        return path
+
+    def _solved(self, number: int, path: _Path) -> _Path:
+        """One phase more, from where `path` ends."""
+        phase, free = self.phases[number], path.free[-1]
+        active = np.asarray(phase.active)
+        # Errors of any size look alike to the solver, so that its first step is of a size with the way to go.
+        scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
+        self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
+        solution = self._drawing(number, _run_phase, lambda phase: self._arguments(phase, free, scale))
+        if bool(jnp.all(jnp.isfinite(solution.value))):
+            free = free.at[active].set(solution.value)
+        self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
+        values = self.bounds.to_bounded(free)
+        loss = self._judged(values)
+        outcome = _outcome(solution, phase, loss, values)
+        return _Path(
+            [*path.free, free],
+            [*path.values, outcome.values],
+            [*path.losses, loss],
+            [*path.outcomes, outcome],
+            (self.phases[number], solution),
+        )
+
+    def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
+        subject = with_values(phase.joint.subject, self.paths, self.bounds.to_bounded(free))
+        active = np.asarray(phase.active)
+        bounds = Bounds(self.bounds.lower[active], self.bounds.upper[active])
+        paths = tuple(self.paths[i] for i in phase.active)
+        joint = Joint(subject, phase.joint.problems)
+        return joint, paths, bounds, free[active], self.solver, self.reporter.token, as_float(scale)
+
+    def _judged(self, values: Float[Array, " p"]) -> float:
+        """The judge's mean square error at `values` (p,)."""
+        loss = float(self._drawing(None, _hard_loss, lambda _: (self.judge, self.paths, values)))
+        return loss if np.isfinite(loss) else np.inf
+
+    def _drawing(self, number: int | None, function: Any, arguments: Callable[[Any], tuple[Any, ...]]) -> Any:
+        """What the program of a phase, or the judge's, returns; it gets more room to draw where it runs out of it."""
+        for attempt in range(_ENLARGEMENTS + 1):
+            phase = None if number is None else self.phases[number]
+            key = None if phase is None else phase.program
+            try:
+                found = self._program(key, function, arguments(phase))(*arguments(phase))
+                jax.effects_barrier()
+                return jax.block_until_ready(found)
+            except RuntimeError as error:
+                if not is_overflow(error) or attempt == _ENLARGEMENTS:
+                    raise
+            self.enlargements += 1
+            self._programs.pop(key, None)
+            seen = as_float([step.values for step in self.history[-_RECENT:]] or [self.bounds.lower.tolist()])
+            if phase is None:
+                self.judge = enlarged(self.judge, self.paths, seen)
+            else:
+                assert number is not None
+                self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.paths, seen))
+        raise AssertionError
+
+    def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
+        """The compiled program of the phases that `key` tells; `None` is the judge's."""
+        if key not in self._programs:
+            started = time.perf_counter()
+            self._programs[key] = function.lower(*arguments).compile()
+            self.seconds_compiling += time.perf_counter() - started
+        return self._programs[key]
+
+
+def _phase(
+    problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array, scale: Array
+) -> _Solution:
+    def residual(y: Array, args: tuple[Joint, Bounds, Array]) -> tuple[Array, ...]:
+        problem, bounds, scale = args
+        return tuple(scale * each for each in residual_at(problem, names, bounds, y))
+
+    args = (problem, bounds, scale)
     # Least squares want a Jacobian, minimisers a gradient; with few parameters and many pixels both go forward.
-    options = {"jac": "fwd"} if solver.name in ("levenberg_marquardt", "dogleg") else {"autodiff_mode": "fwd"}
+    options = {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"}
     solution = optx.least_squares(
-        residual, _optimistix(solver, token), y, args, options, max_steps=solver.max_steps, throw=False
+        residual,
+        _optimistix(solver, token, moves=problem.moves),
+        y,
+        args,
+        options,
+        max_steps=solver.max_steps,
+        throw=False,
     )
 
-    # The gradient per unit of each parameter's share of its bounds: comparable, and free of the reparametrisation.
-    def gradient(y: Array) -> Array:
-        share = (bounds.to_bounded(y) - bounds.lower) / (bounds.upper - bounds.lower)
-        at = lambda share: bounds.lower + share * (bounds.upper - bounds.lower)
-        loss = lambda share: problem.mean_square_error(with_values(problem.technique, names, at(share)))
-        return jax.jacfwd(loss)(share)
+    if problem.moves and solver.name in _LEAST_SQUARES:
+        # The solver knows the Jacobian at its end: to draw everything once more would double what is compiled.
+        known = solution.state.f_info
+        rate = jnp.cos(solution.value) / 2
+        slopes = known.jac.as_matrix() / scale / jnp.where(jnp.abs(rate) > _LEAST_RATE, rate, _LEAST_RATE)
+        end = jnp.concatenate([each.ravel() for each in known.residual]) / scale
+        slope = jnp.sqrt(jnp.sum(slopes**2, axis=0))
+        gradient, triangle, loss = _measures(end, slopes)
+    else:
+        measures = lambda y: _measures(*_derivatives(problem, names, bounds, y))
+        # In a loop, so that both ends share what is compiled.
+        gradients, triangles, losses = jax.lax.map(measures, jnp.stack([y, solution.value]))
+        slope, gradient, triangle, loss = jnp.abs(gradients[0]), gradients[1], triangles[1], losses[1]
+    steps = solution.stats["num_steps"]
+    return _Solution(solution.value, gradient, slope, triangle, loss, steps, solution.result)
 
-    return _Solution(
-        solution.value, gradient(solution.value), gradient(y), solution.stats["num_steps"], solution.result
-    )
+
+def _derivatives(problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array) -> tuple[Array, Array]:
+    """The residuals (n,), and their derivatives by each parameter's share of its bounds' distance, (n, p)."""
+    share = (bounds.to_bounded(y) - bounds.lower) / (bounds.upper - bounds.lower)
+    at = lambda share: bounds.lower + share * (bounds.upper - bounds.lower)
+    residual = lambda share: problem.residual(with_values(problem.subject, names, at(share)))
+    flat = lambda share: jnp.concatenate([each.ravel() for each in residual(share)])
+    pushed = jax.vmap(lambda way: jax.jvp(flat, (share,), (way,)), out_axes=(None, 1))
+    return pushed(jnp.eye(share.shape[0], dtype=share.dtype))
+
+
+def _measures(residual: Float[Array, " n"], slopes: Float[Array, "n p"]) -> tuple[Array, Array, Array]:
+    """The mean square error's gradient, the factor R of the derivatives, and the mean square error."""
+    gradient = 2 * jnp.matmul(residual, slopes, precision="highest")
+    return gradient, jnp.linalg.qr(slopes, mode="r"), jnp.sum(residual**2)
 
 
 _run_phase: Any = eqx.filter_jit(_phase)
 _hard_loss: Any = eqx.filter_jit(
-    lambda problem, names, values: problem.mean_square_error(with_values(problem.technique, names, values))
+    lambda problem, names, values: problem.mean_square_error(with_values(problem.subject, names, values))
 )
 
 
-def _compile(*args):
-    return _run_phase.lower(*args).compile()
-
-
-def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
+def _optimistix(
+    solver: Solver, token: Array, *, moves: bool
+) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
     report = Report(token)
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":
-            return optx.LevenbergMarquardt(**tolerances, linear_solver=lx.QR())
+            made = optx.LevenbergMarquardt(**tolerances, linear_solver=lx.QR())
+            search = optx.ClassicalTrustRegion(high_cutoff=_GOOD)
+            return eqx.tree_at(lambda one: one.search, made, search) if moves else made
         case "dogleg":
             # It solves undamped: a parameter without a gradient must not spoil the others' steps.
             return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))
@@ -205,13 +405,11 @@ def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver
             return optx.BFGS(**tolerances)
         case "lbfgs":
             return optx.LBFGS(**tolerances)
+        case "adam":
+            return Adam(solver.learning_rate, solver.max_steps, solver.rtol, solver.atol, report)
 
 
-def _hard(technique: ShadowMapping) -> HardCompare:
-    return technique.compare if isinstance(technique.compare, HardCompare) else HardCompare()
-
-
-def _outcome(solution: _Solution, width: float, hard_loss: float, values: Array) -> Outcome:
+def _outcome(solution: _Solution, phase: Phase, hard_loss: float, values: Array) -> Outcome:
     if solution.result == optx.RESULTS.successful:
         result = "successful"
     elif solution.result == optx.RESULTS.nonlinear_max_steps_reached:
@@ -221,4 +419,5 @@ def _outcome(solution: _Solution, width: float, hard_loss: float, values: Array)
     gradient_norm = float(jnp.linalg.norm(solution.gradient))
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"
-    return Outcome(width, int(solution.steps), result, gradient_norm, hard_loss, tuple(values.tolist()))
+    steps, at = int(solution.steps), tuple(values.tolist())
+    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, phase.level)

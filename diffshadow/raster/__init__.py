@@ -5,6 +5,9 @@ from ._bins import Cull as Cull
 from ._counts import count_fragments as count_fragments
 from ._counts import plan_counts as plan_counts
 from ._depth_test import DepthTest as DepthTest
+from ._grid_crossings import Crossings as Crossings
+from ._grid_crossings import count_crossings as count_crossings
+from ._grid_crossings import grid_crossings as grid_crossings
 from ._interpolate import Barycentrics as Barycentrics
 from ._interpolate import barycentrics as barycentrics
 from ._interpolate import interpolate as interpolate

@@ -6,13 +6,17 @@ from ._compare import SoftCompare as SoftCompare
 from ._compare import SoftKernel as SoftKernel
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
+from ._map import MapCapacity as MapCapacity
 from ._map import ShadowMap as ShadowMap
 from ._map import draw_shadow_map as draw_shadow_map
+from ._map import plan_shadow_map as plan_shadow_map
 from ._projective import ProjectiveShadow as ProjectiveShadow
 from ._projective import ProjectiveTexture as ProjectiveTexture
 from ._projective import draw_projective_texture as draw_projective_texture
 from ._receiver import Receiver as Receiver
 from ._receiver import receiver as receiver
+from ._silhouette_map import SilhouetteMap as SilhouetteMap
+from ._taps import mean_of_taps as mean_of_taps
 from ._technique import ShadowMapping as ShadowMapping
 from ._volumes import ShadowVolumes as ShadowVolumes
 from ._volumes import VolumeCapacity as VolumeCapacity

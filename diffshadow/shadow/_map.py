@@ -1,15 +1,17 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._misc import with_gradient_of
+from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Mesh, View
-from ..raster import Capacity, Cull, DepthTest, barycentrics, interpolate_depth, rasterize
+from ..geometry import AbstractLight, Edges, Mesh, View
+from ..raster import Capacity, Cull, DepthTest, barycentrics, interpolate_depth, plan, rasterize, rasterize_depth
+from ._silhouette_map import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
 DepthLayer = Literal["nearest", "midpoint", "second"]
@@ -22,11 +24,13 @@ class ShadowMap(eqx.Module):
         several ways, such as a point light, (l, h, w).
     - `light`: the light it was drawn from.
     - `depth_format`: how depths are stored.
+    - `silhouettes`: where casters end within texels; none where that is not known.
     """
 
     depth: Float[Array, "*l h w"]
     light: AbstractLight
     depth_format: DepthFormat = eqx.field(static=True, default="float32")
+    silhouettes: SilhouetteMap | None = None
 
     @property
     def view(self) -> View:
@@ -49,12 +53,15 @@ def draw_shadow_map(
     cull: Cull = "none",
     depth_format: DepthFormat = "float32",
     polygon_offset: tuple[float, float] | None = None,
+    edges: Edges | None = None,
     capacity: Capacity | None = None,
+    silhouette_capacity: int | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
-    Depth differentiates with respect to vertices and light, but for which face a texel sees. It does not depend on
-    bias or filter: with the light fixed, draw it once.
+    Depth differentiates with respect to vertices and light, but for which face a texel sees. With `edges`, so does the
+    shadow's outline, and hard shadows are accurate below a texel. A map does not depend on bias or filter: with the
+    light fixed, draw it once.
 
     **Arguments:**
 
@@ -70,13 +77,21 @@ def draw_shadow_map(
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias that is stored in the map: each face lies
         deeper by `factor · max(|dz/dx|, |dz/dy|) + units · r`, slopes per texel and `r` the least difference of depths
         that the format is sure to resolve.
-    - `capacity`: as for `rasterize`; needed under a trace.
+    - `edges`: of the mesh, for a map with silhouettes, which holds the nearest surface with nothing culled.
+    - `capacity`, `silhouette_capacity`: room for triangles, and for silhouettes; needed under a trace, by
+        `plan_shadow_map`.
 
-    **Raises** `ValueError` if `layer` is unknown, and what `rasterize` raises.
+    **Raises** `ValueError` if `layer` is unknown, if `edges` are given with another `layer` than `"nearest"` or with
+    `cull`, and what `rasterize` raises.
     """
     if layer not in ("nearest", "midpoint", "second"):
         raise ValueError(f'the shadow map\'s layer is {layer!r}; expected "nearest", "midpoint" or "second"')
-    clip = _clip(mesh, light)
+    if edges is not None and (layer != "nearest" or cull != "none"):
+        raise ValueError(
+            f'silhouettes were asked for of the {layer!r} layer with cull {cull!r}; expected "nearest" and "none": '
+            "leave edges out, or change these"
+        )
+    clip = clip_vertices(mesh, light)
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -98,7 +113,79 @@ def draw_shadow_map(
     if layer != "nearest":
         _, second = draw(face)
         depth = second if layer == "second" else _midpoint(depth, second, test)
-    return ShadowMap(depth, light, depth_format)
+    if edges is None:
+        return ShadowMap(depth, light, depth_format)
+    if silhouette_capacity is None:
+        silhouette_capacity = _plan_silhouettes(clip, mesh, light, edges, resolution)
+    corners = rasterize_depth(_about_corners(clip, resolution), mesh.faces, _corners(resolution), capacity=capacity)
+    silhouettes = _silhouettes(depth, corners, clip, mesh, light, edges, silhouette_capacity)
+    return ShadowMap(depth, light, depth_format, silhouettes)
+
+
+class MapCapacity(NamedTuple):
+    """Room that drawing a shadow map takes: for `triangles`, and for crossings of `silhouettes` with sides of texels.
+
+    Both are part of a compiled function: others compile anew.
+    """
+
+    triangles: Capacity
+    silhouettes: int = 0
+
+    def grown_to(self, other: "MapCapacity") -> "MapCapacity":
+        """The least capacity that holds what either holds."""
+        return MapCapacity(self.triangles.grown_to(other.triangles), max(self.silhouettes, other.silhouettes))
+
+
+def plan_shadow_map(
+    mesh: Mesh, light: AbstractLight, resolution: Resolution, *, cull: Cull = "none", edges: Edges | None = None
+) -> MapCapacity:
+    """The capacity that drawing this map needs, each number rounded up to a power of two.
+
+    **Arguments:** as for `draw_shadow_map`; not for use inside `jax.jit`.
+    """
+    clip = clip_vertices(mesh, light)
+    triangles = plan(clip, mesh.faces, resolution, cull=cull)
+    if edges is None:
+        return MapCapacity(triangles)
+    corners = plan(_about_corners(clip, resolution), mesh.faces, _corners(resolution))
+    return MapCapacity(triangles.grown_to(corners), _plan_silhouettes(clip, mesh, light, edges, resolution))
+
+
+def _corners(resolution: Resolution) -> Resolution:
+    height, width = resolution
+    return height + 1, width + 1
+
+
+def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
+    """Clip coordinates of an image whose pixels' centres are the corners of a map's texels."""
+    height, width = resolution
+    return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
+
+
+def _plan_silhouettes(
+    clip: Float[Array, "*l v 4"], mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution
+) -> int:
+    return round_up_to_power_of_two(int(_crossings(clip, mesh, light, edges, resolution)))
+
+
+@eqx.filter_jit
+def _crossings(clip, mesh, light, edges, resolution) -> Int[Array, ""]:
+    return jnp.sum(Outline.of(clip, mesh, light, edges, resolution).counts)
+
+
+@eqx.filter_jit
+def _silhouettes(
+    depth: Float[Array, "*l h w"],
+    corners: Float[Array, "*l H W"],
+    clip: Float[Array, "*l v 4"],
+    mesh: Mesh,
+    light: AbstractLight,
+    edges: Edges,
+    room: int,
+) -> SilhouetteMap:
+    height, width = depth.shape[-2:]
+    outline = Outline.of(clip, mesh, light, edges, (height, width))
+    return find_silhouettes(depth, corners.astype(depth.dtype), outline, room)
 
 
 @eqx.filter_jit
@@ -109,7 +196,8 @@ def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: Dep
 
 
 @eqx.filter_jit
-def _clip(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
+def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
+    """Clip coordinates of a mesh's vertices in each of the light's views."""
     view = light.view()
     layers = view.world_to_eye.shape[:-2]
     # A matrix of each layer for all vertices.

@@ -10,16 +10,15 @@ shadowed as well as one behind it.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float, dot, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Mesh
 from ..raster import NO_FACE, Capacity, Surface, rasterize
-from .filters._prefilter import Blur, Kernel, check_kernel, check_radius, radius_limit
+from ._map import clip_vertices
+from .filters._prefilter import Blur, Kernel, bilinear_fetch, check_kernel, check_radius, radius_limit
 
 LayerMap = Int[Array, "h w"]
 
@@ -65,7 +64,7 @@ class ProjectiveShadow(eqx.Module):
         """
         light = texture.light
         cosine = dot(surface.normal, normalize(light.towards(surface.position)))
-        seen = _bilinear(texture, *_project(texture, surface))
+        seen = _seen(texture, *_project(texture, surface))
         lit = jnp.where(casts[jnp.maximum(surface.face, 0)], 1, 1 - seen)
         return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
 
@@ -104,21 +103,13 @@ def draw_projective_texture(
     check_kernel("projective texture", kernel)
     blurring = Blur(as_float(blur), radius_limit(blur, max_blur), kernel)
     check_radius("projective texture", blurring.radius, blurring.max_radius)
-    face = rasterize(_clip(casters, light), casters.faces, resolution, capacity=capacity).face
+    face = rasterize(clip_vertices(casters, light), casters.faces, resolution, capacity=capacity).face
     return ProjectiveTexture(_blurred(as_float(face != NO_FACE), blurring), light, blurring.margin)
 
 
 @eqx.filter_jit
 def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l H W"]:
     return blur(silhouette, jnp.zeros((), silhouette.dtype))
-
-
-@eqx.filter_jit
-def _clip(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
-    view = light.view()
-    if view.world_to_eye.ndim == 2:
-        return view.clip(mesh.vertices)
-    return jax.vmap(lambda layer: view.facing(layer).clip(mesh.vertices))(jnp.arange(view.world_to_eye.shape[0]))
 
 
 def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
@@ -133,18 +124,7 @@ def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Ma
     return window * jnp.array([width, height], window.dtype), in_front[..., 0], layer
 
 
-def _bilinear(texture: ProjectiveTexture, texel: TexelMap, in_front: Mask, layer: LayerMap | None) -> Visibility:
+def _seen(texture: ProjectiveTexture, texel: TexelMap, in_front: Mask, layer: LayerMap | None) -> Visibility:
     """The coverage at `texel` (h, w, 2), blended from the four texels round it; nothing lies beyond the border."""
-    height, width = texture.coverage.shape[-2:]
-    # The outermost texels hold nothing, so look-ups may be clamped to them.
-    held = jnp.clip(texel + (texture.margin - 0.5), 0, jnp.array([width - 1, height - 1], texel.dtype))
-    first = jnp.minimum(jnp.floor(lax.stop_gradient(held)).astype(int), jnp.array([width - 2, height - 2]))
-    share = held - first
-    start = first[..., 1] * width + first[..., 0]
-    if layer is not None:
-        start = start + layer * (height * width)
-    at = lambda skip: texture.coverage.reshape(-1)[start + skip]
-    right, above = share[..., 0], share[..., 1]
-    lower = at(0) * (1 - right) + at(1) * right
-    upper = at(width) * (1 - right) + at(width + 1) * right
-    return jnp.where(in_front, lower * (1 - above) + upper * above, 0)
+    fetch = bilinear_fetch(texture.resolution, texel, layer, texture.margin)
+    return jnp.where(in_front, fetch(texture.coverage), 0)

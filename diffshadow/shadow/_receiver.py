@@ -60,7 +60,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface) -> Receiver:
     texel_size = view.texel_size(distance, shadow_map.resolution)
     texel, depth, in_front = project(shadow_map, surface.position, layer)
     depth_per_texel = texel_size * view.depth_slope(distance)
-    slope = _slope(view, eye, distance, surface.normal) * extent / texel_size[..., None]
+    slope = _slope(view, eye, distance, surface.normal, extent, texel_size)
     return Receiver(
         position=surface.position,
         normal=surface.normal,
@@ -87,16 +87,24 @@ def project(
     """Where `position` (h, w, 3) falls in the map, by the shadow matrix: texel, window depth and whether in front."""
     view = view_of(shadow_map, layer)
     clip = view.clip(position)
-    w = clip[..., 3:]
+    w = clip[..., 3]
     # Beside a spot light the divide overflows; so near to it, nothing casts a shadow.
     in_front = w > (_BESIDE * view.near if view.is_perspective else 0)
-    window = jnp.where(in_front, clip[..., :3] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
+    window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = shadow_map.resolution
-    return window[..., :2] * jnp.array([width, height], window.dtype), window[..., 2], in_front[..., 0]
+    # Coordinate by coordinate: XLA never writes to memory what is stacked and then taken apart again.
+    return jnp.stack([window(0) * width, window(1) * height], axis=-1), window(2), in_front
 
 
-def _slope(view: View, eye: VectorMap, distance: Float[Array, "h w"], normal: VectorMap) -> TexelMap:
-    """How much deeper the receivers' planes lie per unit across, along the view's x and y.
+def _slope(
+    view: View,
+    eye: VectorMap,
+    distance: Float[Array, "h w"],
+    normal: VectorMap,
+    extent: Float[Array, "h w 2"],
+    texel_size: Float[Array, "h w"],
+) -> TexelMap:
+    """How much deeper the receivers' planes lie per texel across, along the map's x and y, in `texel_size`.
 
     With `r` the ray through a point, per unit of distance along the axis, and `n` the plane's normal, both in eye
     space, it is `n_xy / -(n · r)`; across a perspective's rays as well as across parallel ones, for window depth is
@@ -108,7 +116,7 @@ def _slope(view: View, eye: VectorMap, distance: Float[Array, "h w"], normal: Ve
     across = n[..., :2]
     least = jnp.maximum(safe_norm(across) / _MAX_SLOPE, 1e-12)
     facing = jnp.where(jnp.abs(facing) > least, facing, jnp.where(facing < 0, -least, least))
-    return -across / facing[..., None]
+    return jnp.stack([-across[..., i] / facing * extent[..., i] / texel_size for i in range(2)], axis=-1)
 
 
 def _rounding(

@@ -8,8 +8,10 @@ Filters are sums of parts, such as taps. A few parts are written out in each ste
 expression, which a long chain of them does not.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -21,8 +23,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import round_up_to_power_of_two
 from .._types import Mask, Visibility
 from ._compare import AbstractCompare
+from ._cut_rectangle import WHOLE_TEXEL, Rectangle
 from ._lookup import Lookup
 from ._map import ShadowMap
+from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
 from .patterns import Pattern, interleaved_gradient_noise
 
 TapMode = Literal["nearest", "bilinear"]
@@ -31,10 +35,16 @@ TapMode = Literal["nearest", "bilinear"]
 _NOTHING = 1e6
 # What a step of the loop over parts may cost, in nearest taps: more run no faster, and take longer to compile.
 _COST_OF_A_STEP = 16
+# A tap where casters end within texels, as against a plain one.
+_COST_OF_SILHOUETTES = 16
 # A part with its derivatives, as against the part alone.
 _COST_OF_DERIVATIVES = 2
 # Pixels of a row that are laid out together: a vector's worth.
 _VECTOR = 8
+# Half the width of a square that stands for a point, in texels.
+_POINT = 1 / 512
+# Of a part of a texel, in square texels: less cannot be told from none.
+_LEAST_AREA = 1e-9
 # Pixels that one step of the loop over those that are wanted takes.
 _PIXELS_A_STEP = 8192
 
@@ -43,12 +53,14 @@ class PaddedMap(eqx.Module):
     """A shadow map's depths as one row of memory, padded with depths that shadow nothing.
 
     - `margin`: texels on each side.
+    - `silhouettes`: where casters end within texels, if that is known.
     """
 
     depth: Float[Array, " n"]
     height: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
+    silhouettes: "_PaddedSilhouettes | None" = None
 
     @property
     def stride(self) -> int:
@@ -63,19 +75,106 @@ class PaddedMap(eqx.Module):
             row = row + layer * (self.height + 2 * self.margin)
         return row * self.stride + clamp(x, self.width)
 
-    def at(self, place: Int[Array, "*n"]) -> Float[Array, "*n"]:
-        """The depths stored there."""
-        return self.depth.at[place].get(mode="promise_in_bounds")
+    def at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int = 0) -> Float[Array, "*n"]:
+        """The depths stored `skip` places after `place`: fewer than `margin` texels to the right, and up.
+
+        Look-ups that differ by `skip` alone share what it takes to find them.
+        """
+        return self._read(self.depth, place, skip)
+
+    def mean(
+        self,
+        function: Callable[[Array], Array],
+        place: Int[Array, "*n"],
+        skip: Int[Array, ""] | int = 0,
+        part: Rectangle = WHOLE_TEXEL,
+    ) -> Float[Array, "*n"]:
+        """The mean, over a `part` of the texel there, of a function of the stored depth."""
+        plain = function(self.at(place, skip))
+        if self.silhouettes is None:
+            return plain
+        found = self.silhouettes.map
+        slot = self._read(found.slot, place, skip)
+        held = jnp.maximum(slot, 0)
+        inner, outer = function(found.inner[held]), function(found.outer[held])
+        area = (part.right - part.left) * (part.above - part.below)
+        share = found.area_within(held, part) / jnp.maximum(area, _LEAST_AREA)
+        return jnp.where(slot == NO_SILHOUETTE, plain, outer + share * (inner - outer))
+
+    def without_silhouettes(self) -> "PaddedMap":
+        """The map as its texels' centres saw it."""
+        return dataclasses.replace(self, silhouettes=None)
+
+    def _read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
+        from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
+        return from_there.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
     """The map, padded by the texels that a look-up reads along a side, with empty texels that shadow nothing."""
-    depth = jnp.where(shadow_map.depth < 1, shadow_map.depth, _NOTHING)
     height, width = shadow_map.resolution
-    sides = [(0, 0)] * (depth.ndim - 2) + [(margin, margin)] * 2
-    padded = jnp.pad(depth, sides, constant_values=_NOTHING).reshape(-1)
-    # Else XLA pads anew for each reader.
-    return PaddedMap(lax.optimization_barrier(padded), height, width, margin)
+    hides = lambda depth: jnp.where(depth < 1, depth, _NOTHING)
+
+    def padded(values: Array, beyond: int | float) -> Array:
+        sides = [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2
+        # Else XLA pads anew for each reader, or, texel by texel, for one row of memory.
+        return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
+
+    silhouettes, found = None, shadow_map.silhouettes
+    if found is not None:
+        where = lambda found: (found.slot, found.inner, found.outer)
+        new = padded(found.slot, NO_SILHOUETTE), hides(found.inner), hides(found.outer)
+        silhouettes = _PaddedSilhouettes(eqx.tree_at(where, found, new), _Pyramid.of(found.slot != NO_SILHOUETTE))
+    return PaddedMap(padded(hides(shadow_map.depth), _NOTHING), height, width, margin, silhouettes)
+
+
+class _PaddedSilhouettes(eqx.Module):
+    """Silhouettes whose slots are padded as their map is, and which texels have one."""
+
+    map: SilhouetteMap
+    texels: "_Pyramid"
+
+
+class _Pyramid(eqx.Module):
+    """Which blocks of 1, 2, 4, ... texels a side hold a marked one, from the finest level to the coarsest.
+
+    - `marked`: of all levels, one after the other; `levels`: (first, rows, columns) of each.
+    """
+
+    marked: Bool[Array, " n"]
+    levels: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, marked: Bool[Array, "*l h w"]) -> "_Pyramid":
+        level, first = marked.reshape(-1, *marked.shape[-2:]), 0
+        flat, levels = [], []
+        while True:
+            _, rows, columns = level.shape
+            flat.append(level.reshape(-1))
+            levels.append((first, rows, columns))
+            first += level.size
+            if rows == columns == 1:
+                return cls(jnp.concatenate(flat), tuple(levels))
+            even = jnp.pad(level, ((0, 0), (0, rows % 2), (0, columns % 2)))
+            level = even[:, ::2, ::2] | even[:, 1::2, ::2] | even[:, ::2, 1::2] | even[:, 1::2, 1::2]
+
+    def any_within(self, sites: "Sites", reach: Float[Array, "..."]) -> Bool[Array, "..."]:
+        """Whether there may be a marked texel within a square of half width `reach` texels round each site.
+
+        The least blocks as wide as the square are asked: it touches two by two of them at the most.
+        """
+        x, y, reach = lax.stop_gradient((sites.x, sites.y, reach))
+        level = jnp.ceil(jnp.log2(jnp.maximum(2 * reach, 1))).astype(jnp.int32)
+        level = jnp.minimum(level, len(self.levels) - 1)
+        first, rows, columns = jnp.moveaxis(jnp.array(self.levels, jnp.int32)[level], -1, 0)
+        block = lambda place, size: jnp.clip(place * 0.5**level, 0, size - 1).astype(jnp.int32)
+        layer = 0 if sites.layer is None else sites.layer
+        found = jnp.zeros(x.shape, bool)
+        for row in (block(y - reach, rows), block(y + reach, rows)):
+            for column in (block(x - reach, columns), block(x + reach, columns)):
+                place = first + (layer * rows + row) * columns + column
+                found = found | self.marked.at[place].get(mode="promise_in_bounds")
+        return found
 
 
 class Sites(eqx.Module):
@@ -101,14 +200,27 @@ class Sites(eqx.Module):
         return jax.tree.map(lambda leaf: function(leaf) if leaf.ndim else leaf, self)
 
     def lit(
-        self, padded: PaddedMap, compare: AbstractCompare, place: Array, x: Float[Array, "*n"], y: Float[Array, "*n"]
+        self,
+        padded: PaddedMap,
+        compare: AbstractCompare,
+        place: Array,
+        x: Float[Array, "*n"],
+        y: Float[Array, "*n"],
+        right: Array | int = 0,
+        up: Array | int = 0,
+        part: Rectangle = WHOLE_TEXEL,
     ) -> Float[Array, "*n"]:
-        """The compare with what is stored at `place`, texel (x, y), at whose centre the receiver's plane is met."""
+        """The compare with a texel, at whose centre the receiver's plane is met.
+
+        It lies `right` and `up` of texel (x, y), which is stored at `place`. Where a caster ends in it, the mean over
+        a `part` of it.
+        """
         depth = self.depth
         if self.slope is not None:
-            depth = depth + self.slope[0] * (x + 0.5 - self.x) + self.slope[1] * (y + 0.5 - self.y)
+            depth = depth + self.slope[0] * (x + right + 0.5 - self.x) + self.slope[1] * (y + up + 0.5 - self.y)
             depth = depth if self.deepest is None else jnp.minimum(depth, self.deepest)
-        return compare(padded.at(place), depth, self.depth_per_texel)
+        against = lambda stored: compare(stored, depth, self.depth_per_texel)
+        return padded.mean(against, place, up * padded.stride + right, part)
 
 
 def sites_of(lookup: Lookup, radius: Float[Array, "..."] | float = 0.0) -> Sites:
@@ -121,9 +233,17 @@ def sites_of(lookup: Lookup, radius: Float[Array, "..."] | float = 0.0) -> Sites
 def nearest_tap(
     padded: PaddedMap, compare: AbstractCompare, sites: Sites, x: Float[Array, "*n"], y: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """Compares with the texel that (x, y) falls into. Its gradient does not see the position."""
+    """Compares with the texel that (x, y) falls into. Its gradient does not see the position.
+
+    Where a caster ends in the texel, it is the side that (x, y) lies on that counts.
+    """
     column, row = jnp.floor(x), jnp.floor(y)
-    return sites.lit(padded, compare, padded.place(column, row, sites.layer), column, row)
+    place = padded.place(column, row, sites.layer)
+    if padded.silhouettes is None:
+        return sites.lit(padded, compare, place, column, row)
+    along = lambda p: (jnp.clip(p - _POINT, -0.5, 0.5), jnp.clip(p + _POINT, -0.5, 0.5))
+    here = Rectangle(*along(x - column - 0.5), *along(y - row - 0.5))
+    return sites.lit(padded, compare, place, column, row, part=here)
 
 
 def bilinear_tap(
@@ -134,7 +254,10 @@ def bilinear_tap(
     column, row = jnp.floor(u), jnp.floor(v)
     right, above = u - column, v - row
     place = padded.place(column, row, sites.layer)
-    lit = lambda i, j: sites.lit(padded, compare, place + (j * padded.stride + i), column + i, row + j)
+    along = lambda share, i: (-0.5 + share, 0.5) if i == 0 else (-0.5, share - 0.5)
+    lit = lambda i, j: sites.lit(
+        padded, compare, place, column, row, i, j, Rectangle(*along(right, i), *along(above, j))
+    )
     lower = lit(0, 0) * (1 - right) + lit(1, 0) * right
     upper = lit(0, 1) * (1 - right) + lit(1, 1) * right
     return lower * (1 - above) + upper * above
@@ -146,8 +269,11 @@ _COSTS = {"nearest": 1.0, "bilinear": 4.0}
 
 def single_tap(shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare, mode: TapMode) -> Visibility:
     """One compare a receiver."""
-    sites = sites_of(lookup)
-    return _TAPS[mode](pad(shadow_map), compare, sites, sites.x, sites.y)
+    sites, padded = sites_of(lookup), pad(shadow_map)
+    if shadow_map.silhouettes is None:
+        return _TAPS[mode](padded, compare, sites, sites.x, sites.y)
+    here = jnp.zeros(1, sites.x.dtype)
+    return sum_of_parts(_DiskTap(mode), padded, compare, sites, (here, here))
 
 
 class _DiskTap(eqx.Module):
@@ -165,6 +291,11 @@ class _DiskTap(eqx.Module):
     @property
     def cost(self) -> float:
         return _COSTS[self.mode]
+
+    def reach(self, sites: Sites, offsets: tuple[Array, Array]) -> Float[Array, "..."]:
+        x, y = offsets
+        farthest = jnp.sqrt(jnp.max(x * x + y * y))
+        return sites.radius * farthest + (0.5 if self.mode == "bilinear" else 0.0)
 
 
 def mean_of_taps(
@@ -195,8 +326,7 @@ def mean_of_taps(
     blocks = _Blocks.of(pattern, lookup.depth.shape)
     sites, offsets = sites.map(blocks.cut), blocks.table(pattern)
     arguments = _DiskTap(mode), pad(shadow_map), compare, sites, offsets
-    total = sum_of_parts(*arguments) if wanted is None else _sum_where_wanted(*arguments, blocks.cut(wanted))
-    return blocks.join(total) / pattern.samples
+    return blocks.join(_sum_in_blocks(*arguments, None if wanted is None else blocks.cut(wanted))) / pattern.samples
 
 
 class _Blocks(eqx.Module):
@@ -240,7 +370,11 @@ class _Blocks(eqx.Module):
 def _plain_sum(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
     # Else every part would work out for itself where the look-ups are.
     sites = lax.optimization_barrier(sites)
-    return _scan_sum(lambda step: part(padded, compare, sites, step), sites.depth, steps, part.cost)
+    return _scan_sum(lambda step: part(padded, compare, sites, step), sites.depth, steps, _cost(part, padded))
+
+
+def _cost(part: Any, padded: PaddedMap) -> float:
+    return part.cost * (1 if padded.silhouettes is None else _COST_OF_SILHOUETTES)
 
 
 def _scan_sum(one: Callable[[Any], Any], like: Any, steps: Any, cost: float) -> Any:
@@ -253,19 +387,43 @@ def _scan_sum(one: Callable[[Any], Any], like: Any, steps: Any, cost: float) -> 
     return lax.optimization_barrier(total)
 
 
-@eqx.filter_custom_jvp
 def sum_of_parts(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
-    """The sum of `part(padded, compare, sites, step)` over `steps`.
+    """The sum of `part(padded, compare, sites, step)` over `steps`, for sites that are the pixels of an image.
 
     **Arguments:**
 
-    - `part`: a module with that method, which treats each site by itself, and with its `cost` in nearest taps.
+    - `part`: a module with that method, which treats each site by itself, with its `cost` in nearest taps, and with
+        `reach(sites, steps)`: half the width of a square round a site that holds all that it reads, in texels.
     - `steps`: a pytree of arrays whose first axis counts the parts. They carry no gradient.
     """
+    if padded.silhouettes is None:
+        return _sum_of_parts(part, padded, compare, sites, steps)
+    height, width = sites.depth.shape
+    blocks = _Blocks((height, width), 1, _VECTOR)
+    return blocks.join(_sum_in_blocks(part, padded, compare, sites.map(blocks.cut), steps, None))
+
+
+def _sum_in_blocks(
+    part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any, wanted: Array | None
+) -> Float[Array, "i p j q"]:
+    """`sum_of_parts` for sites laid out by `_Blocks`, where it is `wanted`, and 0 elsewhere."""
+    add = _sum_of_parts if wanted is None else partial(_sum_where_wanted, wanted=wanted)
+    plain = add(part, padded.without_silhouettes(), compare, sites, steps)
+    if padded.silhouettes is None:
+        return plain
+    # Few receivers see one, and it costs many times a plain texel.
+    near = padded.silhouettes.texels.any_within(sites, part.reach(sites, steps))
+    near = near if wanted is None else near & wanted
+    return jnp.where(near, _sum_where_wanted(part, padded, compare, sites, steps, near), plain)
+
+
+@eqx.filter_custom_jvp
+def _sum_of_parts(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
+    """The sum of `part(padded, compare, sites, step)` over `steps`, for sites laid out in any way."""
     return _plain_sum(part, padded, compare, sites, steps)
 
 
-@sum_of_parts.def_jvp
+@_sum_of_parts.def_jvp
 def _sum_of_parts_jvp(primals, tangents):
     """Each part gives its derivatives by all of a site's numbers at once, in reverse mode, and they are summed as the
     parts are: a Jacobian then costs the same for any number of parameters."""
@@ -280,7 +438,7 @@ def _sum_of_parts_jvp(primals, tangents):
         value, pull = jax.vjp(lambda moving: part(padded, compare, eqx.combine(moving, still), step), moving)
         return value, pull(jnp.ones_like(value))[0]
 
-    value, slopes = _scan_sum(one, (sites.depth, moving), steps, _COST_OF_DERIVATIVES * part.cost)
+    value, slopes = _scan_sum(one, (sites.depth, moving), steps, _COST_OF_DERIVATIVES * _cost(part, padded))
     tangent = jnp.zeros_like(value)
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_sites), strict=True):
         tangent = tangent + slope * d
@@ -295,7 +453,6 @@ def _sum_of_parts_jvp(primals, tangents):
     return value, tangent
 
 
-@eqx.filter_custom_jvp
 def _sum_where_wanted(
     part: Any,
     padded: PaddedMap,
@@ -304,10 +461,10 @@ def _sum_where_wanted(
     steps: Any,
     wanted: Bool[Array, "i p j q"],
 ) -> Float[Array, "i p j q"]:
-    """`sum_of_parts` where it is `wanted` and 0 elsewhere, for sites laid out by `_Blocks`.
+    """The sum where it is `wanted` and 0 elsewhere, for sites laid out by `_Blocks`.
 
-    Runs of `q` pixels that hold a wanted one are gathered, those of each of a block's rows together so that the table
-    of offsets still fits, and summed a fixed number at a time until none is left.
+    Runs of `q` pixels that hold a wanted one are gathered, those of each of a block's rows together so that a table
+    of offsets still fits, and summed a fixed number at a time. Steps that find none left do nothing.
     """
     i, p, j, q = wanted.shape
     runs = i * p * j
@@ -320,26 +477,19 @@ def _sum_where_wanted(
     # Runs that are not chosen go to a place that is never read, and places that no run takes name none.
     queue = jnp.full((p, room + 1), runs, jnp.int32)
     queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, room)].set(number, mode="promise_in_bounds")
+    queue = jnp.moveaxis(queue[:, :-1].reshape(p, room // a_step, a_step), 1, 0)
 
-    def step(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        done, total = state
-        own = lax.dynamic_slice(queue, (jnp.zeros_like(done), done), (p, a_step))
+    @jax.checkpoint
+    def some(own: Int[Array, "p n"]) -> Float[Array, "p n q"]:
         held = jnp.minimum(own, runs - 1)
         gathered = sites.map(lambda a: a.reshape(runs, q).at[held].get(mode="promise_in_bounds"))
-        return done + a_step, total.at[own].set(_plain_sum(part, padded, compare, gathered, steps), mode="drop")
+        return _sum_of_parts(part, padded, compare, gathered, steps)
 
-    total = jnp.zeros((runs, q), sites.depth.dtype)
-    _, total = lax.while_loop(lambda state: state[0] < most, step, (jnp.zeros((), jnp.int32), total))
+    none = lambda own: jnp.zeros((*own.shape, q), sites.depth.dtype)
+    step = lambda at: lax.cond(at[0] * a_step < most, some, none, at[1])
+    values = lax.map(step, (jnp.arange(room // a_step, dtype=jnp.int32), queue))
+    total = jnp.zeros((runs, q), sites.depth.dtype).at[queue].set(values, mode="drop")
     return jnp.where(wanted, total.reshape(wanted.shape), 0)
-
-
-@_sum_where_wanted.def_jvp
-def _sum_where_wanted_jvp(primals, tangents):
-    """That of the sum over all: loops of unknown length have no reverse mode, and a derivative pays for them anyway."""
-    part, padded, compare, sites, steps, wanted = primals
-    function = lambda padded, compare, sites: sum_of_parts(part, padded, compare, sites, steps)
-    value, tangent = eqx.filter_jvp(function, (padded, compare, sites), tangents[1:4])
-    return jnp.where(wanted, value, 0), jnp.where(wanted, tangent, 0)
 
 
 def _is_none(x: Any) -> bool:

@@ -43,6 +43,8 @@ class ShadowMapping(eqx.Module):
 
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
         at = receiver(shadow_map, surface)
-        arrays, rest = eqx.partition(look_up(shadow_map, at, self.bias(at)), eqx.is_array)
-        # Else XLA projects every receiver anew for each tap.
-        return eqx.combine(lax.optimization_barrier(arrays), rest), at.cosine
+        lookup = look_up(shadow_map, at, self.bias(at))
+        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them.
+        xy = (lookup.texel[..., 0], lookup.texel[..., 1])
+        xy, lookup = lax.optimization_barrier((xy, lookup))
+        return eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1)), at.cosine

@@ -19,8 +19,6 @@ from ._setup import Drawn
 from ._shade import shade
 from ._techniques import visibility
 
-# How many times the classic view of a perspective depth map stretches the depths next to 1.
-_CONTRAST = 25.0
 # How many neighbouring pixels' patterns are shown one by one.
 _FEW = 3
 # More volumes than this share the last colour.
@@ -45,11 +43,12 @@ def write_debug(folder: Path, end: str, config: Config, technique: Technique, dr
 
 
 def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
-    """The map's window depths as they are displayed by custom, since those of a perspective crowd next to 1."""
+    """The map's window depths, stretched to those that there are, for a perspective's crowd next to 1."""
     depth = np.asarray(shadow_map.depth)
-    stretched = np.where(depth < 1, np.clip(1 - (1 - depth) * _CONTRAST, 0, 1), np.nan)
-    label = f"1 − {_CONTRAST:g} (1 − z), at least 0"
-    figures.write_map(path, "Window depth z, stretched", stretched, label, cmap="gray", vmin=0.0, vmax=1.0)
+    seen = depth[depth < 1]
+    low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
+    high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
+    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", vmin=low, vmax=high)
 
 
 def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Drawn) -> None:
@@ -61,7 +60,7 @@ def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Draw
     axes.add_collection(LineCollection(list(lines), colors=style.VERMILION, linewidths=0.9))
     axes.set_xlim(0, width)
     axes.set_ylim(0, height)
-    style.title(axes, "Silhouettes that the light sees", f"{len(lines)} edges, those hidden from the camera too")
+    style.title(axes, "Silhouettes that the light sees", f"{len(lines)} edges, with those hidden from the camera")
     style.save(figure, path)
 
 
@@ -136,26 +135,28 @@ def _write_pattern(path: Path, pattern: shadow.Pattern) -> None:
     size = offsets.shape[1]
     sets = [(f"Pixel ({x}, 0)", offsets[:, 0, x]) for x in range(min(_FEW, size))]
     if size > 1:
-        sets.append((f"All {size} × {size} pixels", offsets.reshape(-1, 2)))
-    figure, axes = style.figure(2.5 * len(sets) + 0.9, 2.75, 1, len(sets))
+        sets.append((f"{size} × {size} pixels", offsets.reshape(-1, 2)))
+    figure, axes = style.figure(2.5 * len(sets) + 0.9, 2.9, 1, len(sets), sharex=True, sharey=True)
     dots = None
     for one, (title, points) in zip(axes, sets, strict=True):
-        order = np.repeat(np.arange(pattern.samples), len(points) // pattern.samples)
+        order = 1 + np.repeat(np.arange(pattern.samples), len(points) // pattern.samples)
         _disk(one)
         dots = one.scatter(*points.T, c=order, cmap="viridis", s=14 if len(points) == pattern.samples else 2)
-        style.title(one, title, f"{len(points)} taps{', before the pixel turns them' if pattern.rotated else ''}")
-    style.colour_bar(figure, dots, axes, "order of the taps")
+        style.title(one, f"{title}: {len(points)} taps")
+    axes[0].set_ylabel("offset [filter radii]", fontsize=8.5, color=style.INK)
+    bar = style.colour_bar(figure, dots, axes, "tap, in order" + (", before the pixel turns it" * pattern.rotated))
+    bar.locator = MaxNLocator(6, integer=True, min_n_ticks=1)
+    bar.update_ticks()
     style.save(figure, path)
 
 
 def _disk(axes: style.Axes) -> None:
     """The unit disk, whose radius is the filter's."""
+    style.chart(axes, "offset [filter radii]", "")
+    style.frame(axes)
+    axes.grid(False)
     angle = np.linspace(0, 2 * np.pi, 128)
     axes.plot(np.cos(angle), np.sin(angle), color=style.FAINT, linewidth=0.8)
     axes.set_aspect("equal")
     axes.set_xticks([-1, 0, 1])
     axes.set_yticks([-1, 0, 1])
-    axes.tick_params(labelsize=7, colors=style.INK)
-    for spine in axes.spines.values():
-        spine.set_color(style.FAINT)
-        spine.set_linewidth(0.6)

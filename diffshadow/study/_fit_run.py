@@ -12,6 +12,7 @@ from rich.console import Console
 from .. import fit, shadow
 from .._types import HostArray
 from ..config import Config, FitPlan, build_fit, build_shadow_mapping
+from . import _pose_run as poses
 from . import _record as record
 from . import _table as table
 from ._progress import Stages
@@ -19,12 +20,16 @@ from ._remarks import remarks
 from ._run_folder import folder_of, write_whole
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
+from ._stored import stored, to_bytes
 
 Images = list[Float32[HostArray, "h w"]]
 
 
 class Fitted(NamedTuple):
-    """A finished fit, and its images, one for each light, and errors under the hard compare."""
+    """A finished fit, and its images, one for each light, and errors under the hard compare.
+
+    - `seen`: the scene as it stood before and after, for a fit may move lights and meshes; `drawn` is the truth.
+    """
 
     config: Config
     plan: FitPlan
@@ -35,6 +40,7 @@ class Fitted(NamedTuple):
     errors_before: dict[str, float]
     errors_after: dict[str, float]
     remarks: list[str]
+    seen: tuple[list[Drawn], list[Drawn]]
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
@@ -46,7 +52,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
     """
     folder = folder_of(config)
     with Stages(console) as stages:
-        fitted = _fit(config, stages)
+        fitted = fit_technique(config, stages)
         with stages.stage("writing"):
             write_whole(folder, lambda draft: _write(draft, folder, fitted, stages.seconds))
     table.print_fit(
@@ -54,6 +60,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     )
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
     noise = table.noise_text(record.noise(fitted.drawn))
+    if fitted.plan.arrangement is not None:
+        poses.print_poses(console, fitted.plan, fitted.result)
     table.print_lines(
         console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
     )
@@ -61,26 +69,42 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def _fit(config: Config, stages: Stages) -> Fitted:
-    plan = build_fit(config)
-    casting, technique = load(config, stages), build_shadow_mapping(config)
+def fit_technique(config: Config, stages: Stages) -> Fitted:
+    casting = load(config, stages)
+    plan, technique = build_fit(config, casting), build_shadow_mapping(config)
     drawn = draw(config, casting, technique, stages)
+    if plan.arrangement is None:
+        problems = [_problem(technique, each) for each in drawn]
+    else:
+        drawn = poses.with_cones(config, drawn)
+        problems = poses.problems_of(config, plan, casting, drawn)
     stages.show("compiling")
-    result = fit.fit(
-        [_problem(technique, each) for each in drawn],
-        plan.parameters,
-        solver=plan.solver,
-        anneal=plan.anneal,
-        on_step=_watch(stages, plan.anneal.phases),
-    )
+    with poses.quiet_callbacks():
+        result = fit.fit(
+            problems,
+            plan.parameters,
+            solver=plan.solver,
+            anneal=plan.anneal,
+            levels=plan.levels,
+            starts=plan.starts,
+            seed=config.seed,
+            on_step=_watch(stages, plan),
+        )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
-        techniques = fit.with_values(result.technique, paths, start), result.technique
-        before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
+        if result.arrangement is None:
+            techniques = fit.with_values(result.technique, paths, start), result.technique
+            before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
+            seen = drawn, drawn
+        else:
+            moving = [each for each in result.problems if isinstance(each, fit.PoseProblem)]
+            subjects = fit.with_values(result.arrangement, paths, start), result.arrangement
+            (before, *seen_before), (after, *seen_after) = (poses.images_at(moving, drawn, s) for s in subjects)
+            seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
     said = remarks(config, plan.parameters, result)
-    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said)
+    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said, seen)
 
 
 def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.Problem:
@@ -93,10 +117,15 @@ def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
     return record.combined([record.measured(image, each) for image, each in zip(images, drawn, strict=True)], drawn)
 
 
-def _watch(stages: Stages, phases: int) -> Callable[[fit.Step], None]:
+def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
+    phases = plan.anneal.phases if plan.arrangement is None else None
+
     def show(step: fit.Step) -> None:
-        detail = f"phase {step.phase + 1} of {phases}, step {step.step}, RMSE {max(step.loss, 0) ** 0.5:.5f}"
-        stages.show("fitting", detail, step.phase / phases)
+        at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
+        start = f"start {step.start + 1} of {plan.starts}, " if plan.starts > 1 else ""
+        detail = f"{start}{at}, step {step.step}, RMSE {max(step.loss, 0) ** 0.5:.5f}"
+        share = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
+        stages.show("fitting", detail, share)
 
     return show
 
@@ -105,27 +134,25 @@ def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float])
     """Writes every file of the run to `draft`, which will be `folder`."""
     # Here, since only a run that got this far needs Matplotlib.
     from . import _figures as figures
-    from ._report import write_report
+    from ._report_run import write_report
 
-    drawn = fitted.drawn
-    shaded = [(title, shade(fitted.config, drawn, images)) for title, images in _pairs(fitted)]
+    drawn, truth = fitted.drawn, [each.reference.visibility for each in fitted.drawn]
+    before, after = fitted.seen
+    states = [("reference", drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
+    shaded = {f"shaded_{name}": to_bytes(shade(fitted.config, seen, images)) for name, seen, images in states}
+    result, arrays = _result(folder, fitted, seconds), {**_arrays(fitted), **shaded}
+    run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config)
+    record.write_arrays(draft, arrays)
+    figures.write_figures(run, draft)
     for i, each in enumerate(drawn):
-        end, truth = record.suffix(i, drawn), each.reference.visibility
-        compared = [(title, images[i], record.measured(images[i], each)["rmse"]) for title, images in _pairs(fitted)]
-        picture = ("After, shaded", shaded[1][1])
-        figures.write_comparison(draft / f"comparison{end}.png", truth, compared, picture, each.mask)
-        figures.write_from_light(draft, end, each.from_light)
-    figures.write_shaded(draft / "shaded.png", shaded)
-    figures.write_loss(draft / "loss.png", fitted.result, fitted.errors_before["rmse"])
-    record.write_arrays(draft, _arrays(fitted))
-    result = _result(folder, fitted, seconds)
-    write_report(draft, result, fitted.config, fitted.plan.parameters)
+        figures.write_from_light(draft, record.suffix(i, drawn), each.from_light)
+    if fitted.plan.arrangement is not None:
+        from ._pose_figures import write_paths
+
+        write_paths(draft / "paths.png", fitted.plan, drawn[0].casting, fitted.result)
+    write_report(run)
     record.write_result(draft, result)
-
-
-def _pairs(fitted: Fitted) -> list[tuple[str, Images]]:
-    return [("Before", fitted.before), ("After", fitted.after)]
 
 
 def _arrays(fitted: Fitted) -> dict[str, Any]:
@@ -136,6 +163,7 @@ def _arrays(fitted: Fitted) -> dict[str, Any]:
         "after": record.stacked(fitted.after),
         "mask": record.stacked([each.mask for each in fitted.drawn]),
         **record.light_arrays(fitted.drawn),
+        "history_start": np.asarray([step.start for step in history], np.int32),
         "history_phase": np.asarray([step.phase for step in history], np.int32),
         "history_step": np.asarray([step.step for step in history], np.int32),
         "history_width": np.asarray([step.width for step in history], np.float32),
@@ -178,6 +206,7 @@ def _result(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> dict[str
             "seconds_running": result.seconds_running,
             "phases": phases,
         },
+        **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
         "versions": record.versions(),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from ..config import Config
 from ..fit import FitResult, Parameter
+from ._pose_run import pose_remarks
 
 # A value within this share of its bounds' distance from one of them sits on it.
 _ON_BOUND = 1e-3
@@ -11,7 +12,10 @@ _ON_BOUND = 1e-3
 
 def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) -> list[str]:
     """One plain sentence for each thing that makes the fit less than it looks."""
-    said = [_flat(config, name) for name in result.flat]
+    if result.arrangement is None:
+        said = [_flat(config, name) for name in result.flat]
+    else:
+        said = list(pose_remarks(config, result))
     if result.chosen < 0:
         said.append(
             "no phase ended better than the start under the hard compare, so the start is the result: try other "
@@ -21,10 +25,8 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
     outcome = result.phases[result.chosen]
     if outcome.result != "successful":
         mend = ": raise fit.solver.max_steps" if outcome.result == "max_steps reached" else ""
-        said.append(
-            f"the solver did not converge in the phase that gave the result (width {outcome.width:.3g} texels): "
-            f"{outcome.result}{mend}"
-        )
+        phase = f"width {outcome.width:.3g} texels" if outcome.width else f"level {outcome.level}"
+        said.append(f"the solver did not converge in the phase that gave the result ({phase}): {outcome.result}{mend}")
     return said
 
 

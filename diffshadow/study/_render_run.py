@@ -14,6 +14,7 @@ from ._progress import Stages
 from ._run_folder import folder_of, write_whole
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
+from ._stored import stored, to_bytes
 
 SUFFIX = "-render"
 """Ends the name of a render's folder, which keeps it apart from the fit's."""
@@ -59,29 +60,30 @@ def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, flo
     # Here, since only a run that got this far needs Matplotlib.
     from . import _debug as debug_figures
     from . import _figures as figures
+    from ._report_run import write_report
 
     config, drawn = rendered.config, rendered.drawn
+    truth = [each.reference.visibility for each in drawn]
+    arrays = {
+        "reference": record.stacked(truth),
+        "visibility": record.stacked(rendered.visibility),
+        "mask": record.stacked([each.mask for each in drawn]),
+        **record.light_arrays(drawn),
+        "shaded_reference": to_bytes(shade(config, drawn, truth)),
+        "shaded_visibility": to_bytes(shade(config, drawn, rendered.visibility)),
+    }
+    result = _result(folder, rendered, seconds)
+    run = stored(draft, result, arrays, config)
     record.write_config(draft, config)
-    for i, (each, visibility) in enumerate(zip(drawn, rendered.visibility, strict=True)):
-        end, truth = record.suffix(i, drawn), each.reference.visibility
-        figures.write_visibility(draft / f"visibility{end}.png", "Visibility", visibility, each.mask)
-        figures.write_visibility(draft / f"reference{end}.png", "Reference", truth, each.mask)
-        figures.write_difference(draft / f"difference{end}.png", visibility, truth, each.mask)
+    record.write_arrays(draft, arrays)
+    figures.write_figures(run, draft)
+    for i, each in enumerate(drawn):
+        end = record.suffix(i, drawn)
         figures.write_from_light(draft, end, each.from_light)
         if debug:
             debug_figures.write_debug(draft, end, config, rendered.technique, each)
-    picture = shade(config, drawn, rendered.visibility)
-    figures.write_shaded(draft / "shaded.png", [("Shaded", picture)])
-    record.write_arrays(
-        draft,
-        {
-            "reference": record.stacked([each.reference.visibility for each in drawn]),
-            "visibility": record.stacked(rendered.visibility),
-            "mask": record.stacked([each.mask for each in drawn]),
-            **record.light_arrays(drawn),
-        },
-    )
-    record.write_result(draft, _result(folder, rendered, seconds))
+    write_report(run)
+    record.write_result(draft, result)
 
 
 def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict[str, Any]:

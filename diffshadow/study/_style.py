@@ -1,70 +1,185 @@
-"""How every figure looks: one set of colours, sizes and frames. Matplotlib's own settings are left alone."""
+"""How every figure and page looks: one set of colours, sizes and frames. Matplotlib's own settings are left alone."""
 
+import io
+import re
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colorbar import Colorbar
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-INK, FAINT, PAPER = "#22272e", "#8b949e", "#ffffff"
+from .._types import HostArray
+
+INK, FAINT, GRID, BAND, PAPER = "#22272e", "#8b949e", "#e3e7ec", "#f1f4f8", "#ffffff"
 NO_SURFACE = "#d5dce4"
 """Where a picture has nothing to show."""
 # Okabe & Ito, "Color universal design", 2008: told apart by all kinds of colour vision.
-BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+"""The colours of curves that are compared. Their dashes differ too: see `dashes`."""
+THEME = {
+    "ink": (INK, "#e3e7ec"),
+    "faint": (FAINT, "#7d8794"),
+    "grid": (GRID, "#303843"),
+    "band": (BAND, "#262d37"),
+    "card": (PAPER, "#1a2027"),
+    "blue": (BLUE, "#5fb4ea"),
+    "vermilion": (VERMILION, "#f58a4b"),
+    "green": (GREEN, "#3cc79f"),
+    "purple": (PURPLE, "#e0a0c4"),
+    "orange": (ORANGE, "#f0b73c"),
+    "sky": (SKY, "#9ad4f5"),
+    "page": ("#f6f7f9", "#12161b"),
+    "line": ("#d9dfe6", "#333c47"),
+    "muted": ("#5b6570", "#9aa4af"),
+}
+"""The colours of a page and of the curves in it, by name: on light paper, and in the dark."""
+MARKERS = ("o", "s", "D", "^", "v", "P")
 DIFFERENCE = "PuOr"
 """Diverging and safe for the colour-blind: orange too dark, purple too light."""
 DISTANCE = "cividis_r"
 DPI = 150
+FORMATS = ("png", "svg", "pdf")
+"""What figures can be written as; text stays text in the latter two."""
 _TITLE, _TEXT = 10, 8.5
+# Embeds TrueType fonts in PDF, for many publishers refuse Type 3; makes names in SVG that are alike in every run.
+_VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
 
-def figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
     """A figure of `width` by `height` inches, and its axes row by row."""
     made = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor=PAPER)
     FigureCanvasAgg(made)
-    return made, list(made.subplots(rows, columns, squeeze=False).ravel())
+    return made, list(made.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
 def title(axes: Axes, text: str, below: str = "") -> None:
-    """A title, and a fainter line of numbers under the axes."""
-    axes.set_title(text, fontsize=_TITLE, color=INK, loc="left")
+    """A title, and a line of numbers under the axes."""
+    axes.set_title(text, fontsize=_TITLE, color=INK, loc="left", parse_math=False)
     if below:
         axes.set_xlabel(below, fontsize=_TEXT, color=INK, loc="left")
+
+
+def heading(axes: Axes, words: str, above: int) -> None:
+    """The title of one chart among several, as many points `above` it."""
+    axes.set_title(words, fontsize=_TEXT, color=INK, loc="left", pad=above)
+
+
+def text(axes: Axes, x: float, words: str) -> None:
+    """Words above a chart, over its `x`."""
+    place = axes.get_xaxis_transform()
+    axes.text(x, 1.01, words, transform=place, ha="center", va="bottom", fontsize=_TEXT, color=INK)
 
 
 def picture(axes: Axes, image: Any, **options: Any) -> Any:
     """`image` with row 0 at the bottom, pixel by pixel, without ticks."""
     axes.set_xticks([])
     axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color(FAINT)
-        spine.set_linewidth(0.6)
+    frame(axes)
     return axes.imshow(image, origin="lower", interpolation="nearest", **options)
 
 
 def chart(axes: Axes, x: str, y: str) -> None:
     """Axes for curves, with what is along them and its unit."""
+    axes.set_facecolor(PAPER)
     axes.set_xlabel(x, fontsize=_TEXT, color=INK)
     axes.set_ylabel(y, fontsize=_TEXT, color=INK)
-    axes.tick_params(labelsize=_TEXT, colors=INK, which="both")
-    axes.grid(True, color="#e3e7ec", linewidth=0.6)
+    axes.tick_params(labelsize=_TEXT, color=FAINT, labelcolor=INK, which="both")
+    axes.grid(True, color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(FAINT)
 
 
-def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str) -> Colorbar:
+def frame(axes: Axes) -> None:
+    """A thin frame all round, for pictures."""
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(FAINT)
+        spine.set_linewidth(0.6)
+
+
+def log_scale(axes: Axes) -> None:
+    """A logarithmic y-axis whose ticks are plain numbers, also within one decade."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def legend(axes: Axes, **options: Any) -> None:
+    """A legend without a frame."""
+    made = axes.legend(fontsize=_TEXT, labelcolor=INK, frameon=False, **options)
+    made.get_title().set_color(INK)
+    for words in made.get_texts():
+        words.set_parse_math(False)
+
+
+def dashes(index: int) -> str:
+    """The dashes of the curve at `index`; they change where `CYCLE` begins anew."""
+    return ("-", "--", ":", "-.")[index // len(CYCLE) % 4]
+
+
+def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
     """A colour bar beside `axes`."""
-    bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
     bar.set_label(label, fontsize=_TEXT, color=INK)
-    bar.ax.tick_params(labelsize=_TEXT, colors=INK)
+    bar.ax.tick_params(labelsize=_TEXT, color=FAINT, labelcolor=INK)
     bar.outline.set_edgecolor(FAINT)  # type: ignore[operator]
     bar.outline.set_linewidth(0.6)  # type: ignore[operator]
     return bar
 
 
-def save(figure: Figure, path: Any) -> None:
-    """Writes `figure` as a PNG without a date, so that equal figures are equal files."""
-    figure.savefig(path, format="png", metadata={"Software": "diffshadow"})
+def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
+    """Writes `figure` in the format of the suffix, without a date, so that equal figures are equal files.
+
+    `dpi` is pixels an inch; in SVG and PDF it concerns only the pictures inside.
+    """
+    form = path.suffix.removeprefix(".")
+    undated = {"png": {"Software": "diffshadow"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with rc_context(_VECTOR):
+        figure.savefig(path, format=form, dpi=dpi, metadata=undated[form])
+
+
+def inline_svg(figure: Figure, name: str) -> str:
+    """A figure of curves as an `<svg>` for a page, whose colours follow the page's theme; `name` is unique there."""
+    out = io.StringIO()
+    with rc_context({**_VECTOR, "svg.hashsalt": name}):
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    return themed(out.getvalue())
+
+
+def themed(svg: str) -> str:
+    """The text of Matplotlib's SVG file as an `<svg>` for a page, whose colours follow the page's theme."""
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    # Matplotlib numbers its parts from 1 in each figure; only what is referred to needs a name.
+    svg = re.sub(r' id="([^"]*)"', lambda found: found[0] if f"#{found[1]}" in svg else "", svg)
+    for name, (colour, _) in THEME.items():
+        svg = svg.replace(colour, f"var(--{name})")
+    return svg
+
+
+def png(image: HostArray, colours: str = "gray", low: float = 0.0, high: float = 1.0) -> bytes:
+    """`image`, (h, w) in `colours` from `low` to `high` or (h, w, 3), as a PNG of one pixel for each.
+
+    Not-a-numbers are where nothing is to be seen.
+    """
+    out = io.BytesIO()
+    colour_map = colormaps[colours].with_extremes(bad=NO_SURFACE)
+    shown = np.ma.masked_invalid(image) if image.ndim == 2 else image
+    imsave(out, shown, origin="lower", cmap=colour_map, vmin=low, vmax=high, format="png")
+    return out.getvalue()
+
+
+def gradient(colours: str) -> str:
+    """`colours` from left to right, in CSS."""
+    stops = ", ".join(to_hex(colour) for colour in colormaps[colours](np.linspace(0, 1, 9)))
+    return f"linear-gradient(to right, {stops})"

@@ -1,5 +1,6 @@
 """The tables that a run prints at its end. They read as well without colour."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
@@ -17,9 +18,20 @@ ERRORS = {
 }
 """Every error's name in tables and reports; all but SSIM are better the smaller they are."""
 
+UNITS = {
+    "rmse": "visibility",
+    "mae": "visibility",
+    "ssim": "",
+    "false_shadow_rate": "of light",
+    "false_light_rate": "of light",
+}
+"""Every error's unit."""
 
-def number(name: str, value: float) -> str:
-    """The error `name` as text."""
+
+def number(name: str, value: float | None) -> str:
+    """The error `name` as text; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "–"
     return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
 
 
@@ -46,8 +58,7 @@ def print_fit(
         table.add_row(Text(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
     table.add_section()
     for key, label in ERRORS.items():
-        unit = "of light" if key.endswith("_rate") else ("visibility" if key in ("rmse", "mae") else "")
-        table.add_row(label, number(key, before[key]), number(key, after[key]), unit)
+        table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
     console.print(table)
 
 
@@ -59,6 +70,20 @@ def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, 
         column.justify = "right"
     for key, label in ERRORS.items():
         table.add_row(label, *(number(key, of_light[key]) for of_light in errors.values()))
+    console.print(table)
+
+
+def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:
+    """Rows of a name, a text for each of the runs called `labels`, and a unit, part by part."""
+    table = Table()
+    table.add_column("", overflow="fold")
+    for label in labels:
+        table.add_column(Text(label), justify="right")
+    table.add_column("unit")
+    for part in parts:
+        for row in part:
+            table.add_row(*(Text(cell) for cell in row))
+        table.add_section()
     console.print(table)
 
 

@@ -49,6 +49,14 @@ class AbstractLight(eqx.Module):
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
         """Which of its views sees each of `points`; `None` for a light that looks one way only."""
 
+    def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":
+        """The same light with the frustum of its shadow map fitted anew to `points` (n, 3), also under a trace.
+
+        The frustum carries no gradient; where the light stands and which way it shines do. A light that cannot be
+        refitted stays as it is.
+        """
+        return self
+
     @property
     @abc.abstractmethod
     def domain(self) -> Domain:

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete, normalize
@@ -62,6 +63,10 @@ class DirectionalLight(AbstractLight):
             far=size[2] / 2,
             angular_radius=angular_radius,
         )
+
+    def refitted(self, points: Float[Array, "n 3"]) -> "DirectionalLight":
+        tight = DirectionalLight.around(*lax.stop_gradient((self.direction, points)))
+        return DirectionalLight(self.direction, tight.center, tight.extent, tight.near, tight.far, self.angular_radius)
 
     def view(self) -> View:
         half = self.extent / 2

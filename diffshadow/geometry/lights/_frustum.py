@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._camera import check_near_far, check_pose
 from .._transforms import frame, look_at, perspective, transform_points
@@ -21,6 +21,8 @@ _NEAREST = 1e-3
 # The near plane stays this share of the farthest point's distance clear of the light: window depth spends its precision
 # there.
 _CLEAR = 1e-2
+# Bounds on half the opening of a frustum that follows a light about, in degrees.
+_NARROWEST, _WIDEST = 0.1, 80.0
 
 
 class Frustum(NamedTuple):
@@ -50,10 +52,7 @@ class Frustum(NamedTuple):
         check_pose(name, position, target)
         eye = transform_points(look_at(position, target - position, up), points)[..., :3]
         distance = -eye[..., 2]
-        # What lies behind the light casts no shadow; if all does, the frustum is as long as the scene is far.
-        high = jnp.max(distance)
-        high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
-        low = jnp.clip(jnp.min(distance), 0, high)
+        low, high = _reach(distance)
         if outer_angle is None:
             if not bool(_is_clear(low, high)):
                 raise ValueError(
@@ -63,6 +62,32 @@ class Frustum(NamedTuple):
             tangent = jnp.max(jnp.abs(eye[..., :2]) / distance[..., None]) * (1 + 2 * MARGIN)
             outer_angle = float(jnp.rad2deg(jnp.arctan(tangent)))
         return cls(target - position, outer_angle, *near_far(low, high))
+
+    @classmethod
+    def framing(cls, position: Vec3, points: Float[Array, "n 3"], up: Vec3) -> "Frustum":
+        """As `around`, under a trace as well: points beside or behind the light stay outside the frustum."""
+        direction = (points.min(axis=0) + points.max(axis=0)) / 2 - position
+        eye = transform_points(look_at(position, direction, up), points)[..., :3]
+        distance = -eye[..., 2]
+        ahead = distance > 0
+        tangent = jnp.max(
+            jnp.where(ahead[..., None], jnp.abs(eye[..., :2]) / jnp.where(ahead, distance, 1)[..., None], 0)
+        )
+        angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
+        return cls(direction, jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance)))
+
+
+def distances_along(position: Vec3, direction: Vec3, points: Float[Array, "n 3"]) -> tuple[Scalar, Scalar]:
+    """Near and far of a light at `position` that shines along `direction` on `points` (n, 3)."""
+    return near_far(*_reach(dot(points - position, normalize(direction))))
+
+
+def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
+    """The least and the greatest of the distances ahead of a light."""
+    # What lies behind the light casts no shadow; if all does, the frustum is as long as the scene is far.
+    high = jnp.max(distance)
+    high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
+    return jnp.clip(jnp.min(distance), 0, high), high
 
 
 def near_far(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:

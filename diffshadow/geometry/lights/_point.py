@@ -71,6 +71,10 @@ class PointLight(AbstractLight):
         parted = jnp.max(jnp.maximum(jnp.min(offset, axis=0), -jnp.max(offset, axis=0)))
         return cls(position, *near_far(jnp.maximum(parted, 0), jnp.max(jnp.abs(offset))), radius, guard)
 
+    def refitted(self, points: Float[Array, "n 3"]) -> "PointLight":
+        tight = PointLight.around(*lax.stop_gradient((self.position, points)))
+        return PointLight(self.position, tight.near, tight.far, self.radius, self.guard)
+
     def guard_texels(self, resolution: Resolution) -> float:
         """How far from where a receiver is seen a tap may go, in texels of faces of `resolution`, without meeting the
         border. Only for concrete lights."""

@@ -2,13 +2,14 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_position, check_size
-from ._frustum import Frustum, check_frustum, frustum_view, on_plane
+from ._frustum import Frustum, check_frustum, distances_along, frustum_view, on_plane
 
 
 class SpotLight(AbstractLight):
@@ -68,6 +69,18 @@ class SpotLight(AbstractLight):
         position = as_float(position)
         frustum = Frustum.around("the spot light", position, points, target, as_float(UP), outer_angle)
         return cls(position, *frustum, radius, inner_angle)
+
+    def refitted(self, points: Float[Array, "n 3"]) -> "SpotLight":
+        """The same light with near and far fitted anew to `points` (n, 3), also under a trace; they carry no gradient.
+
+        A cone that is obeyed, as `inner_angle` says, stays as it is. One that is not only frames the map: it is turned
+        to the middle of the points and opened until it holds them, or by 80 degrees at most.
+        """
+        if self.inner_angle is not None:
+            near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))
+            return SpotLight(self.position, self.direction, self.outer_angle, near, far, self.radius, self.inner_angle)
+        framed = Frustum.framing(*lax.stop_gradient((self.position, points)), as_float(UP))
+        return SpotLight(self.position, *framed, self.radius)
 
     def view(self) -> View:
         return frustum_view(self.position, self.direction, as_float(UP), self.outer_angle, self.near, self.far)

@@ -1,6 +1,6 @@
 """Castaño's kernels (Castaño, "Shadow Mapping Summary, Part 1", The Witness, 2013)."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -66,6 +66,9 @@ class _Row(eqx.Module):
         y, weight = (choose(of_rows) for of_rows in zip(*rows, strict=True))
         taps = (column * bilinear_tap(padded, compare, sites, x, y) for x, column in columns)
         return weight * sum(taps, start=zero)
+
+    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
+        return jnp.asarray(self.size / 2 + 0.5)
 
     def _along(self, position: Float[Array, "*n"]) -> list[tuple[Array, Array]]:
         """Where the taps lie along one axis, and what they count.

@@ -1,36 +1,21 @@
 """Exponential variance shadow maps (Lauritzen & McCool, "Layered Variance Shadow Maps", Graphics Interface 2008)."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import DepthMap, Scalar, Visibility
-from .._compare import AbstractCompare
-from .._lookup import Lookup
-from .._map import ShadowMap
-from ._abstract import AbstractFilter
-from ._prefilter import (
-    MAX_BLEEDING,
-    Blur,
-    Kernel,
-    blurred_moments,
-    chebyshev,
-    check_kernel,
-    check_number,
-    check_radius,
-    linear_depth,
-    radius_limit,
-    reduce_light_bleeding,
-)
+from ._prefilter import AbstractPrefiltered, Kernel, chebyshev
 
-_NAME = "exponential variance shadow map"
 # e^84, the square of the largest warped depth, is still a number in 32 bits.
 _MAX_EXPONENT = 42.0
 # A second moment e^30 times the receiver's square bounds nothing any more; below, its square does not overflow.
 _MAX_LOG_MOMENT = 30.0
 
 
-class ExponentialVarianceShadowMap(AbstractFilter):
+class ExponentialVarianceShadowMap(AbstractPrefiltered):
     """Variance shadow maps of two warps of depth, e^(c₊ w) and -e^(-c₋ w) with w = 2z - 1; visibility is the lesser of
     both bounds.
 
@@ -51,13 +36,16 @@ class ExponentialVarianceShadowMap(AbstractFilter):
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
-    kernel: Kernel = eqx.field(static=True)
+    name: ClassVar[str] = "exponential variance shadow map"
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {
+        "positive_exponent": (1e-3, _MAX_EXPONENT),
+        "negative_exponent": (1e-3, _MAX_EXPONENT),
+        "least_variance": (1e-12, 1.0),
+    }
+
     positive_exponent: Scalar
     negative_exponent: Scalar
     least_variance: Scalar
-    light_bleeding: Scalar
 
     def __init__(
         self,
@@ -69,39 +57,27 @@ class ExponentialVarianceShadowMap(AbstractFilter):
         least_variance: float | Scalar = 1e-6,
         light_bleeding: float | Scalar = 0.0,
     ):
-        self.radius = as_float(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-        self.kernel = kernel
+        super().__init__(radius, max_radius, kernel, light_bleeding)
         self.positive_exponent = as_float(positive_exponent)
         self.negative_exponent = as_float(negative_exponent)
         self.least_variance = as_float(least_variance)
-        self.light_bleeding = as_float(light_bleeding)
 
-    def __check_init__(self):
-        check_radius(_NAME, self.radius, self.max_radius)
-        check_kernel(_NAME, self.kernel)
-        check_number(_NAME, "positive_exponent", self.positive_exponent, 1e-3, _MAX_EXPONENT)
-        check_number(_NAME, "negative_exponent", self.negative_exponent, 1e-3, _MAX_EXPONENT)
-        check_number(_NAME, "least_variance", self.least_variance, 1e-12, 1.0)
-        check_number(_NAME, "light_bleeding", self.light_bleeding, 0.0, MAX_BLEEDING)
+    @property
+    def _exponents(self) -> tuple[Scalar, Scalar]:
+        return self.positive_exponent, -self.negative_exponent
 
-    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        blur = Blur(self.radius, self.max_radius, self.kernel)
-        exponents = (self.positive_exponent, -self.negative_exponent)
+    def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
+        upper, lower = (jnp.exp(c * (2 * depth - 1)) for c in self._exponents)
+        return upper, upper * upper, lower, lower * lower
 
-        def warped(z):
-            upper, lower = (jnp.exp(c * (2 * z - 1)) for c in exponents)
-            return upper, upper * upper, lower, lower * lower
-
-        moments = blurred_moments(shadow_map, lookup, warped, blur)
-        receiver = 2 * linear_depth(shadow_map, lookup.depth) - 1
+    def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
         upper, lower = (
-            self._bound(c, mean, square, receiver)
-            for c, mean, square in zip(exponents, moments[::2], moments[1::2], strict=True)
+            self._bound_of_warp(c, mean, square, 2 * receiver - 1)
+            for c, mean, square in zip(self._exponents, moments[::2], moments[1::2], strict=True)
         )
-        return reduce_light_bleeding(jnp.minimum(upper, lower), self.light_bleeding)
+        return jnp.minimum(upper, lower)
 
-    def _bound(self, exponent: Scalar, mean: DepthMap, square: DepthMap, receiver: DepthMap) -> Visibility:
+    def _bound_of_warp(self, exponent: Scalar, mean: DepthMap, square: DepthMap, receiver: DepthMap) -> Visibility:
         """Chebyshev's bound for the warp with this exponent, in units of the receiver's own warped depth."""
         relative = lambda moment, power: jnp.exp(
             jnp.minimum(jnp.log(moment) - power * exponent * receiver, _MAX_LOG_MOMENT)

@@ -1,28 +1,14 @@
 """Moment shadow maps (Peters & Klein, "Moment Shadow Mapping", I3D 2015)."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ..._misc import as_float, safe_divide
 from ..._types import DepthMap, Scalar, Visibility
-from .._compare import AbstractCompare
-from .._lookup import Lookup
-from .._map import ShadowMap
-from ._abstract import AbstractFilter
-from ._prefilter import (
-    MAX_BLEEDING,
-    Blur,
-    Kernel,
-    blurred_moments,
-    check_kernel,
-    check_number,
-    check_radius,
-    linear_depth,
-    radius_limit,
-    reduce_light_bleeding,
-)
+from ._prefilter import AbstractPrefiltered, Kernel
 
-_NAME = "moment shadow map"
 # Moments of 3/8 spread over both ends of [-1, 1] and 5/8 in its middle: far from what any two depths can have.
 _WELL_CONDITIONED = (0.0, 0.375, 0.0, 0.375)
 # What rounding in 32 bits leaves of a variance that is 0.
@@ -31,7 +17,7 @@ _ROUNDING = 1e-7
 _ALMOST_LINEAR = 1e-6
 
 
-class MomentShadowMap(AbstractFilter):
+class MomentShadowMap(AbstractPrefiltered):
     """The map holds the first four powers of depth, blurred; visibility is the most that any distribution of depths
     with these moments allows (Hamburger's moment problem).
 
@@ -51,11 +37,10 @@ class MomentShadowMap(AbstractFilter):
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
-    kernel: Kernel = eqx.field(static=True)
+    name: ClassVar[str] = "moment shadow map"
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {"moment_bias": (1e-7, 1.0)}
+
     moment_bias: Scalar
-    light_bleeding: Scalar
 
     def __init__(
         self,
@@ -65,31 +50,18 @@ class MomentShadowMap(AbstractFilter):
         moment_bias: float | Scalar = 3e-6,
         light_bleeding: float | Scalar = 0.0,
     ):
-        self.radius = as_float(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-        self.kernel = kernel
+        super().__init__(radius, max_radius, kernel, light_bleeding)
         self.moment_bias = as_float(moment_bias)
-        self.light_bleeding = as_float(light_bleeding)
 
-    def __check_init__(self):
-        check_radius(_NAME, self.radius, self.max_radius)
-        check_kernel(_NAME, self.kernel)
-        check_number(_NAME, "moment_bias", self.moment_bias, 1e-7, 1.0)
-        check_number(_NAME, "light_bleeding", self.light_bleeding, 0.0, MAX_BLEEDING)
+    def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
+        w = 2 * depth - 1
+        return w, w * w, w * w * w, w * w * w * w
 
-    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        blur = Blur(self.radius, self.max_radius, self.kernel)
-
-        def powers(z):
-            w = 2 * z - 1
-            return w, w * w, w * w * w, w * w * w * w
-
-        moments = blurred_moments(shadow_map, lookup, powers, blur)
+    def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
         biased = tuple(
             b + self.moment_bias * (target - b) for b, target in zip(moments, _WELL_CONDITIONED, strict=True)
         )
-        bound = 1 - _least_shadow(biased, 2 * linear_depth(shadow_map, lookup.depth) - 1)
-        return reduce_light_bleeding(jnp.clip(bound, 0, 1), self.light_bleeding)
+        return jnp.clip(1 - _least_shadow(biased, 2 * receiver - 1), 0, 1)
 
 
 def _least_shadow(b: tuple[DepthMap, ...], z: DepthMap) -> Visibility:

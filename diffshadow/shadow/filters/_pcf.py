@@ -1,18 +1,22 @@
 """Percentage-closer filtering (Reeves, Salesin & Cook 1987)."""
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
+from .._cut_rectangle import Rectangle
 from .._lookup import Lookup
 from .._map import ShadowMap
 from .._taps import PaddedMap, Sites, pad, sites_of, sum_of_parts
 from ._abstract import AbstractFilter
+from ._prefilter import check_radius, radius_limit
 
 # Narrower than this a box cannot be told from a point.
 _LEAST_RADIUS = 1e-3
@@ -38,21 +42,15 @@ class PercentageCloser(AbstractFilter):
 
     def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
         self.radius = as_float(radius)
-        # At least 1: a box without width still needs the least one to divide by.
-        self.max_radius = max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
+        self.max_radius = radius_limit(radius, max_radius)
 
     def __check_init__(self):
-        radius = concrete(self.radius)
-        if radius is not None and not 0 <= radius <= self.max_radius:
-            raise ValueError(
-                f"the filter's radius is {radius} texels; expected 0 to max_radius = {self.max_radius:g}: give a "
-                "larger max_radius"
-            )
+        check_radius("filter", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         row = _Row(self.max_radius)
         sites = sites_of(lookup, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
-        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, jnp.arange(row.texels))
+        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
 
 
 class _Row(eqx.Module):
@@ -74,13 +72,17 @@ class _Row(eqx.Module):
     ) -> Float[Array, "*n"]:
         column, left = _lower_edge(sites.x, sites.radius)
         row, below = _lower_edge(sites.y, sites.radius)
-        place = padded.place(column, row, sites.layer) + number * padded.stride
-        row = row + number
-        total = sum(
-            _share(left, sites.radius, i) * sites.lit(padded, compare, place + i, column + i, row)
-            for i in range(self.texels)
-        )
-        return _share(below, sites.radius, number) * total
+        place = padded.place(column, row, sites.layer)
+        below, above = _covered(below, sites.radius, number)
+        total = 0.0
+        for i in range(self.texels):
+            low, high = _covered(left, sites.radius, i)
+            part = Rectangle(low - 0.5, high - 0.5, below - 0.5, above - 0.5)
+            total = total + (high - low) * sites.lit(padded, compare, place, column, row, i, number, part)
+        return (above - below) * total / (2 * sites.radius) ** 2
+
+    def reach(self, sites: Sites, numbers: Any) -> Float[Array, "..."]:
+        return sites.radius
 
 
 def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:
@@ -92,9 +94,8 @@ def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tu
     return own + first, edge - first
 
 
-def _share(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Float[Array, "*n"]:
-    """Share of a box's width that lies in texel `number` from the one its lower `edge` lies in."""
+def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> tuple[Array, Array]:
+    """From where to where a box covers texel `number` from the one its lower `edge` lies in."""
     upper = edge + 2 * radius - number
     # Rather than a clip, whose derivatives halve on its corners at some cost.
-    ends = jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))
-    return (ends - jnp.where(number == 0, edge, 0)) / (2 * radius)
+    return jnp.where(number == 0, edge, 0), jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))

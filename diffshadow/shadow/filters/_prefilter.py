@@ -6,19 +6,22 @@ with its radius. Everything beyond the border counts as depth 1, which is lit, a
 across it.
 """
 
+import abc
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from ..._misc import concrete
-from ..._types import DepthMap, Scalar, Visibility
+from ..._misc import as_float, concrete
+from ..._types import DepthMap, Resolution, Scalar, TexelMap, Visibility
+from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from ._abstract import AbstractFilter
 
 Kernel = Literal["box", "tent", "gaussian"]
 """Shapes of a blur. All end at the radius: the box's half width, the tent's, or three of the Gaussian's standard
@@ -26,6 +29,8 @@ deviations."""
 
 # Narrower than this a kernel cannot be told from a point.
 _LEAST_RADIUS = 1e-3
+# The largest amount by which light bleeding can be reduced.
+_MAX_BLEEDING = 0.99
 # Standard deviations after which the Gaussian is cut off.
 _DEVIATIONS = 3.0
 _WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
@@ -134,27 +139,11 @@ def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Arra
     return jnp.where(inside, jnp.clip(share, 0, 1), jnp.where(depth < 0, 0.0, 1.0))
 
 
-def blurred_moments(
-    shadow_map: ShadowMap,
-    lookup: Lookup,
-    moments: Callable[[Float[Array, "*n"]], tuple[Float[Array, "*n"], ...]],
-    blur: Blur,
-) -> tuple[DepthMap, ...]:
-    """Blurred `moments` of linear depth at each look-up, (h, w) each: bilinear fetches from blurred maps.
-
-    **Arguments:**
-
-    - `moments`: of linear depths of any shape, each of that shape.
-    """
-    of_map = moments(linear_depth(shadow_map, shadow_map.depth))
-    of_nothing = moments(jnp.ones((), of_map[0].dtype))
-    fetch = _bilinear_fetch(shadow_map, lookup, blur.margin)
-    return tuple(fetch(blur(values, beyond)) for values, beyond in zip(of_map, of_nothing, strict=True))
-
-
-def _bilinear_fetch(shadow_map: ShadowMap, lookup: Lookup, margin: int) -> Callable[[Float[Array, "*l H W"]], DepthMap]:
-    """Fetches from maps that are `margin` texels wider on each side, clamped to what is there."""
-    height, width = (size + 2 * margin for size in shadow_map.resolution)
+def bilinear_fetch(
+    resolution: Resolution, texel: TexelMap, layer: Int[Array, "h w"] | None, margin: int
+) -> Callable[[Float[Array, "*l H W"]], DepthMap]:
+    """Fetches at `texel` (h, w, 2) from maps that are `margin` texels wider on each side, clamped to what is there."""
+    height, width = (size + 2 * margin for size in resolution)
 
     def split(position: Array, size: int) -> tuple[Array, Array]:
         """The texel to the left of `position`, and the share of the one to the right."""
@@ -163,11 +152,11 @@ def _bilinear_fetch(shadow_map: ShadowMap, lookup: Lookup, margin: int) -> Calla
         left = jnp.minimum(jnp.floor(lax.stop_gradient(position)), size - 2)
         return left.astype(jnp.int32), position - left
 
-    column, right = split(lookup.texel[..., 0], width)
-    row, above = split(lookup.texel[..., 1], height)
+    column, right = split(texel[..., 0], width)
+    row, above = split(texel[..., 1], height)
     first = row * width + column
-    if lookup.layer is not None:
-        first = first + lookup.layer * (height * width)
+    if layer is not None:
+        first = first + layer * (height * width)
 
     def fetch(blurred: Float[Array, "*l H W"]) -> DepthMap:
         row_of_memory = blurred.reshape(-1)
@@ -197,5 +186,57 @@ def reduce_light_bleeding(visibility: Visibility, amount: Scalar) -> Visibility:
     return jnp.clip((visibility - amount) / (1 - amount), 0, 1)
 
 
-MAX_BLEEDING = 0.99
-"""The largest amount by which light bleeding can be reduced."""
+class AbstractPrefiltered(AbstractFilter):
+    """A filter that blurs moments of the map's depth, and bounds the visibility of each receiver by them.
+
+    Depths are linear here, from 0 at the light's near plane to 1 at its far plane. A fetch from the blurred maps is
+    bilinear. The compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it
+    follows the receiver's plane has no effect.
+
+    - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, and is rounded up to a half
+        texel.
+    - `light_bleeding`: as in `reduce_light_bleeding`, in [0, 0.99].
+
+    A technique has its `name` for messages, and the `ranges`, both ends included, of the numbers that it adds.
+    """
+
+    name: ClassVar[str]
+    ranges: ClassVar[dict[str, tuple[float, float]]]
+
+    radius: Scalar
+    max_radius: float = eqx.field(static=True)
+    kernel: Kernel = eqx.field(static=True)
+    light_bleeding: Scalar
+
+    def __init__(
+        self, radius: float | Scalar, max_radius: float | None, kernel: Kernel, light_bleeding: float | Scalar
+    ):
+        self.radius = as_float(radius)
+        self.max_radius = radius_limit(radius, max_radius)
+        self.kernel = kernel
+        self.light_bleeding = as_float(light_bleeding)
+
+    def __check_init__(self):
+        check_radius(self.name, self.radius, self.max_radius)
+        check_kernel(self.name, self.kernel)
+        for what, (low, high) in (self.ranges | {"light_bleeding": (0.0, _MAX_BLEEDING)}).items():
+            check_number(self.name, what, getattr(self, what), low, high)
+
+    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
+        blur = Blur(self.radius, self.max_radius, self.kernel)
+        moments_at = lambda depth: self.moments(linear_depth(shadow_map, depth))
+        found = shadow_map.silhouettes
+        of_map = moments_at(shadow_map.depth) if found is None else found.mean_of(moments_at, shadow_map.depth)
+        of_nothing = self.moments(jnp.ones((), of_map[0].dtype))
+        fetch = bilinear_fetch(shadow_map.resolution, lookup.texel, lookup.layer, blur.margin)
+        moments = tuple(fetch(blur(values, beyond)) for values, beyond in zip(of_map, of_nothing, strict=True))
+        bound = self.bound(moments, linear_depth(shadow_map, lookup.depth))
+        return reduce_light_bleeding(bound, self.light_bleeding)
+
+    @abc.abstractmethod
+    def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
+        """What the blurred maps hold of a depth."""
+
+    @abc.abstractmethod
+    def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
+        """The most light that depths with these `moments` let through to `receiver`."""

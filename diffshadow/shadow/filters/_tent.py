@@ -1,9 +1,11 @@
 """Percentage-closer filtering with a tent instead of a box."""
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float
@@ -45,7 +47,7 @@ class Tent(AbstractFilter):
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         row = _Row(self.max_radius)
         sites = sites_of(lookup, jnp.minimum(self.radius, self.max_radius))
-        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, jnp.arange(row.texels))
+        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
 
 
 class _Row(eqx.Module):
@@ -67,11 +69,13 @@ class _Row(eqx.Module):
     ) -> Float[Array, "*n"]:
         column, left = self._first(sites.x)
         row, below = self._first(sites.y)
-        place = padded.place(column, row, sites.layer) + number * padded.stride
-        row = row + number
+        place = padded.place(column, row, sites.layer)
         weight = lambda first, i: share("tent", sites.radius, first + i, first + (i + 1))
-        taps = (weight(left, i) * sites.lit(padded, compare, place + i, column + i, row) for i in range(self.texels))
+        taps = (weight(left, i) * sites.lit(padded, compare, place, column, row, i, number) for i in range(self.texels))
         return weight(below, number) * sum(taps, start=jnp.zeros_like(sites.x))
+
+    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
+        return sites.radius
 
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
         """The first texel along one axis, and where it begins, seen from `position`."""

@@ -1,32 +1,16 @@
 """Variance shadow maps (Donnelly & Lauritzen, "Variance Shadow Maps", I3D 2006)."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ..._misc import as_float
-from ..._types import Scalar, Visibility
-from .._compare import AbstractCompare
-from .._lookup import Lookup
-from .._map import ShadowMap
-from ._abstract import AbstractFilter
-from ._prefilter import (
-    MAX_BLEEDING,
-    Blur,
-    Kernel,
-    blurred_moments,
-    chebyshev,
-    check_kernel,
-    check_number,
-    check_radius,
-    linear_depth,
-    radius_limit,
-    reduce_light_bleeding,
-)
-
-_NAME = "variance shadow map"
+from ..._types import DepthMap, Scalar, Visibility
+from ._prefilter import AbstractPrefiltered, Kernel, chebyshev
 
 
-class VarianceShadowMap(AbstractFilter):
+class VarianceShadowMap(AbstractPrefiltered):
     """The map holds depth and its square, blurred; Chebyshev's inequality bounds visibility from above.
 
     The bound is exact for one planar occluder over a planar receiver. Where occluders overlap, light bleeds into their
@@ -44,11 +28,10 @@ class VarianceShadowMap(AbstractFilter):
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
-    kernel: Kernel = eqx.field(static=True)
+    name: ClassVar[str] = "variance shadow map"
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {"least_variance": (1e-12, 1.0)}
+
     least_variance: Scalar
-    light_bleeding: Scalar
 
     def __init__(
         self,
@@ -58,23 +41,13 @@ class VarianceShadowMap(AbstractFilter):
         least_variance: float | Scalar = 1e-6,
         light_bleeding: float | Scalar = 0.0,
     ):
-        self.radius = as_float(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-        self.kernel = kernel
+        super().__init__(radius, max_radius, kernel, light_bleeding)
         self.least_variance = as_float(least_variance)
-        self.light_bleeding = as_float(light_bleeding)
 
-    def __check_init__(self):
-        check_radius(_NAME, self.radius, self.max_radius)
-        check_kernel(_NAME, self.kernel)
-        check_number(_NAME, "least_variance", self.least_variance, 1e-12, 1.0)
-        check_number(_NAME, "light_bleeding", self.light_bleeding, 0.0, MAX_BLEEDING)
-
-    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        blur = Blur(self.radius, self.max_radius, self.kernel)
+    def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # About the middle of the range, squares lose the fewest digits.
-        centred = lambda z: (z - 0.5, (z - 0.5) ** 2)
-        mean, square = blurred_moments(shadow_map, lookup, centred, blur)
-        variance = jnp.maximum(square - mean * mean, self.least_variance)
-        bound = chebyshev(mean, variance, linear_depth(shadow_map, lookup.depth) - 0.5)
-        return reduce_light_bleeding(bound, self.light_bleeding)
+        return depth - 0.5, (depth - 0.5) ** 2
+
+    def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
+        mean, square = moments
+        return chebyshev(mean, jnp.maximum(square - mean * mean, self.least_variance), receiver - 0.5)

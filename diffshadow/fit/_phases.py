@@ -1,0 +1,79 @@
+"""The phases that a fit runs through."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..shadow import HardCompare, SoftCompare
+from ._arrangement import is_of_technique
+from ._parameters import Bounds
+from ._poses import PoseProblem
+from ._residuals import Joint
+from ._settings import Anneal, levels_of
+from ._starts import starts_within
+
+# At so many places within the bounds a fit of poses looks how much room drawing takes.
+_PLACES = 16
+# Of a technique's numbers, those whose gradient does not depend on the compare being soft.
+_GEOMETRIC = ("radius", "light_size", "min_radius")
+
+
+class Phase(NamedTuple):
+    """A part of a fit.
+
+    - `joint`: the problems as it sees them, with its compare.
+    - `active`: the indices of the parameters that it changes.
+    - `width`: of its soft compare in texels; 0 for the hard one.
+    - `level`: how many pixels a side make one.
+    """
+
+    joint: Joint
+    active: tuple[int, ...]
+    width: float
+    level: int = 1
+
+    @property
+    def program(self) -> tuple[object, ...]:
+        """What tells its compiled program from those of other phases."""
+        return self.level, self.active, self.width > 0
+
+
+def hard(joint: Joint) -> Joint:
+    """With the hard compare."""
+    compare = joint.technique.compare
+    return joint.compared_by(compare if isinstance(compare, HardCompare) else HardCompare())
+
+
+def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequence[int] | None) -> list[Phase]:
+    """The phases of a fit of the numbers at `paths`.
+
+    **Raises** `ValueError` if the levels do not suit the problems.
+    """
+    every = tuple(range(len(paths)))
+    soft = lambda width: joint.compared_by(SoftCompare(width, anneal.kernel))
+    if not joint.moves:
+        if levels is not None:
+            raise ValueError("got levels, and nothing moves; expected none: they are for fits of poses")
+        return [Phase(soft(width), every, width) for width in anneal.widths]
+    sides = [side for p in joint.problems if isinstance(p, PoseProblem) for side in p.sides]
+    poses = tuple(i for i in every if not is_of_technique(paths[i]))
+    chosen = levels_of(levels, *sides)
+    coarse = [Phase(hard(joint).each(lambda p, n=n: p.at_level(n)), poses, 0.0, n) for n in chosen[:-1] if poses]
+    if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
+        return coarse + [Phase(soft(width), every, width) for width in anneal.widths]
+    return [*coarse, Phase(hard(joint), every, 0.0)]
+
+
+def prepared(joint: Joint, paths: Sequence[str], bounds: Bounds, initial: Float[Array, " p"]) -> Joint:
+    """With room to draw at the initial values, at both ends of the bounds, and at a Sobol sequence between."""
+    if not joint.moves:
+        return joint
+    spread = starts_within(bounds, initial, _PLACES, seed=0)
+    return joint.each(lambda p: p.planned(paths, jnp.concatenate([spread, bounds.lower[None], bounds.upper[None]])))
+
+
+def enlarged(joint: Joint, paths: Sequence[str], values: Float[Array, "k p"]) -> Joint:
+    """With twice the room, and at least what the arrangements with `values` (k, p) need."""
+    return joint.each(lambda p: p.with_twice_the_room().planned(paths, values))

@@ -1,0 +1,257 @@
+"""Residuals where lights or meshes move: the map, and if need be the surface, are drawn anew at every step."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._misc import normalize, round_up_to_power_of_two
+from .._types import Mask, Resolution, Scalar, Visibility
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, SpotLight, merge
+from ..raster import Capacity, Cull, Surface, draw_surface, plan
+from ..shadow import ShadowMap, draw_shadow_map, plan_shadow_map
+from ._arrangement import Arrangement
+from ._parameters import with_values
+
+# What poses elsewhere within the bounds may need beyond the greatest need that was seen.
+_HEADROOM = 2
+_MORE_SILHOUETTES = 4
+# Room for classes of triangles that no pose that was tried has any of.
+_LEAST_ROOM = 16
+
+
+class MapSettings(NamedTuple):
+    """How a shadow map is drawn; see `draw_shadow_map`. With silhouettes, derivatives see the shadow's outline move."""
+
+    resolution: Resolution = (512, 512)
+    layer: Literal["nearest", "midpoint", "second"] = "nearest"
+    cull: Cull = "none"
+    depth_format: Literal["float32", "unorm24", "unorm16"] = "float32"
+    polygon_offset: tuple[float, float] | None = None
+    silhouettes: bool = True
+
+    def of_map(self) -> dict[str, Any]:
+        """What `draw_shadow_map` takes besides edges and capacities."""
+        return {name: value for name, value in self._asdict().items() if name not in ("resolution", "silhouettes")}
+
+
+class Room(NamedTuple):
+    """Capacities that drawing takes: of the map, of its silhouettes, and of the camera's view."""
+
+    from_light: Capacity = Capacity()
+    silhouettes: int = 0
+    from_camera: Capacity = Capacity()
+
+    def grown_to(self, other: "Room") -> "Room":
+        """The least room that holds what either holds."""
+        silhouettes = max(self.silhouettes, other.silhouettes)
+        from_light = self.from_light.grown_to(other.from_light)
+        return Room(from_light, silhouettes, self.from_camera.grown_to(other.from_camera))
+
+    def doubled(self) -> "Room":
+        """Twice the room, and at least a little of every kind."""
+        return Room(_roomy(self.from_light), max(2 * self.silhouettes, _LEAST_ROOM), _roomy(self.from_camera))
+
+    def coarser(self) -> "Room":
+        """Room for the same in coarser images."""
+        return Room(coarser(self.from_light), self.silhouettes, coarser(self.from_camera))
+
+
+class _Unplanned(NamedTuple):
+    """No room is set: what drawing takes is counted as it goes."""
+
+    from_light: None = None
+    silhouettes: None = None
+    from_camera: None = None
+
+
+class PoseProblem(eqx.Module):
+    """An arrangement, what it is fitted to under one of its lights, and what stays as it is.
+
+    - `arrangement`: whose numbers are fitted.
+    - `meshes`, `casts`: as the arrangement's poses place them, and which of them cast.
+    - `light`, `index`: one of the lights as it stands, and which of the arrangement's it is.
+    - `camera`: where the image is seen from.
+    - `reference`: (h, w), visibility in [0, 1], times the cone's share if the light is a spot light with an
+        `inner_angle`.
+    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `settings`: how the map is drawn.
+    - `surface`: what the camera sees; none to draw it anew, which it must be unless what moves is out of sight.
+    - `room`: what drawing may take, see `planned`; without it, nothing may be traced.
+    - `edges`: of all that casts, which `planned` finds if the settings ask for silhouettes.
+    """
+
+    arrangement: Arrangement
+    meshes: tuple[Mesh, ...]
+    casts: tuple[bool, ...] = eqx.field(static=True)
+    light: AbstractLight
+    index: int = eqx.field(static=True)
+    camera: AbstractCamera
+    reference: Visibility
+    weight: Float[Array, "h w"]
+    settings: MapSettings = eqx.field(static=True, default=MapSettings())
+    surface: Surface | None = None
+    room: Room | None = eqx.field(static=True, default=None)
+    edges: Edges | None = None
+
+    @property
+    def subject(self) -> Arrangement:
+        """What is fitted."""
+        return self.arrangement
+
+    @property
+    def mask(self) -> Mask:
+        """Which pixels count."""
+        return self.weight > 0
+
+    @property
+    def count(self) -> Scalar:
+        """How many pixels count."""
+        return jnp.sum(self.weight)
+
+    def difference(self, arrangement: Arrangement) -> Float[Array, "h w"]:
+        """Visibility less reference, times the square root of the pixel's weight."""
+        shadow_map, surface = self.draw(arrangement)
+        visibility = arrangement.technique.visibility(shadow_map, surface) * cone_share(shadow_map.light, surface)
+        counts = self.weight > 0
+        root = jnp.sqrt(jnp.where(counts, self.weight, 1))
+        return jnp.where(counts, (visibility - self.reference) * root, 0)
+
+    def draw(self, arrangement: Arrangement) -> tuple[ShadowMap, Surface]:
+        """The map and the surface of an arrangement."""
+        meshes = self._placed(arrangement)
+        light = arrangement.lights[self.index].placed(self.light, _points(meshes))
+        room = self.room or _Unplanned()
+        shadow_map = draw_shadow_map(
+            self._casters(meshes),
+            light,
+            self.settings.resolution,
+            edges=self._edges(),
+            capacity=room.from_light,
+            silhouette_capacity=room.silhouettes,
+            **self.settings.of_map(),
+        )
+        if self.surface is not None:
+            return shadow_map, self.surface
+        return shadow_map, draw_surface(merge(meshes), self.camera, capacity=room.from_camera)
+
+    def at_level(self, level: int) -> "PoseProblem":
+        """The problem seen with `level` x `level` pixels made one, and as much coarser a map.
+
+        A filter's radius in texels stays, so that it spans as much more of the scene. The reference's pixels are means
+        of those that count.
+        """
+        if level == 1:
+            return self
+        smaller = lambda size: (size[0] // level, size[1] // level)
+        blocks = lambda image: image.reshape(image.shape[0] // level, level, image.shape[1] // level, level)
+        mean = lambda image: blocks(image).mean(axis=(1, 3))
+        weight = mean(self.weight)
+        counted = jnp.where(weight > 0, weight, 1)
+        reference = jnp.where(weight > 0, mean(self.weight * self.reference) / counted, 1)
+        camera = dataclasses.replace(self.camera, resolution=smaller(self.camera.resolution))
+        return dataclasses.replace(
+            self,
+            camera=camera,
+            reference=reference,
+            weight=weight,
+            settings=self.settings._replace(resolution=smaller(self.settings.resolution)),
+            surface=None if self.surface is None else draw_surface(merge(self.meshes), camera),
+            room=None if self.room is None else self.room.coarser(),
+        )
+
+    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "PoseProblem":
+        """With room for the arrangements that have `values` (k, p) at `paths`, and as much again."""
+        from_light, from_camera = _clips(self, tuple(paths), values)
+        faces, edges, resolution = self._casters(self.meshes).faces, self._edges(), self.settings.resolution
+        room = Room(plan(from_light, faces, resolution, cull=self.settings.cull)).doubled()
+        if edges is not None:
+            # Silhouettes are lines, whose length in texels varies less than triangles' sizes do: one look is enough.
+            meshes = self._placed(self.arrangement)
+            light = self.arrangement.lights[self.index].placed(self.light, _points(meshes))
+            here = plan_shadow_map(self._casters(meshes), light, resolution, edges=edges)
+            room = room.grown_to(Room(_roomy(here.triangles), _MORE_SILHOUETTES * here.silhouettes))
+        if from_camera is not None:
+            seen = plan(from_camera, merge(self.meshes).faces, self.camera.resolution)
+            room = room._replace(from_camera=_roomy(seen))
+        room = room if self.room is None else self.room.grown_to(room)
+        return dataclasses.replace(self, room=room, edges=edges)
+
+    def with_twice_the_room(self) -> "PoseProblem":
+        """With room for twice as much."""
+        return dataclasses.replace(self, room=None if self.room is None else self.room.doubled())
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """The sides of image and map, in pixels and texels."""
+        return (*self.reference.shape, *self.settings.resolution)
+
+    def _casters(self, meshes: Sequence[Mesh]) -> Mesh:
+        return merge([mesh for mesh, casts in zip(meshes, self.casts, strict=True) if casts])
+
+    def _edges(self) -> Edges | None:
+        if not self.settings.silhouettes:
+            return None
+        return Edges.of(self._casters(self.meshes)) if self.edges is None else self.edges
+
+    def _placed(self, arrangement: Arrangement) -> list[Mesh]:
+        return [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, self.meshes, strict=True)]
+
+
+def cone_share(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
+    """The share of the light that its cone lets through to each pixel, (h, w); 1 for a light without a cone."""
+    if not isinstance(light, SpotLight) or light.inner_angle is None:
+        return jnp.ones(surface.mask.shape)
+    share = light.cone(normalize(light.towards(surface.position)))
+    return jnp.where(surface.mask, share, 1)
+
+
+def is_overflow(error: RuntimeError) -> bool:
+    """Whether `error` says that there was too little room to draw."""
+    return "is too small for these" in str(error)
+
+
+def coarser(capacity: Capacity) -> Capacity:
+    """Room for the same triangles in a coarser image, where each is at most as large."""
+    total, windows = capacity.large, []
+    for needed in reversed(capacity.windows):
+        total += needed
+        windows.append(round_up_to_power_of_two(total))
+    return capacity._replace(windows=tuple(reversed(windows)))
+
+
+def _roomy(capacity: Capacity) -> Capacity:
+    more = lambda needed: _HEADROOM * needed
+    return Capacity(
+        clipped=more(capacity.clipped),
+        windows=tuple(max(more(needed), _LEAST_ROOM) for needed in capacity.windows),
+        large=more(capacity.large),
+        candidates=more(capacity.candidates),
+        blocks=more(capacity.blocks),
+    )
+
+
+@eqx.filter_jit
+def _clips(problem: PoseProblem, paths: tuple[str, ...], values: Float[Array, "k p"]) -> tuple[Array, Array | None]:
+    """Clip coordinates of what casts, as the light sees it, and of everything as a camera does that sees it move."""
+
+    def of(values: Array) -> tuple[Array, Array | None]:
+        arrangement = with_values(problem.arrangement, paths, values)
+        meshes = problem._placed(arrangement)
+        view = arrangement.lights[problem.index].placed(problem.light, _points(meshes)).view()
+        casters = problem._casters(meshes)
+        views = view.world_to_eye.reshape(-1, 4, 4)
+        one = lambda matrix: eqx.tree_at(lambda v: v.world_to_eye, view, matrix).clip(casters.vertices)
+        from_camera = None if problem.surface is not None else problem.camera.view().clip(merge(meshes).vertices)
+        return jax.vmap(one)(views), from_camera
+
+    from_light, from_camera = jax.vmap(of)(values)
+    return from_light.reshape(-1, *from_light.shape[-2:]), from_camera
+
+
+def _points(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
+    return jnp.concatenate([mesh.vertices for mesh in meshes])

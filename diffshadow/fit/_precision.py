@@ -1,0 +1,70 @@
+"""How well an image determines what was fitted to it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._types import HostArray
+
+# A combination of parameters that moves the image by less than this share of what the best-seen one does, or whose
+# standard deviation is more than this share of its bounds' distance, is not determined by it.
+_LEAST_EFFECT = 1e-3
+_MOST_SPREAD = 0.1
+# A parameter belongs to a combination if its part is at least this share of the largest.
+_PART = 0.3
+
+
+class Precision(NamedTuple):
+    """The covariance of fitted values, to first order, from the Jacobian at the end of the last phase.
+
+    With `J` the derivatives of the n pixels' residuals and s² their sum of squares over n - p, it is s² (JᵀJ)⁻¹. It
+    takes the residuals for independent noise, which the pixels of one outline are only roughly.
+
+    - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
+    - `deviations`: their standard deviations, in their units; not a number for what is not determined.
+    - `correlations`: (p, p), in [-1, 1].
+    - `undetermined`: each entry names the parameters of a combination that the image hardly depends on.
+    """
+
+    names: tuple[str, ...]
+    deviations: dict[str, float]
+    correlations: list[list[float]]
+    undetermined: list[tuple[str, ...]]
+
+
+def precision_of(
+    names: Sequence[str],
+    triangle: Float[HostArray, "p p"],
+    span: Float[HostArray, " p"],
+    mean_square: float,
+    count: float,
+) -> Precision:
+    """The precision of a least-squares fit.
+
+    **Arguments:**
+
+    - `triangle`: (p, p), the factor R of the Jacobian of residuals whose squares sum to `mean_square`, with respect to
+        each parameter's share of the distance `span` (p,) between its bounds.
+    - `count`: how many pixels count.
+    """
+    used = [int(i) for i in np.flatnonzero(np.abs(triangle).max(axis=0) > 0)]
+    kept = tuple(names[i] for i in used)
+    if not used or not np.isfinite(triangle).all():
+        return Precision((), {}, [], [])
+    _, effect, ways = np.linalg.svd(np.asarray(triangle, np.float64)[:, used], full_matrices=False)
+    noise = np.sqrt(mean_square / max(count - len(used), 1))
+    spread = noise / np.maximum(effect, 1e-300)
+    lost = (effect < _LEAST_EFFECT * effect[0]) | (spread > _MOST_SPREAD)
+    undetermined = []
+    for way in np.abs(ways[lost]):
+        group = tuple(name for name, part in zip(kept, way, strict=True) if part >= _PART * way.max())
+        if group not in undetermined:
+            undetermined.append(group)
+    # Where nothing is left to doubt, the fit is exact and so are its values.
+    covariance = (ways.T * spread**2) @ ways
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
+    deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
+    return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)

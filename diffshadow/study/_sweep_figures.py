@@ -1,0 +1,68 @@
+"""The figure of a sweep. This file loads Matplotlib, so only a sweep's end imports it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from ..config import PlotConfig
+from . import _style as style
+from ._sweep_curves import Curve
+
+_WIDTH, _HEIGHT = 4.1, 3.9
+# Panels in a row.
+_MOST_COLUMNS = 3
+
+
+def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, names: tuple[str, str]) -> None:
+    """The curves, a panel for each value of `plot.panels`, and their slopes in the legends.
+
+    **Arguments:**
+
+    - `names`: of the axis and of the metric, with their units.
+    """
+    panels = list(dict.fromkeys(curve.panel for curve in curves))
+    lines = list(dict.fromkeys(curve.line for curve in curves))
+    columns = min(len(panels), _MOST_COLUMNS)
+    rows = -(-len(panels) // columns)
+    figure, axes = style.figure(_WIDTH * columns, _HEIGHT * rows, rows, columns, sharey=True)
+    for number, (one, panel) in enumerate(zip(axes, panels, strict=False)):
+        style.chart(one, names[0], names[1] if number % columns == 0 else "")
+        style.title(one, panel)
+        shown = [curve for curve in curves if curve.panel == panel]
+        for curve in shown:
+            _draw(one, curve, lines.index(curve.line))
+        _scale(one, shown, plot)
+        if any(curve.line for curve in shown):
+            title = plot.lines if all(curve.slope is None for curve in shown) else f"{plot.lines}: slope"
+            style.legend(one, title=title, title_fontsize=8.5, handlelength=1.6, labelspacing=0.3)
+    for one in axes[len(panels) :]:
+        one.set_visible(False)
+    style.save(figure, path)
+
+
+def _draw(axes: style.Axes, curve: Curve, index: int) -> None:
+    colour, marker = style.CYCLE[index % len(style.CYCLE)], style.MARKERS[index % len(style.MARKERS)]
+    marks = {"marker": marker, "markersize": 4, "linewidth": 1.3, "linestyle": style.dashes(index)}
+    axes.plot(curve.x, curve.y, color=colour, label=_label(curve), **marks)
+
+
+def _label(curve: Curve) -> str:
+    if curve.slope is None:
+        return curve.line
+    slope = f"{curve.slope:.3f}".replace("-", "−")
+    return f"{curve.line}: {slope}" if curve.error is None else f"{curve.line}: {slope} ± {curve.error:.3f}"
+
+
+def _scale(axes: style.Axes, curves: Sequence[Curve], plot: PlotConfig) -> None:
+    places = sorted({float(x) for curve in curves for x in curve.x})
+    ticks = curves[0].ticks
+    if ticks is not None:
+        axes.set_xticks(range(len(ticks)), ticks)
+    elif plot.log and places[0] > 0:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(FixedLocator(places))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+    if plot.log and min(float(curve.y.min()) for curve in curves) > 0:
+        style.log_scale(axes)

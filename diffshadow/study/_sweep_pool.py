@@ -1,0 +1,165 @@
+"""Where a sweep's runs are done: in local worker processes, on a Dask cluster, or in this process.
+
+A local worker has one thread, so that as many workers as cores share the machine without getting in each other's way.
+"""
+
+import logging
+import os
+import uuid
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from typing import Any
+
+from ._sweep_work import FAILED, Batch, Outcome, work, write_outcome
+
+# XLA makes a pool of as many threads as NPROC says, and reads both when JAX is first used.
+_ONE_THREAD = {
+    "NPROC": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+}
+# What a worker may need at the most.
+_BYTES_A_WORKER = 1_500_000_000
+# Seconds to wait for a scheduler, and for its first worker.
+_PATIENCE = 15
+
+
+class InProcess:
+    """Does the runs here, one after another."""
+
+    workers = 1
+
+    def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
+        """The outcomes of all runs, as they come."""
+        for batch in batches:
+            for run in batch.runs:
+                yield from work(batch._replace(runs=(run,)))
+
+
+class OnCluster:
+    """Does the runs on the workers of a Dask client."""
+
+    def __init__(self, client: Any):
+        self._client = client
+
+    @property
+    def workers(self) -> int:
+        """Runs that can be under way at once."""
+        return sum(self._client.nthreads().values())
+
+    def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
+        """The outcomes of all runs, as they come. What a worker that dies had begun is done by another.
+
+        **Raises** `OSError` if the scheduler is lost or a worker cannot write, `ValueError` if one lacks this package.
+        """
+        from distributed import KilledWorker, as_completed
+
+        waiting = {self._submit(batch): batch for batch in batches}
+        finished = as_completed(list(waiting))
+        try:
+            for future in finished:
+                batch = waiting.pop(future)
+                try:
+                    yield from future.result()
+                except KilledWorker:
+                    if len(batch.runs) == 1:
+                        yield _killed(batch)
+                        continue
+                    # One of them kills its worker; alone, the others get through.
+                    for run in batch.runs:
+                        alone = batch._replace(runs=(run,))
+                        again = self._submit(alone)
+                        waiting[again] = alone
+                        finished.add(again)
+                except CancelledError:
+                    raise ConnectionError(
+                        "the Dask scheduler is gone; expected it to stay until the sweep ends: start the sweep again, "
+                        "and only what is missing is done"
+                    ) from None
+                except ModuleNotFoundError as error:
+                    raise ValueError(
+                        f"a Dask worker cannot load this package ({error}); expected diffshadow of this version to be "
+                        "installed wherever workers run"
+                    ) from error
+        finally:
+            self._client.cancel(list(waiting))
+
+    def _submit(self, batch: Batch) -> Any:
+        return self._client.submit(work, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
+
+
+@contextmanager
+def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InProcess | OnCluster]:
+    """Where runs are to be done.
+
+    **Arguments:**
+
+    - `scheduler`: address of a Dask scheduler; local workers if left out.
+    - `workers`: local worker processes: by default one for each core, as far as there is memory for them. With 0, all
+        runs are done in this process.
+    - `most`: how many of them are worth starting by default.
+
+    **Raises** `ValueError` if there is no scheduler at the address, or it has no workers.
+    """
+    if scheduler is None and workers == 0:
+        yield InProcess()
+        return
+    from distributed import Client, LocalCluster
+
+    if scheduler is not None:
+        with _reached(scheduler, Client) as client:
+            # XLA asks the C library for it. Too late, and harmless, where a worker has used JAX before.
+            for name, value in _ONE_THREAD.items():
+                client.run(os.putenv, name, value)
+            yield OnCluster(client)
+        return
+    with (
+        LocalCluster(
+            n_workers=min(_workers(), most) if workers is None else workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            # Any free port, seen from here alone: several sweeps may run on one machine.
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            env={**_ONE_THREAD, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_ONE_THREAD['XLA_FLAGS']}".strip()},
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield OnCluster(client)
+
+
+def _workers() -> int:
+    from dask.system import CPU_COUNT
+    from distributed.system import MEMORY_LIMIT
+
+    return max(1, min(CPU_COUNT, MEMORY_LIMIT // _BYTES_A_WORKER))
+
+
+@contextmanager
+def _reached(scheduler: str, connect: Any) -> Iterator[Any]:
+    try:
+        client = connect(scheduler, timeout=_PATIENCE)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ValueError(
+            f"there is no Dask scheduler at {scheduler!r} ({error}); expected an address such as tcp://host:8786: "
+            "start one with dask scheduler, or leave --scheduler out to work on this machine alone"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError as error:
+            raise ValueError(
+                f"the Dask scheduler at {scheduler} has no workers; expected at least one: start it with dask worker "
+                f"{scheduler} --nthreads 1"
+            ) from error
+        yield client
+
+
+def _killed(batch: Batch) -> Outcome:
+    (run,) = batch.runs
+    error = "its worker died each time that it was tried, perhaps for lack of memory"
+    outcome = Outcome(run.id, FAILED, error, {}, {})
+    write_outcome(batch.folder, run, outcome)
+    return outcome

@@ -1,0 +1,333 @@
+"""What experiments share: a scene drawn from both sides and its truth, figures in one style, and results on disk."""
+
+import csv
+import io as text_io
+import json
+import os
+import platform
+import shlex
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from cyclopts import App, CycloptsError
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
+from rich.text import Text
+
+from diffshadow import fit, io, raster, reference, study
+from diffshadow.config import (
+    Casting,
+    Config,
+    ConfigError,
+    ImageReferenceConfig,
+    Place,
+    Problem,
+    build_casting,
+    build_fit,
+    build_shadow_mapping,
+    load_config,
+)
+
+BIAS, RADIUS = "bias.constant", "filter.radius"
+"""The two numbers that most experiments are about."""
+
+USER_ERROR, INTERRUPTED = 2, 130
+
+# As the figures of a run look.
+INK, FAINT, PAPER = "#22272e", "#8b949e", "#ffffff"
+# Okabe & Ito, "Color universal design", 2008: told apart by all kinds of colour vision.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", INK, FAINT)
+MARKERS = "osD^vPX*"
+HEAT = "cividis_r"
+TITLE, TEXT = 10, 8.5
+
+
+class Drawn(NamedTuple):
+    """A scene as the camera sees it, and its truth.
+
+    - `settings`: that it was made of.
+    - `floor`: noise of the truth, in visibility; 0 if it is exact, or came from a file.
+    """
+
+    settings: Config
+    casting: Casting
+    surface: raster.Surface
+    truth: reference.Reference
+    floor: float
+
+
+def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> Config:
+    """The configuration of an experiment, which has one light.
+
+    **Arguments:**
+
+    - `needs`: names that its fit must hold.
+
+    **Raises** `ConfigError` if it cannot be used, or its output cannot be written.
+    """
+    settings = load_config(config, overrides)
+    if len(settings.scene.each_light) > 1:
+        raise mistake(settings, "scene.lights", "are several; expected one light, as experiments take: name it light")
+    for name in needs:
+        if name not in settings.fit.parameters:
+            said = f"has no {name}; expected it among what is fitted: add '{name}: {{lower: 0, upper: 10}}'"
+            raise mistake(settings, "fit.parameters", said)
+    try:
+        io.check_writable(Path(settings.output).expanduser())
+    except io.FileError as error:
+        raise mistake(settings, "output", str(error)) from error
+    return settings
+
+
+def mistake(settings: Config, key: str, what: str) -> ConfigError:
+    """An error that is laid to `key` of a configuration."""
+    return ConfigError([Problem(settings.origin.place(tuple(key.split("."))), key, what)])
+
+
+def expect(option: str, given: Any, fine: bool, expected: str) -> None:
+    """**Raises** `ConfigError` unless what was `given` for an option is `fine`."""
+    if not fine:
+        raise ConfigError([Problem(Place(f"--{option}"), "", f"is {given}; expected {expected}")])
+
+
+def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]:
+    """What an option lists, separated by commas.
+
+    **Raises** `ConfigError` if an entry is no such thing as `of` makes of it.
+    """
+    try:
+        return [of(word.strip()) for word in given.split(",")]
+    except ValueError:
+        what = {int: "whole numbers", float: "numbers"}[of]  # type: ignore[index]
+        said = f"is {given!r}; expected {what} with commas between, such as 1,2,4"
+        raise ConfigError([Problem(Place(f"--{option}"), "", said)]) from None
+
+
+def draw(settings: Config) -> Drawn:
+    """The scene of a configuration and its truth.
+
+    **Raises** `ConfigError` if the scene cannot be made, or the camera sees nothing of it.
+    """
+    casting = build_casting(settings)
+    surface = raster.draw_surface(casting.scene.mesh, casting.scene.camera)
+    if not bool(surface.mask.any()):
+        raise mistake(settings, "scene.camera", "sees no surface; expected one at some pixel: move or turn it")
+    truth = truth_of(settings, casting)
+    return Drawn(settings, casting, surface, truth, truth.noise_floor if truth.samples else 0.0)
+
+
+def truth_of(settings: Config, casting: Casting) -> reference.Reference:
+    """The truth of a scene with one light; a traced one is kept on disk and found again."""
+    wanted = settings.reference
+    if isinstance(wanted, ImageReferenceConfig):
+        try:
+            return reference.reference_from_image(io.read_visibility(wanted.path), casting.scene)
+        except ValueError as error:
+            raise mistake(settings, "reference.path", str(error)) from error
+    sampling = (wanted.samples, wanted.sampler, settings.seed)
+    traced = lambda: vars(reference.trace_visibility(casting.scene, *sampling))
+    arrays = io.cached_arrays(reference.cache_key(casting.scene, *sampling), traced)
+    return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
+
+
+def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = True) -> fit.Problem:
+    """The problem of bringing the shadow mapping of `settings`, by default those of the scene, close to the truth.
+
+    **Arguments:**
+
+    - `fitting`: whether the filter's radius may later be set to any value within its bounds.
+
+    **Raises** `ConfigError` if camera and light see nothing together.
+    """
+    settings = settings or drawn.settings
+    technique = build_shadow_mapping(settings, fitting=fitting)
+    shadow_map = study.draw_from_light(settings, technique, drawn.casting)
+    mask = technique.covered(shadow_map, drawn.surface) & jnp.asarray(drawn.truth.mask)  # type: ignore[arg-type]
+    if not bool(mask.any()):
+        said = "and the camera see no surface together; expected both to see the same part of the scene: move one"
+        raise mistake(settings, "scene.light", said)
+    return fit.Problem(technique, shadow_map, drawn.surface, jnp.asarray(drawn.truth.visibility), mask)  # type: ignore[arg-type]
+
+
+def run_fit(settings: Config, problem: fit.Problem) -> fit.FitResult:
+    """Fits what `settings` say.
+
+    **Raises** `ConfigError` if they say nothing that can be fitted.
+    """
+    plan = build_fit(settings)
+    try:
+        return fit.fit(problem, plan.parameters, solver=plan.solver, anneal=plan.anneal)
+    except ValueError as error:
+        raise mistake(settings, "fit", str(error)) from error
+
+
+def rmse(problem: fit.Problem, technique: Any = None) -> float:
+    """The error of a problem's technique, or of another one in its place, over the pixels that count."""
+    return float(jnp.sqrt(_mean_square(problem, problem.technique if technique is None else technique)))
+
+
+def visibility(problem: fit.Problem, technique: Any = None) -> np.ndarray:
+    """The visibility that a problem's technique, or another one in its place, makes: (h, w)."""
+    return np.asarray(_visibility(problem, problem.technique if technique is None else technique))
+
+
+_visibility = eqx.filter_jit(lambda problem, technique: technique.visibility(problem.shadow_map, problem.surface))
+_mean_square = eqx.filter_jit(lambda problem, technique: problem.mean_square_error(technique))
+
+
+def median_ms(runs: Mapping[str, Callable[[], Any]], repeats: int, console: Console) -> dict[str, float]:
+    """The median time of each of several runs, compiled and warmed up before, in milliseconds.
+
+    They take turns, so that a machine that slows down slows all.
+    """
+    for run in progress(runs.values(), "warming up", console):
+        for _ in range(2):
+            jax.block_until_ready(run())
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in progress(range(repeats), "timing", console):
+        for name, run in runs.items():
+            started = time.perf_counter()
+            jax.block_until_ready(run())
+            seconds[name].append(time.perf_counter() - started)
+    return {name: 1e3 * statistics.median(each) for name, each in seconds.items()}
+
+
+def pareto(x: Sequence[float], y: Sequence[float]) -> list[int]:
+    """Which of the points (x, y) no other is better than in one and as good in the other, from left to right."""
+    best, kept = np.inf, []
+    for i in np.lexsort((y, x)):
+        if y[i] < best:
+            best = y[i]
+            kept.append(int(i))
+    return kept
+
+
+def machine() -> dict[str, Any]:
+    """What was computed where, and how busy it was: what times depend on."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if "model name" in line]
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "cpu": models[0] if models else platform.processor() or platform.machine(),
+        "cores": cores,
+        "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+        "device": jax.devices()[0].device_kind,
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("diffshadow", "jax", "jaxlib", "numpy")},
+    }
+
+
+def progress(items: Iterable[Any], what: str, console: Console) -> Iterable[Any]:
+    """`items`, with a bar that is gone when they are done, and none where nobody watches."""
+    return track(list(items), what, console=console, transient=True, disable=not console.is_terminal)
+
+
+def figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure of `width` by `height` inches, and its axes row by row."""
+    made = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor=PAPER)
+    FigureCanvasAgg(made)
+    return made, list(made.subplots(rows, columns, squeeze=False).ravel())
+
+
+def chart(axes: Axes, title: str, x: str, y: str, *, grid: bool = True) -> None:
+    """Titles of axes, and what is along them with its unit."""
+    axes.set_title(title, fontsize=TITLE, color=INK, loc="left")
+    axes.set_xlabel(x, fontsize=TEXT, color=INK)
+    axes.set_ylabel(y, fontsize=TEXT, color=INK)
+    axes.tick_params(labelsize=TEXT, colors=INK, which="both")
+    axes.grid(False)
+    if grid:
+        axes.grid(True, color="#e3e7ec", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom") or not grid)
+        spine.set_color(FAINT)
+
+
+def legend(axes: Axes, **options: Any) -> None:
+    """A legend in small print without a frame."""
+    axes.legend(**{"fontsize": TEXT - 0.5, "frameon": False, "labelcolor": INK, **options})
+
+
+def colour_bar(made: Figure, shown: Any, axes: Axes, label: str) -> Colorbar:
+    """A colour bar beside `axes`."""
+    bar = made.colorbar(shown, ax=axes, aspect=28, pad=0.02)
+    bar.set_label(label, fontsize=TEXT, color=INK)
+    bar.ax.tick_params(labelsize=TEXT, colors=INK, which="both")
+    bar.outline.set_visible(False)  # type: ignore[operator]
+    return bar
+
+
+def write(
+    settings: Config, experiment: str, made: Figure, rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]
+) -> Path:
+    """Writes a picture, a table and a summary as `<experiment>.png`, `.csv` and `.json`.
+
+    **Arguments:**
+
+    - `rows`: of the table, all with the keys of the first.
+    - `summary`: to which the machine and the command are added.
+
+    **Returns:** the folder, `<output>/<name>`, or `<output>/<name>-<experiment>` if the configuration is named
+    otherwise than the experiment. Nothing is written before all is made.
+    """
+    ending = "" if settings.name == experiment else f"-{experiment}"
+    folder = Path(settings.output).expanduser() / f"{settings.name}{ending}"
+    picture, table = text_io.BytesIO(), text_io.StringIO(newline="")
+    made.savefig(picture, format="png", metadata={"Software": "diffshadow"}, pil_kwargs={"optimize": True})
+    writer = csv.DictWriter(table, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    command = shlex.join(["python", *sys.argv])
+    about = {"experiment": experiment, **summary, "machine": machine(), "command": command}
+    files = {
+        "png": picture.getvalue(),
+        "csv": table.getvalue().encode(),
+        "json": (json.dumps(about, indent=1, allow_nan=False) + "\n").encode(),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for kind, data in files.items():
+        with io.atomic_path(folder / f"{experiment}.{kind}") as temporary:
+            temporary.write_bytes(data)
+    return folder
+
+
+def start(app: App) -> NoReturn:
+    """Runs an experiment with the process's arguments, and exits: with 2 after a mistake of the user's, told in one
+    message."""
+    errors = Console(stderr=True, highlight=False)
+    _keep_compiled_programs()
+    try:
+        app(sys.argv[1:], exit_on_error=False, print_error=False)
+    except (CycloptsError, ConfigError, io.FileError, OSError) as error:
+        said = " ".join(str(error).split()) + "; see --help" if isinstance(error, CycloptsError) else str(error)
+        errors.print(Text.assemble(("error: ", "bold red"), said), soft_wrap=True)
+        sys.exit(USER_ERROR)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    sys.exit(0)
+
+
+def _keep_compiled_programs() -> None:
+    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner."""
+    try:
+        folder = io.cache_folder() / "xla"
+        io.check_writable(folder)
+    except (OSError, RuntimeError, io.FileError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)

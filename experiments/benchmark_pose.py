@@ -1,0 +1,85 @@
+"""What one step of fitting a spot light's pose costs, and where the time goes.
+
+    python experiments/benchmark_pose.py
+
+A torus knot on the ground, an image of 512² pixels, a map of 512² texels and 16 bilinear taps a pixel. A step draws the
+map, finds its silhouettes and filters them; its derivatives are those of the visibility by position and direction.
+Times are medians of runs after compiling, by turns. Shares are of steps that leave parts out.
+"""
+
+import argparse
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from _common import machine, median_ms
+from benchmark_raster import positive
+from rich.console import Console
+from rich.table import Table
+
+from diffshadow.geometry import Edges, Mesh, PinholeCamera, SpotLight, library_mesh, merge
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import (
+    HardCompare,
+    RandomDisk,
+    ShadowMapping,
+    SlopeBias,
+    draw_shadow_map,
+    plan_shadow_map,
+    stratified,
+)
+
+SIZE = (512, 512)
+POSITION, DIRECTION = jnp.array([-1.2, 2.6, 0.9]), jnp.array([1.2, -2.2, -0.9])
+
+
+def main() -> None:
+    """Measures, and prints a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=positive, default=9, help="timed runs of each step")
+    repeats = parser.parse_args().repeats
+    knot = library_mesh("torus_knot")
+    knot = Mesh(knot.vertices - jnp.array([0.0, knot.vertices[:, 1].min(), 0.0]), knot.faces)
+    mesh = merge([knot, library_mesh("plane", size=4.0)])
+    camera = PinholeCamera((1.3, 1.8, 2.2), (0.1, 0.2, -0.2), fov_y=45.0, near=0.5, far=12.0, resolution=SIZE)
+    surface, edges = draw_surface(mesh, camera), Edges.of(mesh)
+    technique = ShadowMapping(RandomDisk(2.0, stratified(16, 8)), SlopeBias(1.0), HardCompare())
+    light = lambda by: SpotLight(POSITION + by[:3], DIRECTION + by[3:], 40.0, 0.5, 6.0)
+    room = plan_shadow_map(mesh, light(jnp.zeros(6)), SIZE, edges=edges)
+
+    def draw(by, outlines=True):
+        return draw_shadow_map(
+            mesh,
+            light(by),
+            SIZE,
+            edges=edges if outlines else None,
+            capacity=room.triangles,
+            silhouette_capacity=room.silhouettes,
+        )
+
+    def loss(by, outlines=True):
+        return jnp.mean((technique.visibility(draw(by, outlines), surface) - 0.5) ** 2)
+
+    steps = {
+        "map": lambda by: draw(by, outlines=False),
+        "map and silhouettes": draw,
+        "plain step": lambda by: loss(by, outlines=False),
+        "step": loss,
+        "step and gradient, forward": lambda by: (loss(by), jax.jacfwd(loss)(by)),
+        "step and gradient, reverse": jax.value_and_grad(loss),
+    }
+    start = jnp.zeros(6)
+    compiled = {name: eqx.filter_jit(step).lower(start).compile() for name, step in steps.items()}
+    console = Console()
+    medians = median_ms({name: partial(step, start) for name, step in compiled.items()}, repeats, console)
+    table = Table("part", "ms", "over step")
+    for name, ms in medians.items():
+        table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}")
+    console.print(machine())
+    console.print(f"{mesh.faces.shape[0]} triangles, room for {room.silhouettes} crossings")
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,256 @@
+"""What does the soft compare's width cost, and what does it buy? Image error and gradient error, kernel by kernel.
+
+    python experiments/soft_width.py configs/soft_width.yaml
+    python experiments/soft_width.py configs/soft_width.yaml --kernels logistic,linear --widths 5 --points 2
+
+A fit goes by the gradient of the soft loss, while the hard loss is what counts. This measures how far the two are apart
+over the soft compare's width, for each kernel. Kernels call different things their width: ramps reach from -width to
+width, the Gaussian's is its standard deviation. So that they can be compared, all are drawn over the standard deviation
+of the step, in texels; the table has the configuration's width too.
+
+Image error is taken where the configuration stands: the root mean square (RMSE) of the soft image against the hard one,
+and against the reference, with the hard image's own error beside it.
+
+Gradient error is taken at points of a regular grid inside the bounds of `bias.constant` and `filter.radius`. The soft
+loss has a derivative; what is that of the hard loss? Over the bias, the hard loss of finitely many pixels is a
+staircase: its derivative is zero or does not exist, and a central difference over a small step counts the few taps that
+flip in it. Only a derivative at a scale means something, so the truth here is the slope of the line that fits the hard
+loss best, by least squares, at 2 m + 1 even steps over +-h. With L_k the loss at k steps d = h / m from the point, that
+is
+
+    sum_k k (L_k - L_-k) / (2 d sum_k k^2),    k = 1 .. m:
+
+a mean of central differences, in which each counts by the square of its step, so that the widest, which counts the most
+taps, counts most. For many steps it is the derivative smoothed by Epanechnikov's kernel, (3 / 4h)(1 - (s / h)^2). It is
+computed in float64, where a loss that changes in its seventh digit still has a slope. The error is the sum over the
+points of |soft - truth|, over that of |truth|, for each parameter. The grey line is the same sum for the truth at half
+its scale against the truth: what lies below it, the truth cannot tell.
+
+What to expect. For each tap, the soft compare is the hard one averaged over biases about its own, spread as the
+kernel's density is. Were the loss linear in visibility, soft gradients would be smoothed hard ones, and the width a
+mere scale. It is quadratic, so the soft loss also lacks the variance of visibility under that spread: it is blind to
+acne that its width averages to an even grey. Below a width, there are too few taps within it to make a mean: its
+gradient is noise. The best width lies between. The radius is another matter: with bilinear look-ups the hard loss is
+smooth in it, and the error falls with the width down to the truth's own.
+"""
+
+import functools
+import math
+from pathlib import Path
+from typing import Any, get_args
+
+import _common as common
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from cyclopts import App
+from rich.console import Console
+from rich.table import Table
+
+from diffshadow.fit import Problem, with_values
+from diffshadow.shadow import HardCompare, SoftCompare, SoftKernel
+
+NAME = "soft_width"
+AXES = (common.BIAS, common.RADIUS)
+KERNELS: tuple[SoftKernel, ...] = get_args(SoftKernel)
+DEVIATION = {
+    "logistic": math.pi / math.sqrt(3),
+    "linear": 1 / math.sqrt(3),
+    "smoothstep": 1 / math.sqrt(5),
+    "gaussian": 1.0,
+    "exponential": 1.0,
+}
+"""Standard deviation of each kernel's density, the derivative of its step, at a width of 1."""
+STEPS = 8
+"""Central differences that the truth's slope is made of."""
+
+app = App(help=__doc__, help_format="plaintext", result_action="return_value")
+
+
+@app.default
+def main(
+    config: Path,
+    /,
+    *overrides: str,
+    kernels: str = ",".join(KERNELS),
+    widths: int = 14,
+    least: float = 0.001,
+    most: float = 8.0,
+    points: int = 4,
+    scale: float = 0.25,
+) -> dict[str, Any]:
+    """Measures the soft compare on the scene of CONFIG.
+
+    Parameters
+    ----------
+    config
+        YAML file with the technique and the bounds of bias.constant and filter.radius.
+    overrides
+        KEY=VALUE pairs that replace values of the file.
+    kernels
+        Which kernels, separated by commas.
+    widths
+        How many widths, in geometric steps.
+    least, most
+        Of the step's standard deviation, in texels.
+    points
+        Gradients are taken at so many points along each of bias and radius.
+    scale
+        The scale h of the truth's derivative, in texels.
+    """
+    console = Console(highlight=False)
+    names = common.listed("kernels", kernels)
+    common.expect("kernels", kernels, set(names) <= set(KERNELS), f"some of {','.join(KERNELS)}")
+    common.expect("widths", widths, widths > 1, "2 or more")
+    common.expect("least", least, 0 < least < most, f"more than 0, and less than most, {most}")
+    common.expect("points", points, points > 0, "1 or more along each axis")
+    common.expect("scale", scale, scale > 0, "more than 0 texels")
+    settings = common.load(config, overrides, needs=AXES)
+    drawn = common.draw(settings)
+    problem = eqx.tree_at(lambda p: p.technique.compare, common.problem_of(drawn), HardCompare())
+    spreads = np.geomspace(least, most, widths)
+
+    bounds = [settings.fit.parameters[name] for name in AXES]
+    inside = (np.arange(points) + 0.5) / points
+    grid = np.stack(np.meshgrid(*(b.lower + (b.upper - b.lower) * inside for b in bounds)), -1).reshape(-1, 2)
+    cases = [(kernel, spread) for kernel in names for spread in spreads]
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda x: x.astype(jnp.float64) if eqx.is_inexact_array(x) else x, problem)
+        both = [
+            (slopes(exact, at, scale), slopes(exact, at, scale / 2))
+            for at in common.progress(grid, "hard loss", console)
+        ]
+        truth, finer = np.array(both).swapaxes(0, 1)
+        rows = [
+            measure(exact, kernel, spread, grid, truth)
+            for kernel, spread in common.progress(cases, "soft loss", console)
+        ]
+        hard = float(jnp.sqrt(_loss(exact, None)))
+    summary = {
+        "config": str(config),
+        "overrides": list(overrides),
+        "hard_rmse": hard,
+        "reference_noise": drawn.floor,
+        "scale": scale,
+        "points": grid.tolist(),
+        "truth": truth.tolist(),
+        "truth_uncertain": dict(zip(AXES, relative(finer, truth), strict=True)),
+        "best": {kernel: best(rows, kernel) for kernel in names},
+    }
+    show(console, summary)
+    folder = common.write(settings, NAME, picture(rows, names, summary), rows, summary)
+    console.print(str(folder), soft_wrap=True)
+    return {**summary, "rows": rows, "folder": str(folder)}
+
+
+@eqx.filter_jit
+def _loss(problem: Problem, values: Any) -> Any:
+    """The mean square error with the two axes' parameters at `values`, or as the problem stands."""
+    technique = problem.technique if values is None else with_values(problem.technique, AXES, values)
+    return problem.mean_square_error(technique)
+
+
+@eqx.filter_jit
+def _gradient(problem: Problem, values: Any) -> Any:
+    return jax.jacfwd(functools.partial(_loss, problem))(values)
+
+
+@eqx.filter_jit
+def _images(soft: Problem, hard: Problem) -> Any:
+    """The root mean square of soft less hard, and of soft less truth."""
+    rms = lambda difference: jnp.sqrt(jnp.sum(difference**2) / hard.count)
+    to_truth = soft.difference(soft.technique)
+    return rms(to_truth - hard.difference(hard.technique)), rms(to_truth)
+
+
+def slopes(hard: Problem, at: Any, scale: float) -> list[float]:
+    """The derivatives of the hard loss at `scale` by each of the axes' parameters: least-squares slopes."""
+    found = []
+    for axis in np.eye(len(AXES)):
+        steps = np.arange(1, STEPS + 1)
+        loss = lambda k, axis=axis: float(_loss(hard, jnp.asarray(at + k * scale / STEPS * axis)))
+        differences = np.array([loss(k) - loss(-k) for k in steps])
+        found.append(float(np.sum(steps * differences) / (2 * scale / STEPS * np.sum(steps**2))))
+    return found
+
+
+def measure(hard: Problem, kernel: SoftKernel, spread: float, grid: Any, truth: Any) -> dict[str, Any]:
+    """A kernel at the width that gives it the standard deviation `spread`."""
+    width = spread / DEVIATION[kernel]
+    soft = eqx.tree_at(lambda p: p.technique.compare, hard, SoftCompare(width, kernel))
+    to_hard, to_truth = _images(soft, hard)
+    gradients = np.array([_gradient(soft, jnp.asarray(at)) for at in grid])
+    by_bias, by_radius = relative(gradients, truth)
+    return {
+        "kernel": kernel,
+        "deviation": float(spread),
+        "width": float(width),
+        "rmse_to_hard": float(to_hard),
+        "rmse_to_truth": float(to_truth),
+        "gradient_error_bias": by_bias,
+        "gradient_error_radius": by_radius,
+    }
+
+
+def relative(found: Any, truth: Any) -> list[float]:
+    """The sum of |found - truth| over that of |truth|, for each parameter."""
+    return (np.abs(found - truth).sum(axis=0) / np.maximum(np.abs(truth).sum(axis=0), 1e-300)).tolist()
+
+
+def best(rows: list[dict[str, Any]], kernel: str) -> dict[str, float]:
+    """The width of a kernel whose gradient by the bias is nearest the truth's, and its errors."""
+    row = min((row for row in rows if row["kernel"] == kernel), key=lambda row: row["gradient_error_bias"])
+    return {key: value for key, value in row.items() if key != "kernel"}
+
+
+def show(console: Console, summary: dict[str, Any]) -> None:
+    """The table of each kernel's best width."""
+    title = "each kernel at the width whose gradient by the bias is best: its step's deviation and width in texels, "
+    title += f"RMSE to the hard image and to the truth ({summary['hard_rmse']:.4f} hard), and errors of gradients"
+    heads = ("deviation", "width", "to hard", "to truth", "by bias", "by radius")
+    table = Table("", *heads, title=title, title_justify="left")
+    for kernel, row in summary["best"].items():
+        *lengths, hard, truth, bias, radius = row.values()
+        shares = (f"{x:.1%}" for x in (bias, radius))
+        table.add_row(kernel, *(f"{x:.3g}" for x in lengths), f"{hard:.4f}", f"{truth:.4f}", *shares)
+    console.print(table)
+
+
+def picture(rows: list[dict[str, Any]], kernels: list[str], summary: dict[str, Any]) -> Any:
+    """The figure."""
+    made, panels = common.figure(9.0, 6.8, 2, 2)
+    titles = {
+        "rmse_to_hard": ("Image: soft against hard", "RMSE [visibility]"),
+        "rmse_to_truth": ("Image: soft against the traced truth", "RMSE [visibility]"),
+        "gradient_error_bias": ("Gradient by the constant bias", "error over the hard loss's gradient"),
+        "gradient_error_radius": ("Gradient by the radius", "error over the hard loss's gradient"),
+    }
+    for panel, (key, (title, along)) in zip(panels, titles.items(), strict=True):
+        for i, kernel in enumerate(kernels):
+            of = [row for row in rows if row["kernel"] == kernel]
+            x, y = ([row[name] for row in of] for name in ("deviation", key))
+            style = {"color": common.COLOURS[i], "marker": common.MARKERS[i], "markersize": 4, "linewidth": 1.3}
+            panel.plot(x, y, label=kernel, **style)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        common.chart(panel, title, "standard deviation of the step [texels]", along)
+    level(panels[1], summary["hard_rmse"], "hard image")
+    for panel, name in zip(panels[2:], AXES, strict=True):
+        level(panel, summary["truth_uncertain"][name], "of the truth itself")
+        panel.axhline(1, color=common.FAINT, linewidth=0.8, linestyle=":")
+    common.legend(panels[0])
+    for panel in panels[1:3]:
+        handles, labels = panel.get_legend_handles_labels()
+        common.legend(panel, handles=handles[-1:], labels=labels[-1:])
+    return made
+
+
+def level(axes: Any, height: float, label: str) -> None:
+    """A horizontal line that is named."""
+    if height > 0:
+        axes.axhline(height, color=common.FAINT, linewidth=1.2, linestyle="--", label=label)
+
+
+if __name__ == "__main__":
+    common.start(app)

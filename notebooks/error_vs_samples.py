@@ -1,0 +1,120 @@
+# %% [markdown]
+# # Error against samples
+#
+# How fast does a random disk come closer to its own limit with more taps, and which pattern is best? The error of $n$
+# independent taps falls as $n^{-1/2}$ whatever the occluder; taps that keep apart from each other do better, the more so
+# the simpler the shadow's outline within the disk.
+#
+# The same question at full size, over three scenes, is `diffshadow sweep configs/error_vs_samples.yaml`. Here a part of
+# that sweep runs in the notebook.
+
+# %%
+import json
+import os
+import tempfile
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from scipy.stats import t
+
+from diffshadow import config, study
+
+plt.style.use("diffshadow.mplstyle")
+SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
+SAMPLES = (4, 16, 64) if SMALL else (4, 8, 16, 32, 64, 128, 256)
+PATTERNS = ("uniform", "poisson", "vogel", "halton", "sobol", "stratified")
+SEEDS, LIMIT = (3, 1024) if SMALL else (6, 4096)
+PIXELS, TEXELS, RAYS = (48, 96, 64) if SMALL else (128, 512, 256)
+
+# %% [markdown]
+# **The sweep.** One scene: a torus knot under a sun of 6° radius. Each run draws the shadow with one pattern, one number of
+# taps and one seed, and measures two errors (RMSE over the image): against the *limit* of the filter, which is what
+# very many taps give, and against the ray-traced *truth*. Each pattern has 8 x 8 sets of taps, which repeat over the
+# image; each seed has others.
+
+# %%
+def run(name, samples, patterns):
+    """A table with a row for each run."""
+    grid = {"filter.samples": samples, "filter.pattern": patterns}
+    sections = {
+        "name": name,
+        "output": folder,
+        "sweep": {"run": "render", "grid": grid, "repeats": SEEDS, "limit_samples": LIMIT},
+        "scene.camera.resolution": [PIXELS, PIXELS],
+        "scene.light.angular_radius": 6.0,  # degrees
+        "shadow_map.resolution": [TEXELS, TEXELS],
+        "reference.samples": RAYS,
+    }
+    overrides = [f"{key}={json.dumps(value)}" for key, value in sections.items()]
+    sweep = config.load_sweep("../configs/error_vs_samples.yaml", overrides)
+    return pd.read_parquet(study.run_sweep(sweep, console=Console(quiet=True), workers=0) / "results.parquet")
+
+
+with tempfile.TemporaryDirectory() as folder:
+    table = run("patterns", SAMPLES, PATTERNS)
+    again = run("limit", [LIMIT], ["sobol"])
+assert (table.status == "ok").all() and (again.status == "ok").all()
+print(f"{len(table)} runs")
+
+# %% [markdown]
+# **Noise floors.** Neither reference is free of error. The limit's is found by drawing it again with other seeds: two
+# equally good estimates differ by √2 times the error of each. That of the rays is estimated by the tracer itself.
+
+# %%
+rms = lambda values: float(np.sqrt(np.mean(np.square(values))))
+floor_of_limit = rms(again.rmse_to_limit) / np.sqrt(2)
+floor_of_rays = rms(table.reference_noise_floor)
+print(f"RMSE of the limit of {LIMIT:,} taps: {floor_of_limit:.2g}")
+print(f"RMSE of {RAYS} rays a pixel: {floor_of_rays:.2g}")
+
+# %% [markdown]
+# **Slopes**, of a straight line through the logarithms by least squares, one for each seed; the interval holds their mean
+# with 95 % confidence (Student's t). Points within a factor 4 of the limit's own floor are left out: there the
+# limit's error would show.
+
+# %%
+rows = []
+for pattern in PATTERNS:
+    slopes = []
+    for _, runs in table[table["filter.pattern"] == pattern].groupby("seed"):
+        good = runs[runs.rmse_to_limit > 4 * floor_of_limit]
+        slopes.append(np.polyfit(np.log(good["filter.samples"]), np.log(good.rmse_to_limit), 1)[0])
+    half = t.ppf(0.975, len(slopes) - 1) * np.std(slopes, ddof=1) / np.sqrt(len(slopes))
+    rows.append({"pattern": pattern, "slope": np.mean(slopes), "95 %": half})
+slopes = pd.DataFrame(rows).set_index("pattern")
+for n in SAMPLES[:: len(SAMPLES) - 1]:
+    at = table[table["filter.samples"] == n]
+    slopes[f"RMSE, {n} taps"] = at.groupby("filter.pattern").rmse_to_limit.apply(rms)
+slopes.round(4)
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
+styles = dict(zip(PATTERNS, zip("osD^vP", ("-", "-", "-", "--", "--", "--"))))
+for pattern, (marker, dash) in styles.items():
+    runs = table[table["filter.pattern"] == pattern].groupby("filter.samples")
+    label = f"{pattern}: {slopes.slope[pattern]:.3f} ± {slopes['95 %'][pattern]:.3f}"
+    for ax, column in zip(axes, ("rmse_to_limit", "rmse")):
+        ax.loglog(runs[column].apply(rms), marker=marker, linestyle=dash, label=label)
+axes[0].axhline(floor_of_limit, color="k", linestyle=":", label="noise floor of the limit")
+axes[1].axhline(floor_of_rays, color="k", linestyle="-.")
+axes[0].plot([], [], "k-.", label="noise floor of the rays")
+axes[0].set(title="against the filter's limit", ylabel="RMSE [visibility]")
+axes[1].set(title="against the ray-traced truth")
+figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", title="slope, 95 % confidence", alignment="left")
+for ax in axes:
+    ax.set(xlabel="taps a pixel")
+    ax.set_xticks(SAMPLES, [f"{n}" for n in SAMPLES], minor=False)
+    ax.minorticks_off()
+    ax.grid(True)
+
+# %% [markdown]
+# Left, independent taps fall as theory says, and every pattern that keeps taps apart falls faster. Right, the error to the
+# truth stops falling early, far above the noise of the rays: what is left is the technique's own, here a disk of one
+# size where penumbrae vary. A few dozen well-spread taps are enough; more only refine the wrong answer.
+
+# %%
+uniform = slopes.loc["uniform"]
+assert abs(uniform.slope + 0.5) < (0.15 if SMALL else 0.05)
+assert (slopes.slope.drop("uniform") < uniform.slope).all()

@@ -1,0 +1,120 @@
+# %% [markdown]
+# # A light from its shadow
+#
+# Where does the sun stand, if all that is known is the scene and one image of its shadow? Here map and shadow are drawn
+# anew at every step, and the motion of the shadow's outline has a gradient: the map stores where, within a texel, its
+# casters end. The fit goes from coarse images to fine ones, whose landscapes are smoother and rougher; each has a program
+# of its own to compile, which takes most of this notebook's minutes.
+
+# %%
+import os
+
+import equinox as eqx
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from diffshadow import config, fit, study
+
+plt.style.use("diffshadow.mplstyle")
+SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
+PIXELS, TEXELS, STEPS, GRID = (48, 96, 8, 5) if SMALL else (128, 256, 20, 15)
+
+# %% [markdown]
+# **What is known**: the scene of `configs/fit_light_sun.yaml`, and its shadow, ray traced. The sun's azimuth and elevation
+# are sought within wide bounds, from a start that is some 20° off.
+
+# %%
+settings = config.load_config(
+    "../configs/fit_light_sun.yaml",
+    [
+        f"scene.camera.resolution=[{PIXELS}, {PIXELS}]",
+        f"shadow_map.resolution=[{TEXELS}, {TEXELS}]",
+        f"fit.solver.max_steps={STEPS}",
+    ],
+)
+casting = config.build_casting(settings)
+plan = config.build_fit(settings, casting)
+problems = study.pose_problems(settings, plan, casting)
+for p in plan.parameters:
+    print(f"{p.name:22} starts at {p.initial:.0f}, within {p.lower:.0f} to {p.upper:.0f} {p.unit}")
+
+# %% [markdown]
+# **Fit.**
+
+# %%
+levels = (2, 1) if SMALL else (4, 2, 1)
+result = fit.fit(problems, plan.parameters, solver=plan.solver, anneal=plan.anneal, levels=levels)
+deviations = result.precision.deviations
+for name, value in result.fitted.items():
+    truth = plan.truth[name]
+    print(
+        f"{name:22} {result.initial[name]:7.2f} to {value:7.3f}, truth {truth:5.1f}: "
+        f"error {value - truth:+.3f}, deviation {deviations[name]:.3f} degrees"
+    )
+for phase in result.phases:
+    print(f"level {phase.level}: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} at full resolution")
+
+# %% [markdown]
+# The *deviation* is the standard deviation that the image's residuals give the value, to first order. It takes pixels for
+# independent, so read it as an order of magnitude.
+
+# %%
+problem, where = result.problems[0], [p.where for p in plan.parameters]
+
+
+@eqx.filter_jit
+def at(problem, values):
+    """The shadow, and its difference from the truth, with the sun at `values`."""
+    arrangement = fit.with_values(problem.arrangement, where, values)
+    shadow_map, surface = problem.draw(arrangement)
+    return arrangement.technique.visibility(shadow_map, surface), problem.difference(arrangement)
+
+
+seen = np.asarray(problem.mask)
+values = lambda chosen: jnp.array(list(chosen.values()), jnp.float32)
+start, end = at(problem, values(result.initial)), at(problem, values(result.fitted))
+figure, axes = plt.subplots(1, 4, figsize=(12.4, 3.2), sharey=True)
+shadows = {"truth": problem.reference, "start": start[0], "fitted": end[0]}
+for ax, (name, image) in zip(axes, shadows.items()):
+    bright = ax.imshow(np.where(seen, image, np.nan), vmin=0, vmax=1)
+    ax.set_title(name)
+shown = axes[3].imshow(np.where(seen, end[1], np.nan), cmap="PuOr", vmin=-1, vmax=1)
+axes[3].set_title("fitted less truth")
+for ax in axes:
+    ax.set(xlabel="x [pixels]", facecolor="#d5dce4")
+axes[0].set_ylabel("y [pixels]")
+bars = figure.colorbar(bright, ax=axes[:3], shrink=0.7, label="visibility"), figure.colorbar(shown, ax=axes[3], shrink=0.7)
+
+# %% [markdown]
+# **The landscape**: the RMSE over both angles, at a quarter of the resolution (where the fit begins) and in full, with
+# the fit's evaluations at that level. Each level may take 20 steps. In the coarse image these are small, and most of the
+# way is gone in the finer ones.
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)
+azimuth, elevation = (np.linspace(p.lower, p.upper, GRID) for p in plan.parameters)
+for ax, level in zip(axes, (levels[0], 1)):
+    coarse = problem.at_level(level)
+    mean_square = lambda values: float(jnp.sum(at(coarse, values)[1] ** 2) / coarse.count)
+    rmse = np.sqrt([[mean_square(jnp.array([a, e], jnp.float32)) for a in azimuth] for e in elevation])
+    norm = LogNorm(rmse.min(), rmse.max())
+    shown = ax.pcolormesh(azimuth, elevation, rmse, norm=norm, cmap="cividis_r", shading="nearest", rasterized=True)
+    figure.colorbar(shown, ax=ax, shrink=0.8, label="RMSE [visibility]")
+    phases = [i for i, phase in enumerate(result.phases) if phase.level == level]
+    path = np.array([step.values for step in result.history if step.phase in phases])
+    ax.plot(*path.T, color="white", linewidth=3)
+    ax.plot(*path.T, ".-", color="#d55e00", linewidth=1.3, markersize=5, label="fit's evaluations")
+    ax.plot(*path[0], "D", color="#d55e00", markeredgecolor="white", markersize=7, label="first of them")
+    ax.plot(*plan.truth.values(), "kx", markersize=9, markeredgewidth=2, label="truth")
+    ax.plot(*result.fitted.values(), "*", color="#d55e00", markeredgecolor="white", markersize=12, label="fitted")
+    ax.set(title=f"{level} x {level} pixels made one" if level > 1 else "full resolution", xlabel="azimuth [degrees]")
+    ax.legend(loc="lower right", frameon=True, framealpha=0.85)
+axes[0].set_ylabel("elevation [degrees]")
+
+# %%
+error = lambda values: max(abs(values[name] - truth) for name, truth in plan.truth.items())
+worst = error(result.fitted)
+print(f"greatest error: {worst:.3f} degrees")
+assert worst < (0.5 * error(result.initial) if SMALL else 0.5)

@@ -1,0 +1,180 @@
+"""Each experiment runs at a tiny size, and its numbers say what its description promises."""
+
+import csv
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diffshadow.cli import main
+
+ROOT = Path(__file__).parent.parent
+# What a sweep varies may be missing from its file, which is judged with the sweep.
+CONFIGS = sorted(file for file in (ROOT / "configs").glob("*.yaml") if "\nsweep:" not in file.read_text())
+PNG = b"\x89PNG\r\n\x1a\n"
+
+TINY = """
+scene:
+  meshes:
+    - {path: builtin:torus, size: 1, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [48, 48], orbit: {azimuth: 30, elevation: 35, distance: 4}}
+  light: {azimuth: -60, elevation: 50, angular_radius: 2}
+shadow_map: {resolution: [64, 64]}
+bias: {constant: 0.2, slope: 0.2}
+filter: {samples: 8, pattern_size: 4, radius: 2}
+reference: {samples: 16}
+fit:
+  parameters:
+    bias.constant: {lower: 0, upper: 6}
+    filter.radius: {lower: 0, upper: 6}
+  solver: {max_steps: 8}
+  anneal: {start: 1, end: 0.1, phases: 2}
+"""
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch):
+    """Each test in a folder of its own, with the experiments to import."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
+    Path("tiny.yaml").write_text(TINY)
+
+
+def run(experiment: str, *overrides: str, **options: Any) -> dict[str, Any]:
+    """What an experiment finds, after a look at its files."""
+    found = importlib.import_module(experiment).main(Path("tiny.yaml"), *overrides, **options)
+    folder = Path("runs") / f"tiny-{experiment}"
+    assert Path(found["folder"]) == folder
+    assert {file.name for file in folder.iterdir()} == {f"{experiment}.{end}" for end in ("png", "csv", "json")}
+    assert (folder / f"{experiment}.png").read_bytes().startswith(PNG)
+    with (folder / f"{experiment}.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row.keys() for row in table] == [row.keys() for row in found["rows"]]
+    summary = json.loads((folder / f"{experiment}.json").read_text())
+    assert summary["overrides"] == list(overrides)
+    assert summary["machine"]["cores"] >= 1
+    return found
+
+
+@pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.stem)
+def test_every_configuration_is_valid(config, capsys):
+    with pytest.raises(SystemExit) as exit:
+        main(["validate", str(config)])
+    assert exit.value.code == 0, capsys.readouterr().err
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_error_falls_with_resolution_as_a_seam_does():
+    found = run("error_vs_resolution", "scene.light.angular_radius=0", sizes="64,128", only="bilinear")
+    assert found["reference_noise"] == 0, "a hard light's truth is exact"
+    errors = {(row["technique"], row["resolution"]): row["rmse"] for row in found["rows"]}
+    assert 0 < errors["bilinear", 128] < errors["bilinear", 64] < 0.5
+    assert -1 < found["slopes"]["bilinear"] < -0.2, "about -1/2"
+
+
+@pytest.mark.slow
+def test_fit_ends_where_the_landscape_is_lowest():
+    found = run("bias_landscape", size=7)
+    assert found["ratio"] < 1.03
+    assert found["fit"]["rmse"] < 0.9 * found["start"]["rmse"]
+    shape = (7, 7)
+    acne, leaks = (
+        np.array([row[key] for row in found["rows"]]).reshape(shape) for key in ("false_shadow", "false_light")
+    )
+    # Over the bias, at every radius.
+    assert (np.diff(acne, axis=0) <= 1e-6).all()
+    assert (np.diff(leaks, axis=0) >= -1e-6).all()
+    assert acne[0].min() > 2 * acne[-1].max()
+
+
+@pytest.mark.slow
+def test_soft_compare_nears_the_hard_one_and_its_gradient():
+    found = run("soft_width", kernels="linear", widths=3, least=0.02, most=8.0, points=2, scale=0.5)
+    narrow, middle, wide = found["rows"]
+    assert narrow["width"] == pytest.approx(0.02 * 3**0.5)
+    assert narrow["rmse_to_hard"] < middle["rmse_to_hard"] < wide["rmse_to_hard"]
+    assert narrow["rmse_to_truth"] == pytest.approx(found["hard_rmse"], rel=0.1)
+    # The radius has a gradient without any softness; that of the bias is right up to the taps' number.
+    assert narrow["gradient_error_radius"] < 0.1 < wide["gradient_error_radius"]
+    assert middle["gradient_error_bias"] < 0.6 < wide["gradient_error_bias"]
+    assert max(found["truth_uncertain"].values()) < 0.5
+    assert (np.array(found["truth"])[:, 0] != 0).any()
+
+
+@pytest.mark.slow
+def test_shootout_fits_before_it_times():
+    found = run("shootout", only="nearest,disk", repeats=3, most=1)
+    nearest, disk = found["rows"]
+    assert disk["rmse"] < nearest["rmse"], "a soft shadow wants a filter"
+    for row in found["rows"]:
+        assert row["rmse"] <= row["rmse_before"]
+        assert row["milliseconds"] > 0
+    assert disk["pareto"], "nothing has a smaller error"
+    assert nearest["pareto"] == (nearest["milliseconds"] < disk["milliseconds"])
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_values_do_best_where_they_were_fitted():
+    found = run("generalisation", over="light", count=2)
+    errors = np.array([row["rmse"] for row in found["rows"]]).reshape(2, 2)
+    assert (errors.diagonal() > 0).all()
+    assert found["worst"]["light"] == pytest.approx((errors / errors.diagonal()).max())
+    assert (errors >= 0.97 * errors.diagonal()).all()
+    fitted = {row["fitted_on"]: row["bias.constant"] for row in found["rows"]}
+    assert len(set(fitted.values())) == 2, "suns of different heights want different biases"
+
+
+@pytest.mark.slow
+def test_nothing_changes_with_the_scale():
+    found = run("scale_invariance", scales="0.01,100")
+    assert [row["scale"] for row in found["rows"]] == [0.01, 1, 100]
+    worst = found["worst"]
+    assert worst["picture"] < 0.01
+    assert worst["rmse before"] < 1e-3
+    assert worst["rmse after"] < 1e-2
+    assert worst["bias.constant"] < 0.05
+    assert worst["filter.radius"] < 0.05
+
+
+def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
+    script = importlib.import_module("scale_invariance")
+    every = script.scaled
+    forgetful = lambda *args: [word for word in every(*args) if not word.startswith("scene.meshes.0.translate")]
+    monkeypatch.setattr(script, "scaled", forgetful)
+    assert run("scale_invariance", scales="0.1")["worst"]["rmse before"] > 0.05
+
+
+@pytest.mark.parametrize(
+    ("experiment", "arguments", "said"),
+    [
+        ("bias_landscape", ["tiny.yaml", "--size", "1"], "--size: is 1; expected 2 or more"),
+        ("bias_landscape", ["tiny.yaml", "fit.parameters={bias.constant: {lower: 0, upper: 9}}"], "filter.radius"),
+        ("error_vs_resolution", ["tiny.yaml", "--only", "nearest,pfc"], "expected some of nearest,bilinear,box"),
+        ("error_vs_resolution", ["tiny.yaml", "--sizes", "64,big"], "expected whole numbers"),
+        ("soft_width", ["tiny.yaml", "--least", "3", "--most", "2"], "less than most, 2.0"),
+        ("shootout", ["missing.yaml"], "there is no such file"),
+        ("shootout", ["tiny.yaml", "--repeat", "3"], "see --help"),
+        ("generalisation", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
+        ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
+    ],
+)
+def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, arguments, said, monkeypatch, capsys):
+    script = importlib.import_module(experiment)
+    monkeypatch.setattr(sys, "argv", [f"{experiment}.py", *arguments])
+    monkeypatch.setattr(script.common, "_keep_compiled_programs", lambda: None)
+    with pytest.raises(SystemExit) as exit:
+        script.common.start(script.app)
+    assert exit.value.code == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ")
+    assert said in told
+    assert "Traceback" not in told
+    assert not Path("runs").exists()

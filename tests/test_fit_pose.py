@@ -1,0 +1,364 @@
+"""Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+from scenes import LAMP, floor_camera, quad, sun
+
+from diffshadow.fit import (
+    Arrangement,
+    LightPose,
+    MapSettings,
+    MeshPose,
+    Parameter,
+    PoseProblem,
+    Solver,
+    cone_share,
+    fit,
+    parameter_names,
+    resolve,
+    with_values,
+)
+from diffshadow.fit._adam import Adam
+from diffshadow.fit._parameters import bounds_of
+from diffshadow.fit._poses import Room
+from diffshadow.fit._precision import precision_of
+from diffshadow.fit._settings import levels_of
+from diffshadow.fit._starts import starts_within
+from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, PointLight, SpotLight, merge
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import Bias, Bilinear, ShadowMapping
+
+FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
+POINTS = merge([FLOOR, CARD]).vertices
+LIGHTS = {
+    "directional": sun(merge([FLOOR, CARD]), angular_radius=1.5),
+    "spot": SpotLight.around(jnp.asarray(LAMP), POINTS, radius=0.1),
+    "point": PointLight.around(jnp.asarray(LAMP), POINTS, radius=0.2),
+}
+TECHNIQUE = ShadowMapping(Bilinear(), Bias(0.5, 0.5, 0.0))
+AZIMUTH, ELEVATION = "lights.0.azimuth", "lights.0.elevation"
+SHIFT = tuple(f"meshes.1.translate.{axis}" for axis in "xyz")
+
+
+def problem(light, *, moves=False, meshes=(FLOOR, CARD), camera=None, texels=64, silhouettes=True, pulled=()):
+    """The card over the floor; nothing is known of its shadow yet."""
+    camera = camera or floor_camera(1.5, (64, 64))
+    poses = [MeshPose.of(mesh, pulled if mesh is meshes[-1] else ()) for mesh in meshes]
+    shape = camera.resolution
+    surface = None if moves else draw_surface(merge(meshes), camera)
+    return PoseProblem(
+        arrangement=Arrangement.of(TECHNIQUE, [light], poses),
+        meshes=tuple(meshes),
+        casts=(True,) * len(meshes),
+        light=light,
+        index=0,
+        camera=camera,
+        reference=jnp.ones(shape),
+        weight=jnp.ones(shape),
+        settings=MapSettings((texels, texels), silhouettes=silhouettes),
+        surface=surface,
+    )
+
+
+@eqx.filter_jit
+def _seen(technique, shadow_map, surface):
+    return technique.visibility(shadow_map, surface) * cone_share(shadow_map.light, surface)
+
+
+def image(problem, paths, values):
+    """What `problem` makes of its arrangement with `values` at `paths`."""
+    arrangement = with_values(problem.arrangement, paths, jnp.asarray(values, jnp.float32))
+    return _seen(arrangement.technique, *problem.draw(arrangement))
+
+
+def to_recover(problem, paths, truth):
+    """With the shadow that it has with `truth` at `paths`."""
+    return dataclasses.replace(problem, reference=image(problem, paths, truth))
+
+
+def values(problem, paths):
+    return [float(resolve(problem.arrangement, path)) for path in paths]
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_light_pose_is_the_light_as_it_stands(kind):
+    light = LIGHTS[kind]
+    placed = LightPose.of(light).placed(light, POINTS)
+    assert type(placed) is type(light)
+    for field in ("position", "direction", "radius", "angular_radius"):
+        if hasattr(light, field) and field != "direction":
+            np.testing.assert_allclose(getattr(placed, field), getattr(light, field), rtol=1e-6)
+    if kind == "directional":
+        unit = lambda v: np.asarray(v) / np.linalg.norm(v)
+        np.testing.assert_allclose(unit(placed.direction), unit(light.direction), atol=1e-6)
+    clip = placed.refitted(POINTS).view()
+    np.testing.assert_allclose(clip.near, light.near, rtol=1e-3)
+    np.testing.assert_allclose(clip.far, light.far, rtol=1e-3)
+
+
+def test_azimuth_and_elevation_go_over_the_pole():
+    pose = LightPose.of(LIGHTS["directional"])
+    way = lambda azimuth, elevation: np.asarray(
+        with_values(pose, ("azimuth", "elevation"), jnp.array([azimuth, elevation]))
+        .placed(LIGHTS["directional"], POINTS)
+        .direction
+    )
+    np.testing.assert_allclose(way(90.0, 0.0), [-1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(way(0.0, 30.0), [0, -0.5, -np.sqrt(0.75)], atol=1e-6)
+    np.testing.assert_allclose(way(20.0, 100.0), way(200.0, 80.0), atol=1e-6)
+
+
+def test_mesh_pose_moves_turns_and_pulls():
+    pose = MeshPose.of(CARD, vertices=(2,), home=(0.0, 5.0, 0.0))
+    np.testing.assert_allclose(pose.placed(CARD).vertices, CARD.vertices)
+    moved = with_values(pose, ("translate.y", "turn.y", "vertices.2.y"), jnp.array([6.0, 90.0, 1.5])).placed(CARD)
+    # A quarter turn about +y takes x to -z and z to x.
+    expected = np.asarray(CARD.vertices) @ np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]) + [0, 1, 0]
+    expected[2, 1] += 0.5
+    np.testing.assert_allclose(moved.vertices, expected, atol=1e-6)
+    np.testing.assert_allclose(moved.corner_normals, CARD.corner_normals, atol=1e-6)
+    with pytest.raises(ValueError, match="the mesh has no vertex 4; expected an index from 0 to 3"):
+        MeshPose.of(CARD, vertices=(4,))
+
+
+def test_vertices_in_one_place_move_together():
+    split = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [3, 4, 5]])
+    pose = with_values(MeshPose.of(split, vertices=(1,)), ("vertices.1.z",), jnp.array([2.0]))
+    assert pose.placed(split).vertices[:, 2].tolist() == [0, 2, 0, 2, 0, 0]
+
+
+def test_turn_has_its_derivative_at_rest_too():
+    at = lambda x: with_values(MeshPose.of(CARD), ("turn.x",), x[None]).placed(CARD).vertices
+    slope = jax.jacfwd(at)(jnp.zeros(()))
+    np.testing.assert_allclose(slope, (at(jnp.array(0.5)) - at(jnp.array(-0.5))), atol=1e-6)
+    assert np.abs(slope).max() > 1e-3
+
+
+def test_every_number_of_an_arrangement_has_a_path():
+    arrangement = problem(LIGHTS["spot"], pulled=(1,)).arrangement
+    names = parameter_names(arrangement)
+    assert {"technique.bias.constant", "lights.0.position.x", AZIMUTH, "meshes.1.vertices.1.z"} <= set(names)
+    numbered = with_values(arrangement, names, jnp.arange(float(len(names))))
+    assert [float(resolve(numbered, name)) for name in names] == list(range(len(names)))
+    with pytest.raises(
+        ValueError, match=r"no parameter 'lights.1.azimuth' in a Arrangement; expected one of technique"
+    ):
+        resolve(arrangement, "lights.1.azimuth")
+
+
+def test_levels_fall_to_one_and_divide_the_sides():
+    assert levels_of(None, 256, 512) == (8, 1)
+    assert levels_of(None, 36, 64) == (2, 1)
+    assert levels_of(None, 37) == (1,)
+    assert levels_of([4, 1], 36, 64) == (4, 1)
+    for wrong in ([], [4, 2], [2, 4, 1]):
+        with pytest.raises(ValueError, match="expected whole numbers that fall to 1"):
+            levels_of(wrong, 64)
+    with pytest.raises(ValueError, match="level 8 makes one pixel of 8 x 8, and image or map has a side of 36"):
+        levels_of([8, 1], 64, 36)
+
+
+def test_coarse_levels_hold_means_of_the_pixels_that_count():
+    one = problem(LIGHTS["directional"])
+    rng = np.random.default_rng(0)
+    reference, weight = rng.random((64, 64)), (rng.random((64, 64)) < 0.5).astype(float)
+    one = dataclasses.replace(
+        one, reference=jnp.asarray(reference, jnp.float32), weight=jnp.asarray(weight, jnp.float32)
+    )
+    coarse = one.at_level(4)
+    assert coarse.camera.resolution == coarse.settings.resolution == coarse.surface.mask.shape == (16, 16)
+    block = (slice(8, 12), slice(4, 8))
+    assert float(coarse.weight[2, 1]) == pytest.approx(weight[block].mean())
+    assert float(coarse.reference[2, 1]) == pytest.approx(np.average(reference[block], weights=weight[block]), rel=1e-5)
+    assert float(coarse.count * 16) == pytest.approx(weight.sum())
+
+
+def test_starts_are_the_first_and_an_even_spread():
+    bounds = bounds_of([Parameter("a", 1.0, 0.0, 4.0), Parameter("b", -1.0, -2.0, 0.0)])
+    first = jnp.array([1.0, -1.0])
+    starts = np.asarray(starts_within(bounds, first, 9, seed=3))
+    assert starts[0].tolist() == [1, -1]
+    shares = (starts[1:] - [0, -2]) / [4, 2]
+    # A point in each eighth along each axis: a Sobol sequence's mark.
+    assert sorted(np.floor(shares[:, 0] * 8)) == sorted(np.floor(shares[:, 1] * 8)) == list(range(8))
+    np.testing.assert_array_equal(starts, starts_within(bounds, first, 9, seed=3))
+    with pytest.raises(ValueError, match="0 starts are asked for; expected 1 or more"):
+        starts_within(bounds, first, 0, seed=0)
+
+
+def test_precision_is_that_of_a_linear_regression():
+    rng = np.random.default_rng(1)
+    slopes = rng.normal(size=(400, 3)) @ np.array([[1, 0.8, 0], [0, 1, 0], [0, 0, 1]])
+    noise, span = 0.3, np.array([2.0, 1.0, 10.0])
+    found = precision_of("abc", np.linalg.qr(slopes / 20, mode="r"), span, noise**2 * 397 / 400, 400.0)
+    covariance = noise**2 * np.linalg.inv(slopes.T @ slopes)
+    np.testing.assert_allclose(list(found.deviations.values()), np.sqrt(np.diag(covariance)) * span, rtol=1e-6)
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.correlations, covariance / np.outer(scale, scale), atol=1e-9)
+    assert found.undetermined == []
+    # b and c do the same, a is by itself, d does nothing.
+    columns = np.stack([slopes[:, 0], slopes[:, 1], slopes[:, 1], 0 * slopes[:, 0]], axis=1)
+    told = precision_of("abcd", np.linalg.qr(columns / 20, mode="r"), np.ones(4), 1e-4, 400.0)
+    assert told.names == ("a", "b", "c")
+    assert told.undetermined == [("b", "c")]
+
+
+def test_adam_finds_the_bottom_of_a_valley():
+    reports = []
+    adam = Adam(0.1, 200, 1e-9, 1e-9, lambda **told: reports.append(set(told)))
+    loss = lambda y, _: jnp.sum(jnp.array([1.0, 30.0]) * (y - jnp.array([0.3, -0.2])) ** 2)
+    options = {"autodiff_mode": "fwd"}
+    found = optx.minimise(loss, adam, jnp.zeros(2), options=options, max_steps=200, throw=False)
+    np.testing.assert_allclose(found.value, [0.3, -0.2], atol=1e-3)
+    assert len(reports) >= 1
+    assert all(told == {"loss_this_step", "y"} for told in reports)
+
+
+SUN = LIGHTS["directional"]
+
+
+@pytest.fixture(scope="module")
+def recovered():
+    """The sun of a known shadow, found from three starts; the truth, the problem and the result."""
+    paths = (AZIMUTH, ELEVATION)
+    one = problem(SUN)
+    truth = values(one, paths)
+    one = to_recover(one, paths, truth)
+    spans = [(truth[0] + 9, truth[0] - 25, truth[0] + 25), (truth[1] - 7, truth[1] - 20, truth[1] + 20)]
+    parameters = [Parameter(path, *span, unit="degrees") for path, span in zip(paths, spans, strict=True)]
+    told = []
+    result = fit(one, parameters, levels=[4, 1], starts=3, seed=1, on_step=told.append)
+    assert told == result.history
+    return truth, one, result
+
+
+@pytest.mark.exhaustive
+def test_sun_is_recovered_from_its_shadow(recovered):
+    truth, one, result = recovered
+    # A tenth of a pixel is 0.3 degrees here.
+    np.testing.assert_allclose(list(result.fitted.values()), truth, atol=0.4)
+    found = values(dataclasses.replace(one, arrangement=result.arrangement), tuple(result.fitted))
+    np.testing.assert_allclose(found, list(result.fitted.values()), rtol=1e-6)
+    assert result.phases[-1].hard_loss < 1e-3
+    assert [outcome.level for outcome in result.phases] == [4, 1]
+    assert (result.flat, result.enlargements) == ([], 0)
+
+
+@pytest.mark.exhaustive
+def test_best_of_several_starts_is_gone_on_with(recovered):
+    _, _, result = recovered
+    assert len({start.initial for start in result.starts}) == 3
+    best = min(result.starts, key=lambda start: start.loss)
+    assert tuple(result.initial.values()) == best.initial
+    # All starts run the coarse phase, and only one the last.
+    assert {(step.start, step.phase) for step in result.history if step.phase == 0} == {(0, 0), (1, 0), (2, 0)}
+    assert {step.start for step in result.history if step.phase == 1} == {result.starts.index(best)}
+
+
+@pytest.mark.exhaustive
+def test_precision_names_nothing_where_the_image_tells_all(recovered):
+    _, _, result = recovered
+    assert result.precision.names == (AZIMUTH, ELEVATION)
+    assert result.precision.undetermined == []
+    assert all(0 < deviation < 0.05 for deviation in result.precision.deviations.values())
+    assert np.diag(result.precision.correlations) == pytest.approx([1, 1])
+
+
+@pytest.mark.slow
+def test_height_of_a_card_along_the_light_is_not_determined():
+    """Under a directional light a caster may move along the light, and its shadow stays."""
+    along = np.asarray(SUN.direction) / np.linalg.norm(SUN.direction)
+    one = to_recover(problem(SUN, moves=True, texels=32), SHIFT, [0.0, 0.0, 0.0])
+    parameters = [
+        Parameter(path, off, -0.4, 0.4, "world units") for path, off in zip(SHIFT, (0.1, 0.0, 0.1), strict=True)
+    ]
+    result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
+    # One combination, in which the height takes part; what is left of the start is the way along the light.
+    (names,) = result.precision.undetermined
+    assert SHIFT[1] in names
+    left = np.asarray(list(result.fitted.values()))
+    np.testing.assert_allclose(left - (left @ along) * along, 0, atol=0.01)
+
+
+@pytest.mark.slow
+def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
+    tight = lambda joint, *_: joint.each(lambda p: dataclasses.replace(p, room=Room(), edges=p._edges()))
+    monkeypatch.setattr("diffshadow.fit._solve.prepared", tight)
+    one = problem(LIGHTS["spot"], texels=32, camera=floor_camera(1.5, (32, 32)))
+    paths = ("lights.0.position.x", AZIMUTH)
+    truth = values(one, paths)
+    one = to_recover(one, paths, truth)
+    parameters = [
+        Parameter(paths[0], truth[0] + 0.3, truth[0] - 1, truth[0] + 1, "world units"),
+        Parameter(paths[1], truth[1] + 5, truth[1] - 30, truth[1] + 30, "degrees"),
+    ]
+    result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
+    assert result.enlargements >= 1
+    # Nothing shows which way a light without a cone shines.
+    assert result.flat == [AZIMUTH]
+    assert result.fitted[paths[0]] == pytest.approx(truth[0], abs=0.02)
+
+
+VERTEX = ("meshes.1.vertices.2.x", "meshes.1.vertices.2.y")
+CAMERAS = {
+    "orthographic": lambda pixels: OrthographicCamera(
+        (0, 0, 0), (0, 0, -1), (0, 1, 0), height=1.0, near=0.5, far=3.0, resolution=(pixels, pixels)
+    ),
+    "perspective": lambda pixels: PinholeCamera(
+        (1, 0, 0.75), (0, 0, -2), (0, 1, 0), fov_y=24.0, near=0.5, far=6.0, resolution=(pixels, pixels)
+    ),
+}
+
+
+def minimal_plane(camera, texels, silhouettes=True):
+    """A square over a square, whose vertex 2 is to be found where it has half its x and y.
+
+    Worchel & Alexa, "Differentiable shadow mapping for efficient inverse graphics", CVPR 2023, figure 5.
+    """
+    meshes = quad((0, 0, -2), (0.5, 0, 0), (0, 0.5, 0)), quad((0, 0, 1), (0.375, 0, 0), (0, 0.375, 0))
+    light = DirectionalLight.around(jnp.array([0.0, 0.0, -1.0]), merge(meshes).vertices)
+    one = problem(light, meshes=meshes, camera=camera, texels=texels, silhouettes=silhouettes, pulled=(2,))
+    # The camera stands below the caster and sees the receiver alone; only the map is drawn anew.
+    one = dataclasses.replace(one, surface=draw_surface(meshes[0], camera))
+    return to_recover(one, VERTEX, [0.1875, 0.1875])
+
+
+def pull(one, solver):
+    parameters = [Parameter(path, 0.375, 0.0, 0.5, "world units") for path in VERTEX]
+    return fit(one, parameters, solver=solver, levels=[1])
+
+
+@pytest.mark.parametrize(
+    ("camera", "solver", "pixels", "texels"),
+    [
+        ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 64, 32),
+        pytest.param(
+            "orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256, marks=pytest.mark.exhaustive
+        ),
+        pytest.param("orthographic", Solver("adam", 150, 1e-7, 1e-8), 512, 256, marks=pytest.mark.exhaustive),
+        pytest.param(
+            "perspective", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256, marks=pytest.mark.exhaustive
+        ),
+        pytest.param("perspective", Solver("adam", 150, 1e-7, 1e-8), 512, 256, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels):
+    result = pull(minimal_plane(CAMERAS[camera](pixels), texels), solver)
+    assert result.steps <= solver.max_steps
+    assert result.phases[-1].hard_loss < 1e-6
+    np.testing.assert_allclose(list(result.fitted.values()), 0.1875, atol=2e-3)
+
+
+def test_without_its_outline_the_minimal_plane_stalls():
+    one = minimal_plane(CAMERAS["orthographic"](64), 32, silhouettes=False)
+    result = pull(one, Solver("levenberg_marquardt", 60, 1e-6, 1e-7))
+    assert result.flat == list(VERTEX)
+    assert result.fitted == result.initial
+    # About a fifth of the receiver is lit that should not be, or the other way round.
+    assert 0.1 < result.phases[-1].hard_loss < 0.3

@@ -1,0 +1,339 @@
+"""Reports and comparisons of finished runs: what they say and show, and what they refuse."""
+
+import html.parser
+import io as text_io
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+
+from diffshadow import metrics, study
+from diffshadow.cli import main
+from diffshadow.config import dump_resolved, parse_config
+
+SCENE = "scene: {meshes: [{path: 'builtin:torus'}, {path: 'builtin:plane'}]}"
+FIT = "{parameters: {bias.constant: {lower: 0, upper: 10}, filter.radius: {lower: 0, upper: 8}}}"
+STEPS = 12
+
+
+def errors(image: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    return metrics.measure_errors(image, truth, mask).as_dict()
+
+
+def write_fit(folder: Path, name: str = "tiny", *, lights: int = 1, shift: int = 1, settings: str = "") -> Path:
+    """A fit's folder, made without a fit: a square shadow, `shift` pixels off before and less after."""
+    folder.mkdir(parents=True)
+    config = parse_config(f"name: {name}\nfit: {FIT}\n{SCENE}\n{settings}\n", source="tiny.yaml", folder=folder)
+    (folder / "config.yaml").write_text(dump_resolved(config))
+    truth, mask = np.ones((24, 32), np.float32), np.ones((24, 32), bool)
+    truth[8:16, 10:22] = 0
+    mask[-4:] = False
+    before, after = np.roll(truth, shift, axis=1), np.clip(truth + 0.04, 0, 1)
+    measured = {"before": errors(before, truth, mask), "after": errors(after, truth, mask)}
+    phase = np.repeat([0, 1], STEPS // 2)
+    arrays = {"reference": truth, "before": before, "after": after, "mask": mask}
+    arrays = {key: np.stack([image] * lights) if lights > 1 else image for key, image in arrays.items()}
+    arrays |= {f"shaded_{key}": np.full((24, 32, 3), 99, np.uint8) for key in ("reference", "before", "after")}
+    values = np.linspace([0.1, 1.0], [2.5, 3.5], STEPS)
+    history = {"loss": np.geomspace(0.1, 1e-3, STEPS), "values": values}
+    np.savez(
+        folder / "arrays.npz",
+        **arrays,
+        history_phase=phase,
+        **{f"history_{key}": value.astype(np.float32) for key, value in history.items()},
+    )
+    ends = [{"bias.constant": 1.2, "filter.radius": 2.2}, {"bias.constant": 2.5, "filter.radius": 3.5}]
+    phases = [
+        {"width": width, "steps": 6, "result": "successful", "gradient_norm": 1e-4, "hard_loss": loss, "values": end}
+        for width, loss, end in zip((2.0, 0.1), (0.02, 0.0025), ends, strict=True)
+    ]
+    each = [{"light": f"scene.lights.{i}" if lights > 1 else "scene.light", **measured} for i in range(lights)]
+    bounds = {"bias.constant": (0.0, 10.0), "filter.radius": (0.0, 8.0)}
+    result = {
+        "schema_version": 1,
+        "name": name,
+        "kind": "fit",
+        "warnings": ["the <i>solver</i> gave up"],
+        "initial": {"bias.constant": 0.1, "filter.radius": 1.0},
+        "fitted": ends[1],
+        "bounds": {key: {"lower": low, "upper": high, "unit": "texels"} for key, (low, high) in bounds.items()},
+        "metrics": {"compare": "hard", **measured, "reference_noise_floor": 0.0123, "pixels": 640, "lights": each},
+        "solver": {"name": "dogleg", "steps": 12, "chosen_phase": 1, "phases": phases},
+        "seconds": {"fitting": 1.5},
+        "versions": {"jax": "0.0"},
+        "seed": 0,
+        "command": "diffshadow fit it.yaml",
+        "files": ["result.json", "config.yaml", "arrays.npz"],
+    }
+    (folder / "result.json").write_text(json.dumps(result))
+    return folder
+
+
+def write_sweep(folder: Path) -> Path:
+    """A sweep's folder: two radii and two seeds, and a run that failed."""
+    folder.mkdir(parents=True)
+    rows = {
+        "run": range(6),
+        "id": [f"{i:016x}" for i in range(6)],
+        "status": ["ok"] * 4 + ["failed", "missing"],
+        "error": [None] * 4 + ["ValueError: <nothing> was seen", None],
+        "filter.radius": [1.0, 1.0, 2.0, 2.0, 4.0, 4.0],
+        "seed": [0, 1, 0, 1, 0, 1],
+        "rmse": [0.10, 0.12, 0.30, 0.30, None, None],
+    }
+    pa.parquet.write_table(pa.table({key: list(value) for key, value in rows.items()}), folder / "results.parquet")
+    settings = {
+        "run": "render",
+        "grid": {"filter.radius": [1, 2, 4]},
+        "plot": {"x": "filter.radius", "y": "rmse", "log": False},
+    }
+    record = {"kind": "sweep", "name": "radii", "settings": settings, "command": "diffshadow sweep radii.yaml"}
+    (folder / "result.json").write_text(json.dumps(record))
+    return folder
+
+
+class Parsed(html.parser.HTMLParser):
+    """A page's text, its pictures' names, its ids, and what it would load."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self.words, self.names, self.loads, self.ids, self.open = [], [], [], [], []
+        self.page = path.read_text(encoding="utf-8")
+        self.feed(self.page)
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.loads += [value for key, value in found.items() if key in ("src", "href", "xlink:href")]
+        self.names += [found["data-name"]] if "data-name" in found else []
+        self.ids += [found["id"]] if "id" in found else []
+        self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        while self.open and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self.open[-1:]):
+            self.words.append(data)
+
+
+def check_alone(parsed: Parsed) -> None:
+    """That the page needs nothing but itself, and that what it refers to is there once."""
+    assert all(value is None or value.startswith(("data:", "#")) for value in parsed.loads)
+    assert "@import" not in parsed.page
+    assert len(parsed.ids) == len(set(parsed.ids))
+    referred = set(re.findall(r"url\(#([^)]*)\)", parsed.page)) | {v[1:] for v in parsed.loads if v and v[0] == "#"}
+    assert referred
+    assert referred <= set(parsed.ids)
+    # Every colour that follows the theme is set for both.
+    assert set(re.findall(r"var\(--([a-z]+)\)", parsed.page)) <= set(re.findall(r"--([a-z]+):", parsed.page))
+
+
+def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
+    folder = write_fit(tmp_path / "tiny")
+    assert study.report(folder) == folder / "report.html"
+    parsed = Parsed(folder / "report.html")
+    check_alone(parsed)
+    result = json.loads((folder / "result.json").read_text())
+    for when in ("before", "after"):
+        assert f"{result['metrics'][when]['rmse']:.4f}" in parsed.text
+        assert f"{result['metrics'][when]['false_shadow_rate']:.3%}" in parsed.text
+    assert "bias.constant 0.1 2.5 texels 0 to 10" in parsed.text
+    assert "0.0123" in parsed.text
+    assert "diffshadow fit it.yaml" in parsed.text
+    # What the user wrote stays text.
+    assert "the <i>solver</i> gave up" in parsed.text
+    assert "<i>" not in parsed.page
+    differences = ["Before − reference", "After − reference"]
+    shaded = [f"{title}, shaded" for title in ("Reference", "Before", "After")]
+    assert parsed.names == ["Reference", "Before", "After", *differences, *shaded]
+    assert 'type="range"' in parsed.page
+    assert len(parsed.page) < 400_000
+
+
+def test_pictures_show_every_pixel_with_its_colour(tmp_path):
+    from diffshadow.study._page import picture
+    from diffshadow.study._style import NO_SURFACE
+
+    image = np.array([[0.0, 1.0, np.nan], [0.5, 0.25, 1.0]], np.float32)
+    shown = picture("x", image)
+    assert (shown.width, shown.height) == (3, 2)
+    grey = read(shown.data)[::-1]
+    np.testing.assert_allclose(grey[..., 0][~np.isnan(image)], [0, 1, 0.5, 0.25, 1], atol=2 / 255)
+    assert "#" + bytes((grey[0, 2, :3] * 255).round().astype(np.uint8)).hex() == NO_SURFACE
+    # Too dark is orange, too light is purple, and none is nearly white.
+    low, none, high = read(picture("d", np.array([[-0.5, 0, 0.5]]), colours="PuOr", limit=0.5).data)[0, :, :3]
+    assert low[0] > low[2] + 0.3
+    assert high[2] > high[1] + 0.2
+    assert none.min() > 0.9
+    # A large picture is made smaller by whole factors.
+    large = picture("large", np.tile(np.array([[0.0, 1.0]]), (1000, 500)))
+    assert (large.width, large.height) == (500, 500)
+    np.testing.assert_allclose(read(large.data)[..., 0], 0.5, atol=2 / 255)
+
+
+def read(data: str) -> np.ndarray:
+    """The pixels of a picture of a page, its top row first, from 0 to 1."""
+    import base64
+
+    return imread(text_io.BytesIO(base64.b64decode(data.partition(",")[2])))
+
+
+def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
+    from diffshadow.study._figures import difference_limit
+    from diffshadow.study._stored import read_run
+
+    run = read_run(write_fit(tmp_path / "tiny"))
+    # Of 640 pixels, 16 are wrong by 1 before, which is more than one in a hundred; after, none by more than 0.05.
+    assert difference_limit(run.lights) == (1.0, "neither")
+    assert difference_limit(run.lights, slice(-1, None)) == (0.05, "neither")
+    (light,) = run.lights
+    light.images[-1][1][0, 0] = 0
+    assert difference_limit([light], slice(-1, None)) == (0.05, "both")
+
+
+def test_several_lights_have_pictures_and_errors_each(tmp_path):
+    folder = write_fit(tmp_path / "tiny", lights=2)
+    parsed = Parsed(study.report(folder))
+    check_alone(parsed)
+    assert len(parsed.names) == len(set(parsed.names)) == 2 * 5 + 3
+    assert "Visibility under scene.lights.1" in parsed.text
+    assert "Light by light" in parsed.text
+
+
+@pytest.mark.parametrize("form", ["svg", "pdf"])
+def test_figures_are_written_again_in_any_format(form, tmp_path):
+    from diffshadow.study._figures import write_figures
+    from diffshadow.study._stored import read_run
+
+    folder = write_fit(tmp_path / "tiny")
+    made = {f"{name}.{form}" for name in ("comparison", "shaded", "loss", "parameters")}
+    study.report(folder, form=form, dpi=60)
+    first = {name: (folder / name).read_bytes() for name in made}
+    assert made <= set(json.loads((folder / "result.json").read_text())["files"])
+    if form == "svg":
+        # Text stays text.
+        assert b"evaluations of the loss</text>" in first["loss.svg"]
+        again = write_figures(read_run(folder), tmp_path, form, 60)
+        assert {path.name: path.read_bytes() for path in again} == first
+
+
+def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
+    from matplotlib.colors import to_hex
+
+    from diffshadow.study import _style as style
+    from diffshadow.study._figures import parameters
+    from diffshadow.study._stored import read_run
+
+    run = read_run(write_fit(tmp_path / "tiny"))
+    result = {**run.result, "poses": {"truth": {"filter.radius": 3.0}}}
+    bias, radius = parameters(result, run.arrays).axes
+    level = lambda axes, colour: [line.get_ydata()[0] for line in axes.lines if to_hex(line.get_color()) == colour]
+    assert level(bias, style.INK) == [0]
+    assert level(radius, style.INK) == [0]
+    assert level(bias, style.GREEN) == []
+    assert level(radius, style.GREEN) == [3.0]
+    assert level(bias, style.VERMILION) == [2.5]
+    assert [text.get_text() for text in bias.texts] == ["width 2", "0.1"]
+    assert bias.get_ylabel() == "[texels]"
+
+
+def test_comparison_prints_and_shows_what_differs(tmp_path):
+    first = write_fit(tmp_path / "a" / "tiny")
+    second = write_fit(tmp_path / "b" / "tiny", "other", shift=2, settings="bias: {slope: 0.25}")
+    out = text_io.StringIO()
+    page = study.compare([first, second], tmp_path / "new" / "page.html", console=Console(file=out, width=200))
+    parsed = Parsed(page)
+    check_alone(parsed)
+    printed = out.getvalue()
+    (line,) = [line for line in printed.splitlines() if "bias.slope" in line]
+    assert re.findall(r"\d\.\d+", line) == ["0.5", "0.25"]
+    assert "filter.samples" not in printed
+    assert "bias.slope 0.5 0.25 texels" in parsed.text
+    # The same shadow is one reference; folders of one name are told apart by their paths.
+    assert parsed.names[0] == "Reference"
+    assert parsed.names[1:3] == [str(first), str(second)]
+    assert "Reference of" not in parsed.text
+
+
+def test_report_of_a_sweep_has_means_spreads_and_failures(tmp_path):
+    folder = write_sweep(tmp_path / "radii-sweep")
+    (folder / "mine.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(8) + (32).to_bytes(4) + (16).to_bytes(4))
+    parsed = Parsed(study.report(folder, form="pdf"))
+    check_alone(parsed)
+    assert (folder / "plot.pdf").read_bytes().startswith(b"%PDF")
+    assert "A sweep of 6 renders: 4 are done, 1 failed, 1 are missing" in parsed.text
+    assert "1 2 0.110 ± 0.010 2 2 0.3 Means" in parsed.text
+    assert "ValueError: <nothing> was seen 1 filter.radius = 4, seed = 0" in parsed.text
+    assert "mine" in parsed.text
+
+
+def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
+    """What removes a file of a run, or writes something else to it."""
+
+    def apply(folder: Path) -> None:
+        if content is None:
+            (folder / name).unlink()
+        else:
+            (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (shutil.rmtree, "tiny does not exist; expected the folder of a finished run"),
+        (damage("result.json", None), "tiny holds no run: it has no result.json"),
+        (damage("result.json", '{"kind": "f'), "result.json is damaged"),
+        (damage("result.json", '{"status": "ok"}'), "result.json is of no fit, render or sweep"),
+        (damage("result.json", '{"kind": "fit"}'), "is damaged (KeyError: 'metrics')"),
+        (
+            damage("result.json", '{"kind": "sweep", "settings": {}}'),
+            "only a part of a sweep: it has no results.parquet",
+        ),
+        (damage("arrays.npz", None), "holds only a part of a run: it has no arrays.npz"),
+        (damage("arrays.npz", b"PK\x03\x04 and no more"), "arrays.npz or result.json is damaged"),
+        (damage("config.yaml", None), "holds only a part of a run: it has no config.yaml"),
+        (damage("config.yaml", "sede: 1"), "sede: is no key"),
+    ],
+)
+def test_what_is_no_whole_run_is_told_in_one_message(harm, said, tmp_path, capsys):
+    folder = write_fit(tmp_path / "tiny")
+    harm(folder)
+    there = sorted(folder.glob("*"))
+    with pytest.raises(SystemExit) as caught:
+        main(["report", str(folder)])
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert "Traceback" not in err
+    assert sorted(folder.glob("*")) == there
+
+
+def test_mistakes_of_a_comparison_are_told(tmp_path, capsys):
+    run, sweep = write_fit(tmp_path / "tiny"), write_sweep(tmp_path / "radii-sweep")
+    (tmp_path / "file").touch()
+    for arguments, said in (
+        ([run, run], "expected two or more, each once"),
+        ([run, sweep], "radii-sweep holds a sweep; expected the folder of a fit or a render"),
+        ([run, tmp_path / "none"], "none does not exist"),
+        ([run, tmp_path / "file", "--output", tmp_path / "file" / "page.html"], "is in the way and is no folder"),
+    ):
+        with pytest.raises(SystemExit) as caught:
+            main(["compare", *map(str, arguments)])
+        assert caught.value.code == 2
+        out, err = capsys.readouterr()
+        assert (out, said in err, len(err.splitlines())) == ("", True, 1), err
+    with pytest.raises(ValueError, match="dpi is 1"):
+        study.report(run, form="png", dpi=1)

@@ -1,0 +1,555 @@
+"""Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
+
+import io as text_io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+
+import jax
+import numpy as np
+import pyarrow.parquet
+import pytest
+from rich.console import Console
+
+from diffshadow import study
+from diffshadow.config import Config, ConfigError, load_config, load_sweep
+from diffshadow.study._sweep_curves import curves_of
+from diffshadow.study._sweep_run import missing_runs
+
+ROOT = Path(__file__).parent.parent
+
+BASE = """
+scene:
+  meshes:
+    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [32, 32], orbit: {distance: 4}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [64, 64]}
+filter: {samples: 4, pattern_size: 4, lookup: nearest}
+reference: {samples: 4}
+output: runs
+"""
+SWEEP = """
+sweep:
+  grid:
+    filter.pattern: [uniform, sobol]
+    filter.radius: [1, 2.5]
+  repeats: 2
+  limit_samples: 256
+  plot: {x: filter.radius, y: rmse_to_limit, lines: filter.pattern}
+"""
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch):
+    """Each test in a folder of its own, with a cache of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "cache"))
+    Path("s.yaml").write_text(BASE + SWEEP)
+
+
+def sweep_of(section: str, *overrides: str):
+    """The sweep of `BASE` with this section."""
+    Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
+    return load_sweep(Path("t.yaml"), list(overrides))
+
+
+def values(sweep) -> list[tuple]:
+    return [tuple(run.values.values()) for run in sweep.runs]
+
+
+def run(sweep, **options) -> tuple[Path, str]:
+    """The folder of `sweep`, done in this process, and what was said."""
+    out = text_io.StringIO()
+    console = Console(file=out, width=120, highlight=False)
+    return study.run_sweep(sweep, console=console, workers=0, **options), out.getvalue()
+
+
+def table(folder: Path):
+    return pyarrow.parquet.read_table(folder / "results.parquet").to_pydict()
+
+
+# From the file to the runs.
+
+
+def test_axes_nest_in_their_order_and_the_last_changes_first():
+    sweep = sweep_of(
+        "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.samples: [8, 4]}, "
+        "zip: {filter.radius: [1, 2], shadow_map.resolution: [[8, 8], [9, 9]]}, seeds: [7, 3]}"
+    )
+    axes = ("label", "bias.slope", "filter.samples", "filter.radius", "shadow_map.resolution", "seed")
+    assert sweep.settings.axes == axes
+    assert len(sweep.runs) == 2 * 2 * 2 * 2
+    assert values(sweep)[:3] == [("a", 1, 8, 1, [8, 8], 7), ("a", 1, 8, 1, [8, 8], 3), ("a", 1, 8, 2, [9, 9], 7)]
+    assert values(sweep)[-1] == ("b", None, 4, 2, [9, 9], 3)
+    config = sweep.runs[2].config
+    assert (config.bias.slope, config.filter.samples, config.filter.radius, config.seed) == (1.0, 8, 1 + 1, 7)
+    assert config.shadow_map.resolution == (9, 9)
+    assert config.sweep is None
+    with pytest.raises(ValueError, match="frozen"):
+        config.seed = 1
+
+
+def test_whole_sections_and_their_keys_can_be_set_in_turn():
+    sweep = sweep_of("{list: [{bias: {constant: 2}}, {bias: {slope: 3}}], grid: {bias.normal_offset: [0, 1]}}")
+    found = [(run.config.bias.constant, run.config.bias.slope, run.config.bias.normal_offset) for run in sweep.runs]
+    assert found == [(2, 0.5, 0), (2, 0.5, 1), (0.5, 3, 0), (0.5, 3, 1)]
+
+
+@pytest.mark.parametrize("sequence", ["sobol", "halton"])
+def test_quasi_random_points_fill_their_box(sequence):
+    section = f"{{qmc: {{sequence: {sequence}, count: 32, axes: {{filter.radius: {{lower: 1, upper: 3}}, "
+    section += (
+        "bias.slope: {lower: 0.01, upper: 100, log: true}, filter.samples: {lower: 4, upper: 64, integer: true}}}}"
+    )
+    sweep = sweep_of(section)
+    radius, slope, samples, _ = np.array(values(sweep)).T
+    # As many on each side of the middle, that of the logarithm where that is what counts.
+    for below in (radius < 2, slope < 1, samples < 34):
+        assert abs(int(below.sum()) - 16) <= 2
+    for column, least, most in ((radius, 1, 3), (slope, 0.01, 100), (samples, 4, 64)):
+        assert least <= column.min() < column.max() <= most
+    assert all(isinstance(run.config.filter.samples, int) for run in sweep.runs)
+    assert values(sweep) == values(sweep_of(section))
+    assert values(sweep) != values(sweep_of(section, "sweep.qmc.seed=1"))
+
+
+def test_ids_are_of_what_a_run_computes_and_of_nothing_else(tmp_path):
+    ids = lambda *overrides: [run.id for run in load_sweep(Path("s.yaml"), list(overrides)).runs]
+    plain = ids()
+    assert len(set(plain)) == 8
+    assert ids("name=other", "output=elsewhere", "sweep.csv=true") == plain
+    # Another order and other runs beside it.
+    assert set(plain) < set(ids("sweep.grid={filter.radius: [4, 2.5, 1], filter.pattern: [sobol, uniform]}"))
+    assert not set(plain) & set(ids("bias.slope=1.25"))
+    assert not set(plain) & set(ids("sweep.limit_samples=512"))
+    # A mesh counts by its content, not by its name.
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "b.obj").write_bytes((tmp_path / "a.obj").read_bytes())
+    (tmp_path / "c.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n")
+    a, b, c = (ids(f"scene.meshes.0={{path: {name}.obj}}") for name in "abc")
+    assert a == b
+    assert not set(a) & set(c)
+
+
+# Each fault: the section, the line's key, what is said.
+FAULTS = {
+    "typo": (
+        "{grid: {filter.sampels: [1]}}",
+        "t.yaml:12: filter.sampels: is no key of filter (type: random_disk)",
+        "did you mean 'samples'?",
+    ),
+    "value that does not fit": (
+        "\n  grid:\n    filter.radius: [1,\n      -2]",
+        "t.yaml:15: filter.radius: is -2; expected a number at least 0, in texels",
+        "(first in the run with filter.radius = -2, seed = 0)",
+    ),
+    "lengths": (
+        "{zip: {filter.radius: [1, 2], filter.samples: [4]}}",
+        "sweep.zip.filter.samples: has 1 values, and filter.radius has 2",
+        "make them equally long",
+    ),
+    "twice": (
+        "{grid: {filter.radius: [1]}, zip: {filter.radius: [2]}}",
+        "sweep.zip.filter.radius: sets filter.radius, and sweep.grid.filter.radius sets filter.radius",
+        "remove one of them",
+    ),
+    "undone": (
+        "{list: [{filter.radius: 1}], grid: {filter: [{type: pcf}]}}",
+        "sweep.grid.filter: sets filter, and sweep.list.0.filter.radius sets filter.radius",
+        "every value set once",
+    ),
+    "seed twice": ("{grid: {seed: [1]}, repeats: 2}", "sweep.repeats: sets seed", "sweep.grid.seed sets seed"),
+    "same value": ("{grid: {filter.radius: [1, 1]}}", "sweep.grid.filter.radius: holds 1 twice", "remove one"),
+    "name": ("{grid: {output: [a, b]}}", "sweep.grid.output: is one for all runs", "set it outside of sweep"),
+    "nothing": ("{figures: true}", "t.yaml:12: sweep: names nothing that changes", "add 'grid:"),
+    "key of the section": ("{gird: {}, repeats: 2}", "sweep.gird: is no key of sweep", "did you mean 'grid'?"),
+    "range": (
+        "{qmc: {count: 4, axes: {bias.slope: {lower: 0, upper: 1, log: true}}}}",
+        "sweep.qmc.axes.bias.slope.lower: is 0 on a logarithmic scale",
+        "greater than 0",
+    ),
+    "plot": (
+        "{repeats: 2, grid: {filter.radius: [1]}, plot: {x: filter.radus}}",
+        "sweep.plot.x: is 'filter.radus', which is not swept",
+        "did you mean 'filter.radius'?",
+    ),
+    "metric": ("{repeats: 2, plot: {x: seed, y: rmse_to_limit}}", "sweep.plot.y: is 'rmse_to_limit'", "rmse, mae"),
+    "no limit": (
+        "{limit_samples: 64, grid: {filter: [{type: pcf}]}}",
+        "sweep.limit_samples: is given, and there are runs of technique shadow_map with filter pcf",
+        "expected shadow_map with random_disk",
+    ),
+    "labels": ("{list: [{label: a}, {bias.slope: 1}]}", "sweep.list.1: has no label", "for all or none"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_told_with_their_place_before_anything_runs(fault):
+    section, place, remedy = FAULTS[fault]
+    with pytest.raises(ConfigError) as caught:
+        sweep_of(section)
+    assert place in str(caught.value)
+    assert remedy in str(caught.value)
+
+
+def test_faults_of_all_runs_are_told_at_once_and_once_each():
+    with pytest.raises(ConfigError) as caught:
+        sweep_of("{grid: {filter.samples: [4, x], filter.radius: [-1, 1]}, repeats: 3}", "bias.slope=-1")
+    assert [problem.key for problem in caught.value.problems] == ["filter.radius", "filter.samples", "bias.slope"]
+    # What is wrong in every run is not said to be of one.
+    assert "first in the run" not in caught.value.problems[-1].message
+
+
+def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
+    with pytest.raises(ConfigError, match=r"s\.yaml:\d+: sweep: makes many runs.*diffshadow sweep.*sweep=null"):
+        load_config(Path("s.yaml"))
+    assert isinstance(load_config(Path("s.yaml"), ["sweep=null"]), Config)
+    with pytest.raises(ConfigError, match=r"sweep: is missing; .*diffshadow render"):
+        load_sweep(Path("s.yaml"), ["sweep=null"])
+
+
+def test_shipped_sweeps_are_valid():
+    assert len(load_sweep(ROOT / "configs" / "error_vs_samples.yaml").runs) == 9 * 6 * 8 * 3
+    assert len(load_sweep(ROOT / "configs" / "sweep_small.yaml").runs) == 12
+
+
+# From the runs to the table.
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One finished sweep that several tests look at: itself, its folder and what was printed."""
+    with pytest.MonkeyPatch.context() as patch:
+        home = tmp_path_factory.mktemp("finished")
+        patch.chdir(home)
+        patch.setenv("DIFFSHADOW_CACHE", str(home / "cache"))
+        Path("s.yaml").write_text(BASE + SWEEP)
+        sweep = load_sweep(Path("s.yaml"), ["sweep.csv=true"])
+        folder, said = run(sweep)
+        return sweep, folder, said
+
+
+@pytest.fixture
+def quick(finished, monkeypatch):
+    """Counts the runs that are done, which take no time here: their ids as they come."""
+    from diffshadow.study import _sweep_work as sweep_work
+
+    done: list[str] = []
+
+    def measure(config, batch, stages):
+        done.append(next(run.id for run in batch.runs if run.config is config))
+        return {"rmse": config.filter.radius + config.seed / 7, "rmse_to_limit": 1.0}
+
+    monkeypatch.setitem(sweep_work._MEASURES, "render", measure)
+    return done
+
+
+def test_table_has_a_row_for_each_run_in_order(finished):
+    sweep, folder, said = finished
+    columns = table(folder)
+    assert columns["run"] == list(range(8))
+    assert columns["id"] == [run.id for run in sweep.runs]
+    assert columns["status"] == ["ok"] * 8
+    assert columns["error"] == [None] * 8
+    assert columns["filter.pattern"] == ["uniform"] * 4 + ["sobol"] * 4
+    assert columns["filter.radius"] == [1.0, 1.0, 2.5, 2.5] * 2
+    assert columns["seed"] == [0, 1] * 4
+    for name in ("rmse", "ssim", "rmse_to_limit", "reference_noise_floor"):
+        assert all(isinstance(value, float) and value > 0 for value in columns[name])
+    assert "8 of 8 runs are done, 8 of them tried now" in said
+    assert (folder / "plot.png").read_bytes().startswith(b"\x89PNG")
+    lines = (folder / "results.csv").read_text().splitlines()
+    assert lines[0].replace('"', "").split(",") == list(columns)
+    assert len(lines) == 9
+    timings = pyarrow.parquet.read_table(folder / "timings.parquet").to_pydict()
+    assert timings["id"] == columns["id"]
+    assert all(seconds > 0 for seconds in timings["total"])
+    assert not set(timings) & set(columns) - {"run", "id"}
+
+
+def test_run_folder_says_what_was_done_and_does_it_again(finished):
+    sweep, folder, _ = finished
+    assert sorted(entry.name for entry in (folder / "runs").iterdir()) == sorted(run.id for run in sweep.runs)
+    first = folder / "runs" / sweep.runs[3].id
+    assert sorted(entry.name for entry in first.iterdir()) == ["config.yaml", "result.json"]
+    assert sum(entry.stat().st_size for entry in first.iterdir()) < 6000
+    assert load_config(first / "config.yaml") == sweep.runs[3].config
+    result = json.loads((first / "result.json").read_text())
+    assert result["metrics"]["rmse"] == table(folder)["rmse"][3]
+
+
+def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatch):
+    """Against the mean over 64 patterns of 1024 uniform taps, which is another estimate of the same integral."""
+    from diffshadow.config import build_technique
+    from diffshadow.study import _setup as setup
+    from diffshadow.study._progress import Stages
+
+    sweep, folder, _ = finished
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder.parent.parent / "cache"))
+    config, stages = sweep.runs[2].config, Stages(Console(quiet=True))
+    own = build_technique(config, fitting=False)
+    (drawn,) = setup.draw(config, setup.load(config, stages), own, stages)
+    many = config.filter.model_copy(update={"samples": 256, "pattern": "uniform"})
+    of_seed = lambda s: build_technique(config.model_copy(update={"filter": many, "seed": s}), fitting=False)
+    mean = np.mean([setup.visibility_of(of_seed(seed), drawn) for seed in range(64)], axis=0, dtype=np.float64)
+    away = (setup.visibility_of(own, drawn) - mean)[drawn.mask]
+    # The limit's own error, with 256 taps as against 4, is an eighth at most.
+    assert table(folder)["rmse_to_limit"][2] == pytest.approx(np.sqrt(np.mean(away**2)), rel=0.03)
+
+
+def test_runs_of_one_shape_share_programs_and_drawings(finished, monkeypatch):
+    _, folder, _ = finished
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder.parent.parent / "cache"))
+    compiled: list[str] = []
+    listen = lambda event, *args, **kwargs: compiled.append(event) if "backend_compile" in event else None
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        # Other seeds, patterns and radii than before.
+        again = load_sweep(
+            folder.parent.parent / "s.yaml",
+            ["seed=5", "sweep.grid={filter.pattern: [halton, poisson], filter.radius: [0.7, 3]}"],
+        )
+        _, said = run(again)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert "8 of 8 runs are done, 8 of them tried now" in said
+    assert compiled == []
+    timings = pyarrow.parquet.read_table(Path("runs/s-sweep/timings.parquet")).to_pydict()
+    # One drawing for each seed, since that is also the reference's.
+    assert sum(seconds is not None for seconds in timings["drawing"]) == 2
+
+
+def test_sweep_that_is_started_again_does_only_what_is_missing(quick):
+    sweep = load_sweep(Path("s.yaml"))
+    folder, said = run(sweep, limit=3)
+    assert sorted(quick) == sorted(run.id for run in sweep.runs[:3])
+    assert "3 of 8 runs are done, 3 of them tried now" in said
+    assert "the same command does the rest" in said
+    assert table(folder)["status"] == ["ok"] * 3 + ["missing"] * 5
+    run(sweep)
+    assert sorted(quick) == sorted(run.id for run in sweep.runs)
+    before = {entry: entry.stat().st_mtime_ns for entry in (folder / "runs").rglob("*")}
+    bytes_before = (folder / "results.parquet").read_bytes()
+    run(sweep)
+    assert len(quick) == 8
+    assert {entry: entry.stat().st_mtime_ns for entry in (folder / "runs").rglob("*")} == before
+    assert (folder / "results.parquet").read_bytes() == bytes_before
+    # More seeds: those that are there count.
+    run(load_sweep(Path("s.yaml"), ["sweep.repeats=3"]))
+    assert len(quick) == 12
+
+
+def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):
+    from diffshadow.study import _sweep_work as sweep_work
+
+    sweep, well = load_sweep(Path("s.yaml")), sweep_work._MEASURES["render"]
+
+    def ill(config, batch, stages):
+        measured = well(config, batch, stages)
+        if config.seed == 1 and config.filter.radius == 1:
+            raise RuntimeError("out of luck")
+        return measured
+
+    monkeypatch.setitem(sweep_work._MEASURES, "render", ill)
+    folder, said = run(sweep)
+    columns = table(folder)
+    assert columns["status"] == ["ok", "failed", "ok", "ok"] * 2
+    assert columns["error"][1] == "RuntimeError: out of luck"
+    assert columns["rmse"][1] is None
+    assert "2 runs failed, and are tried again by the same command: RuntimeError: out of luck" in said
+    monkeypatch.setitem(sweep_work._MEASURES, "render", well)
+    del quick[:]
+    run(sweep)
+    assert quick == [sweep.runs[1].id, sweep.runs[5].id]
+    assert table(folder)["status"] == ["ok"] * 8
+
+
+def test_drafts_of_killed_runs_are_cleared_away(quick):
+    sweep = load_sweep(Path("s.yaml"))
+    draft = Path("runs/s-sweep/runs") / f".{sweep.runs[0].id}-0123456789ab"
+    run(sweep, limit=1)
+    draft.mkdir()
+    (draft / "config.yaml").write_text("half")
+    # Half of a result, as a disk that ran full leaves it, is none.
+    (Path("runs/s-sweep/runs") / sweep.runs[0].id / "result.json").write_text('{"id": ')
+    assert [missing.id for missing in missing_runs(sweep, Path("runs/s-sweep"))] == [each.id for each in sweep.runs]
+    run(sweep)
+    assert len(quick) == 9
+    assert not draft.exists()
+
+
+def test_one_sweep_is_done_by_one_process_at_a_time(quick):
+    import fcntl
+
+    sweep = load_sweep(Path("s.yaml"))
+    run(sweep)
+    with Path("runs/s-sweep/.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(ValueError, match="another process is doing the sweep"):
+            run(sweep)
+
+
+def test_folder_that_is_no_sweep_is_left_alone(quick):
+    Path("runs/s-sweep").mkdir(parents=True)
+    Path("runs/s-sweep/precious.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="is no run's folder"):
+        run(load_sweep(Path("s.yaml")))
+    assert quick == []
+
+
+def test_plan_is_printed_and_nothing_written(finished):
+    out = text_io.StringIO()
+    study.print_plan(Console(file=out, width=120), load_sweep(Path("s.yaml")), 2)
+    assert "filter.pattern = uniform, filter.radius = 1, seed = 1" in out.getvalue()
+    assert "8 runs, of which 0 are done; 2 would be done now" in out.getvalue()
+    assert not Path("runs").exists()
+
+
+# Curves.
+
+
+def columns_of(slopes: dict[str, float], seeds: int = 3) -> dict[str, list]:
+    """A table of errors that fall with these slopes, scattered about them by seed."""
+    rows = [(line, n, seed) for line in slopes for n in (4, 16, 64) for seed in range(seeds)]
+    return {
+        "line": [line for line, _, _ in rows],
+        "n": [n for _, n, _ in rows],
+        "seed": [seed for _, _, seed in rows],
+        "rmse": [n ** (slopes[line] + 0.01 * (seed - 1)) for line, n, seed in rows],
+        "mae": [float(seed) for _, _, seed in rows],
+    }
+
+
+def test_slopes_are_those_of_the_errors():
+    from diffshadow.config import PlotConfig
+
+    curves = curves_of(columns_of({"a": -0.5, "b": -0.75}), PlotConfig(x="n", y="rmse", lines="line"))
+    assert [curve.line for curve in curves] == ["a", "b"]
+    for curve, slope in zip(curves, (-0.5, -0.75), strict=True):
+        assert curve.slope == pytest.approx(slope, abs=2e-3)
+        # Slopes of the seeds are 0.01 apart.
+        assert curve.error == pytest.approx(0.01 / np.sqrt(3), rel=1e-6)
+    # The mean over seeds is that of squares for an RMSE, and plain for others.
+    np.testing.assert_allclose(curves[0].y[0], np.sqrt(np.mean([4.0 ** (-1 + 0.02 * k) for k in (-1, 0, 1)])))
+    (flat,) = curves_of(columns_of({"a": -0.5}), PlotConfig(x="n", y="mae"))
+    np.testing.assert_allclose(flat.y, 1.0)
+    with pytest.raises(ValueError, match="no run has the metric 'ssim'"):
+        curves_of(columns_of({"a": -0.5}), PlotConfig(x="n", y="ssim"))
+
+
+# Workers.
+
+
+@pytest.fixture
+def cluster():
+    """A Dask cluster of one worker in this process, which has all programs."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as made:
+        yield made.scheduler_address
+
+
+def test_cluster_gives_the_same_table(finished, cluster):
+    _, folder, _ = finished
+    sweep = load_sweep(Path("s.yaml"))
+    there = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
+    assert (there / "results.parquet").read_bytes() == (folder / "results.parquet").read_bytes()
+
+
+def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monkeypatch):
+    from distributed import KilledWorker
+
+    from diffshadow.study import _sweep_pool as sweep_pool
+    from diffshadow.study._sweep_work import work
+
+    sweep = load_sweep(Path("s.yaml"))
+
+    def deadly(batch):
+        if sweep.runs[5].id in [run.id for run in batch.runs]:
+            raise KilledWorker("work", types.SimpleNamespace(address="tcp://there"), 3)
+        return work(batch)
+
+    monkeypatch.setattr(sweep_pool, "work", deadly)
+    monkeypatch.setattr("diffshadow.study._sweep_run._BATCHES_A_WORKER", 2)
+    folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
+    columns = table(folder)
+    assert columns["status"] == ["ok"] * 5 + ["failed"] + ["ok"] * 2
+    assert "its worker died" in columns["error"][5]
+
+
+def test_missing_scheduler_is_told(quick, monkeypatch):
+    monkeypatch.setattr("diffshadow.study._sweep_pool._PATIENCE", 1)
+    with pytest.raises(ValueError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'.*dask scheduler"):
+        study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
+
+
+# Runs that take no time, in the workers as well: they load the script that they were started from.
+QUICK_COMMAND = """
+import sys
+import time
+from pathlib import Path
+from rich.console import Console
+from diffshadow import study
+from diffshadow.config import load_sweep
+from diffshadow.study import _sweep_work as sweep_work
+
+def measure(config, batch, stages):
+    time.sleep(0.03)
+    return {"rmse": config.filter.radius + config.seed / 7, "rmse_to_limit": 1.0}
+
+sweep_work._MEASURES["render"] = measure
+if __name__ == "__main__":
+    sweep = load_sweep(Path("s.yaml"), ["sweep.repeats=12"])
+    study.run_sweep(sweep, console=Console(quiet=True), workers=int(sys.argv[1]))
+"""
+
+
+@pytest.mark.slow
+def test_killed_sweep_is_taken_up_where_it_was(quick):
+    """The sweep is killed without warning and, once it has been started again, its worker."""
+    Path("command.py").write_text(QUICK_COMMAND)
+    runs = Path("runs/s-sweep/runs")
+    start = lambda workers: subprocess.Popen([sys.executable, "command.py", workers], stderr=subprocess.DEVNULL)
+    done = lambda: {each.parent.name: each.stat().st_mtime_ns for each in runs.glob("[!.]*/result.json")}
+
+    def wait_for(process, count):
+        while process.poll() is None and len(done()) < count:
+            time.sleep(0.005)
+        return done()
+
+    process = start("0")
+    kept = wait_for(process, 3)
+    process.kill()
+    process.wait()
+    process = start("1")
+    kept = {**wait_for(process, 17), **kept}
+    assert 17 <= len(kept) < 48
+    (worker,) = (child for child in children(process.pid) if b"spawn_main" in command_of(child))
+    os.kill(worker, signal.SIGKILL)
+    assert process.wait(60) == 0
+    # Nothing that was finished has been done again, and the table is that of a sweep that nobody disturbed.
+    assert kept.items() <= done().items()
+    interrupted = Path("runs/s-sweep/results.parquet").read_bytes()
+    whole, _ = run(load_sweep(Path("s.yaml"), ["sweep.repeats=12", "output=undisturbed"]))
+    assert len(quick) == 48
+    assert (whole / "results.parquet").read_bytes() == interrupted
+    assert not list(runs.glob(".*"))
+
+
+def children(process: int) -> list[int]:
+    return [
+        int(child)
+        for task in Path(f"/proc/{process}/task").iterdir()
+        for child in (task / "children").read_text().split()
+    ]
+
+
+def command_of(process: int) -> bytes:
+    return Path(f"/proc/{process}/cmdline").read_bytes()
