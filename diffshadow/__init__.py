@@ -14,6 +14,8 @@ from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from ._xla import use_all_cores_in_loops
+
 if TYPE_CHECKING:
     from . import config as config
     from . import fit as fit
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from . import study as study
 
 __version__ = version("diffshadow")
+
+use_all_cores_in_loops()
 
 _ROOMS = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
 

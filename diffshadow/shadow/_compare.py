@@ -94,4 +94,4 @@ class SoftCompare(AbstractCompare):
             raise ValueError(f"the soft compare's width is {width}; expected more than 0 texels, or a HardCompare")
 
     def __call__(self, stored, receiver, depth_per_texel):
-        return _KERNELS[self.kernel]((stored - receiver) / (self.width * depth_per_texel))
+        return _KERNELS[self.kernel]((stored - receiver) * (1 / (self.width * depth_per_texel)))

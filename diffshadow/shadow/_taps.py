@@ -12,6 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import partial
+from operator import itemgetter
 from typing import Any, Literal
 
 import equinox as eqx
@@ -368,21 +369,32 @@ class _Blocks(eqx.Module):
 
 
 def _plain_sum(part: Any, padded: PaddedMap, compare: AbstractCompare, sites: Sites, steps: Any) -> Array:
-    # Else every part would work out for itself where the look-ups are.
-    sites = lax.optimization_barrier(sites)
-    return _scan_sum(lambda step: part(padded, compare, sites, step), sites.depth, steps, _cost(part, padded))
+    one = lambda sites, step: part(padded, compare, sites, step)
+    return _scan_sum(one, sites, sites.depth, steps, _cost(part, padded))
 
 
 def _cost(part: Any, padded: PaddedMap) -> float:
     return part.cost * (1 if padded.silhouettes is None else _COST_OF_SILHOUETTES)
 
 
-def _scan_sum(one: Callable[[Any], Any], like: Any, steps: Any, cost: float) -> Any:
-    """The sum of `one(step)` over `steps`."""
-    add = lambda total, step: (jax.tree.map(jnp.add, total, one(step)), None)
+def _scan_sum(one: Callable[[Any, Any], Any], sites: Any, like: Any, steps: Any, cost: float) -> Any:
+    """The sum of `one(sites, step)` over `steps`, arrays like `like`."""
     count = jax.tree.leaves(steps)[0].shape[0]
-    loops = math.ceil(count * cost / _COST_OF_A_STEP)
-    total, _ = lax.scan(add, jax.tree.map(jnp.zeros_like, like), steps, unroll=math.ceil(count / loops))
+    at_once = math.ceil(count / math.ceil(count * cost / _COST_OF_A_STEP))
+
+    def add(total: Any, some: Any) -> tuple[Any, None]:
+        # Else every part would work out for itself where the look-ups are, or all parts would read from memory what
+        # one of them could work out.
+        held, some = lax.optimization_barrier((sites, some))
+        for i in range(jax.tree.leaves(some)[0].shape[0]):
+            total = jax.tree.map(jnp.add, total, one(held, jax.tree.map(itemgetter(i), some)))
+        return total, None
+
+    whole = count // at_once
+    head = jax.tree.map(lambda s: s[: whole * at_once].reshape(whole, at_once, *s.shape[1:]), steps)
+    total, _ = lax.scan(add, jax.tree.map(jnp.zeros_like, like), head, unroll=whole == 1)
+    if whole * at_once < count:
+        total, _ = add(total, jax.tree.map(lambda s: s[whole * at_once :], steps))
     # Else XLA runs through the pixels as whoever reads the sum lays them out, and no longer vectorizes.
     return lax.optimization_barrier(total)
 
@@ -432,13 +444,14 @@ def _sum_of_parts_jvp(primals, tangents):
     # A radius of all has a derivative at each site.
     sites = eqx.tree_at(lambda s: s.radius, sites, jnp.broadcast_to(sites.radius, sites.depth.shape))
     moving = jax.tree.map(lambda d: d is not None, d_sites, is_leaf=_is_none)
-    moving, still = eqx.partition(lax.optimization_barrier(sites), moving)
+    moving, still = eqx.partition(sites, moving)
 
-    def one(step: Any) -> Any:
-        value, pull = jax.vjp(lambda moving: part(padded, compare, eqx.combine(moving, still), step), moving)
+    def one(at: tuple[Sites, Sites], step: Any) -> Any:
+        value, pull = jax.vjp(lambda moving: part(padded, compare, eqx.combine(moving, at[1]), step), at[0])
         return value, pull(jnp.ones_like(value))[0]
 
-    value, slopes = _scan_sum(one, (sites.depth, moving), steps, _COST_OF_DERIVATIVES * _cost(part, padded))
+    cost = _COST_OF_DERIVATIVES * _cost(part, padded)
+    value, slopes = _scan_sum(one, (moving, still), (sites.depth, moving), steps, cost)
     tangent = jnp.zeros_like(value)
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_sites), strict=True):
         tangent = tangent + slope * d

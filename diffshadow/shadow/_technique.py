@@ -1,6 +1,7 @@
 """Shadow mapping: from a map and a surface to visibility."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -44,7 +45,8 @@ class ShadowMapping(eqx.Module):
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
         at = receiver(shadow_map, surface)
         lookup = look_up(shadow_map, at, self.bias(at))
-        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them.
+        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them, and
+        # each by itself, so that what carries no derivative stays without one.
         xy = (lookup.texel[..., 0], lookup.texel[..., 1])
-        xy, lookup = lax.optimization_barrier((xy, lookup))
+        xy, lookup = jax.tree.map(lax.optimization_barrier, (xy, lookup))
         return eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1)), at.cosine
