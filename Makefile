@@ -51,7 +51,7 @@ constraints: ## pin the newest packages that fit together into constraints.txt (
 
 clean: ## remove .venv and all caches
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist constraints.txt.new
-	find diffshadow experiments tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find diffshadow docs experiments notebooks tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # With uv if there is one that works, else with the first Python that is new enough. A complete .venv is brought up to
 # date in place; a half-made one is made anew. Packages come as wheels only: no compiler is ever needed.

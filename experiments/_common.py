@@ -9,7 +9,7 @@ import shlex
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -20,8 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from cyclopts import App, CycloptsError
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import track
@@ -40,6 +38,7 @@ from diffshadow.config import (
     build_shadow_mapping,
     load_config,
 )
+from diffshadow.study import _style as style
 
 BIAS, RADIUS = "bias.constant", "filter.radius"
 """The two numbers that most experiments are about."""
@@ -47,12 +46,12 @@ BIAS, RADIUS = "bias.constant", "filter.radius"
 USER_ERROR, INTERRUPTED = 2, 130
 
 # As the figures of a run look.
-INK, FAINT, PAPER = "#22272e", "#8b949e", "#ffffff"
-# Okabe & Ito, "Color universal design", 2008: told apart by all kinds of colour vision.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", INK, FAINT)
-MARKERS = "osD^vPX*"
-HEAT = "cividis_r"
-TITLE, TEXT = 10, 8.5
+INK, FAINT = style.INK, style.FAINT
+COLOURS = (*style.CYCLE, INK, FAINT)
+MARKERS = (*style.MARKERS, "X", "*")
+HEAT = style.DISTANCE
+figure, colour_bar = style.figure, style.colour_bar
+_DPI = 100
 
 
 class Drawn(NamedTuple):
@@ -114,6 +113,16 @@ def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]
         what = {int: "whole numbers", float: "numbers"}[of]  # type: ignore[index]
         said = f"is {given!r}; expected {what} with commas between, such as 1,2,4"
         raise ConfigError([Problem(Place(f"--{option}"), "", said)]) from None
+
+
+def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[Name]:
+    """The names that an option lists, separated by commas.
+
+    **Raises** `ConfigError` if one is not `among` those that there are.
+    """
+    names = listed(option, given)
+    expect(option, given, set(names) <= set(among), f"some of {','.join(among)}")
+    return names
 
 
 def draw(settings: Config) -> Drawn:
@@ -236,40 +245,18 @@ def progress(items: Iterable[Any], what: str, console: Console) -> Iterable[Any]
     return track(list(items), what, console=console, transient=True, disable=not console.is_terminal)
 
 
-def figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure of `width` by `height` inches, and its axes row by row."""
-    made = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor=PAPER)
-    FigureCanvasAgg(made)
-    return made, list(made.subplots(rows, columns, squeeze=False).ravel())
-
-
 def chart(axes: Axes, title: str, x: str, y: str, *, grid: bool = True) -> None:
     """Titles of axes, and what is along them with its unit."""
-    axes.set_title(title, fontsize=TITLE, color=INK, loc="left")
-    axes.set_xlabel(x, fontsize=TEXT, color=INK)
-    axes.set_ylabel(y, fontsize=TEXT, color=INK)
-    axes.tick_params(labelsize=TEXT, colors=INK, which="both")
-    axes.grid(False)
-    if grid:
-        axes.grid(True, color="#e3e7ec", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom") or not grid)
-        spine.set_color(FAINT)
+    style.title(axes, title)
+    style.chart(axes, x, y)
+    if not grid:
+        axes.grid(False)
+        style.frame(axes)
 
 
 def legend(axes: Axes, **options: Any) -> None:
     """A legend in small print without a frame."""
-    axes.legend(**{"fontsize": TEXT - 0.5, "frameon": False, "labelcolor": INK, **options})
-
-
-def colour_bar(made: Figure, shown: Any, axes: Axes, label: str) -> Colorbar:
-    """A colour bar beside `axes`."""
-    bar = made.colorbar(shown, ax=axes, aspect=28, pad=0.02)
-    bar.set_label(label, fontsize=TEXT, color=INK)
-    bar.ax.tick_params(labelsize=TEXT, colors=INK, which="both")
-    bar.outline.set_visible(False)  # type: ignore[operator]
-    return bar
+    axes.legend(**{"fontsize": style.TEXT - 0.5, "frameon": False, "labelcolor": INK, **options})
 
 
 def write(
@@ -288,7 +275,7 @@ def write(
     ending = "" if settings.name == experiment else f"-{experiment}"
     folder = Path(settings.output).expanduser() / f"{settings.name}{ending}"
     picture, table = text_io.BytesIO(), text_io.StringIO(newline="")
-    made.savefig(picture, format="png", metadata={"Software": "diffshadow"}, pil_kwargs={"optimize": True})
+    made.savefig(picture, format="png", dpi=_DPI, metadata={"Software": "diffshadow"}, pil_kwargs={"optimize": True})
     writer = csv.DictWriter(table, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

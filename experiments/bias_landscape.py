@@ -159,7 +159,7 @@ def picture(
         least = max(float(values.min()), one)
         norm = LogNorm(least, max(float(values.max()), 1.01 * least))
         shown = panel.pcolormesh(*axes, np.maximum(values, least), norm=norm, cmap=common.HEAT, shading="nearest")
-        common.colour_bar(made, shown, panel, "RMSE [visibility]" if key == "rmse" else "share of pixels")
+        common.colour_bar(made, shown, [panel], "RMSE [visibility]" if key == "rmse" else "share of pixels")
         common.chart(panel, title, "constant bias [texels]", "radius [texels]", grid=False)
     path(panels[2], list(settings.fit.parameters), result, summary)
     front(panels[3], rows, summary)
@@ -193,7 +193,7 @@ def front(axes: Axes, rows: list[dict[str, float]], summary: dict[str, Any]) -> 
     decade = 10.0 ** math.floor(-math.log10(summary["pixels"]))
     axes.set_xscale("symlog", linthresh=decade, linscale=0.8)
     axes.set_yscale("symlog", linthresh=decade, linscale=0.8)
-    common.colour_bar(axes.figure, shown, axes, "constant bias [texels]")  # type: ignore[arg-type]
+    common.colour_bar(axes.figure, shown, [axes], "constant bias [texels]")  # type: ignore[arg-type]
     common.chart(axes, "Acne against leaks", "false shadow [share of pixels]", "false light [share of pixels]")
     common.legend(axes, loc="best")
 

@@ -88,8 +88,7 @@ def main(
     console = Console(highlight=False)
     widths = sorted(set(common.listed("sizes", sizes, int)))
     common.expect("sizes", sizes, len(widths) > 1 and widths[0] > 0, "two or more, each positive")
-    names = common.listed("only", only)
-    common.expect("only", only, set(names) <= TECHNIQUES.keys(), f"some of {','.join(TECHNIQUES)}")
+    names = common.chosen("only", only, TECHNIQUES)
     drawn = common.draw(common.load(config, overrides))
     rows = []
     for size in common.progress(widths, "drawing", console):

@@ -67,8 +67,7 @@ def main(config: Path, /, *overrides: str, over: str = "view,light,mesh", count:
         How many variations of each.
     """
     console = Console(highlight=False)
-    kinds = common.listed("over", over)
-    common.expect("over", over, set(kinds) <= VARIATIONS.keys(), f"some of {','.join(VARIATIONS)}")
+    kinds = common.chosen("over", over, VARIATIONS)
     common.expect("count", count, 2 <= count <= len(MESHES), f"2 to {len(MESHES)}")
     settings = common.load(config, overrides)
     if "view" in kinds and settings.scene.camera.orbit is None:
@@ -154,7 +153,7 @@ def picture(ratios: dict[str, Any], found: dict[str, Found]) -> Any:
         )
         panel.set_xticks(range(len(own)), own, rotation=40, ha="right", rotation_mode="anchor", fontsize=7)
         panel.set_yticks(range(len(fitted)), fitted, fontsize=7)
-    bar = common.colour_bar(made, shown, panels[-1], "RMSE over the column's own best")
+    bar = common.colour_bar(made, shown, [panels[-1]], "RMSE over the column's own best")
     bar.set_ticks([0.5, 0.7, 1, 1.4, 2], labels=["0.5", "0.7", "1", "1.4", "2"], minor=False)
     bar.minorticks_off()
     return made

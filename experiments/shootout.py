@@ -96,8 +96,7 @@ def main(
         How many settings of each technique, the cheapest first.
     """
     console = Console(highlight=False)
-    names = common.listed("only", only)
-    common.expect("only", only, set(names) <= TECHNIQUES.keys(), f"some of {','.join(TECHNIQUES)}")
+    names = common.chosen("only", only, TECHNIQUES)
     common.expect("repeats", repeats, repeats > 0, "1 or more")
     common.expect("most", most, most > 0, "1 or more")
     drawn = common.draw(common.load(config, overrides))

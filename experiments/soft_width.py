@@ -36,6 +36,7 @@ smooth in it, and the error falls with the width down to the truth's own.
 
 import functools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -48,6 +49,7 @@ from cyclopts import App
 from rich.console import Console
 from rich.table import Table
 
+from diffshadow.config import Config
 from diffshadow.fit import Problem, with_values
 from diffshadow.shadow import HardCompare, SoftCompare, SoftKernel
 
@@ -100,8 +102,7 @@ def main(
         The scale h of the truth's derivative, in texels.
     """
     console = Console(highlight=False)
-    names = common.listed("kernels", kernels)
-    common.expect("kernels", kernels, set(names) <= set(KERNELS), f"some of {','.join(KERNELS)}")
+    names = common.chosen("kernels", kernels, KERNELS)
     common.expect("widths", widths, widths > 1, "2 or more")
     common.expect("least", least, 0 < least < most, f"more than 0, and less than most, {most}")
     common.expect("points", points, points > 0, "1 or more along each axis")
@@ -109,14 +110,36 @@ def main(
     settings = common.load(config, overrides, needs=AXES)
     drawn = common.draw(settings)
     problem = eqx.tree_at(lambda p: p.technique.compare, common.problem_of(drawn), HardCompare())
-    spreads = np.geomspace(least, most, widths)
+    cases: list[tuple[SoftKernel, float]] = [
+        (kernel, float(spread)) for kernel in names for spread in np.geomspace(least, most, widths)
+    ]
+    rows, of_hard = measure_all(problem, cases, grid_of(settings, points), scale, console)
+    summary = {
+        "config": str(config),
+        "overrides": list(overrides),
+        "reference_noise": drawn.floor,
+        **of_hard,
+        "best": {kernel: best(rows, kernel) for kernel in names},
+    }
+    show(console, summary)
+    folder = common.write(settings, NAME, picture(rows, names, summary), rows, summary)
+    console.print(str(folder), soft_wrap=True)
+    return {**summary, "rows": rows, "folder": str(folder)}
 
-    bounds = [settings.fit.parameters[name] for name in AXES]
+
+def grid_of(settings: Config, points: int) -> np.ndarray:
+    """The points at which gradients are taken, (n, 2): so many along each axis, inside its bounds."""
     inside = (np.arange(points) + 0.5) / points
-    grid = np.stack(np.meshgrid(*(b.lower + (b.upper - b.lower) * inside for b in bounds)), -1).reshape(-1, 2)
-    cases = [(kernel, spread) for kernel in names for spread in spreads]
+    bounds = [settings.fit.parameters[name] for name in AXES]
+    return np.stack(np.meshgrid(*(b.lower + (b.upper - b.lower) * inside for b in bounds)), -1).reshape(-1, 2)
+
+
+def measure_all(
+    hard: Problem, cases: Sequence[tuple[SoftKernel, float]], grid: np.ndarray, scale: float, console: Console
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """A row for each kernel and standard deviation of `cases`, and what is true of the hard loss at `scale`."""
     with jax.enable_x64(True):
-        exact = jax.tree.map(lambda x: x.astype(jnp.float64) if eqx.is_inexact_array(x) else x, problem)
+        exact = jax.tree.map(lambda x: x.astype(jnp.float64) if eqx.is_inexact_array(x) else x, hard)
         both = [
             (slopes(exact, at, scale), slopes(exact, at, scale / 2))
             for at in common.progress(grid, "hard loss", console)
@@ -126,22 +149,14 @@ def main(
             measure(exact, kernel, spread, grid, truth)
             for kernel, spread in common.progress(cases, "soft loss", console)
         ]
-        hard = float(jnp.sqrt(_loss(exact, None)))
-    summary = {
-        "config": str(config),
-        "overrides": list(overrides),
-        "hard_rmse": hard,
-        "reference_noise": drawn.floor,
+        rmse = float(jnp.sqrt(_loss(exact, None)))
+    return rows, {
+        "hard_rmse": rmse,
         "scale": scale,
         "points": grid.tolist(),
         "truth": truth.tolist(),
         "truth_uncertain": dict(zip(AXES, relative(finer, truth), strict=True)),
-        "best": {kernel: best(rows, kernel) for kernel in names},
     }
-    show(console, summary)
-    folder = common.write(settings, NAME, picture(rows, names, summary), rows, summary)
-    console.print(str(folder), soft_wrap=True)
-    return {**summary, "rows": rows, "folder": str(folder)}
 
 
 @eqx.filter_jit
@@ -184,8 +199,8 @@ def measure(hard: Problem, kernel: SoftKernel, spread: float, grid: Any, truth: 
     by_bias, by_radius = relative(gradients, truth)
     return {
         "kernel": kernel,
-        "deviation": float(spread),
-        "width": float(width),
+        "deviation": spread,
+        "width": width,
         "rmse_to_hard": float(to_hard),
         "rmse_to_truth": float(to_truth),
         "gradient_error_bias": by_bias,
@@ -217,7 +232,7 @@ def show(console: Console, summary: dict[str, Any]) -> None:
     console.print(table)
 
 
-def picture(rows: list[dict[str, Any]], kernels: list[str], summary: dict[str, Any]) -> Any:
+def picture(rows: list[dict[str, Any]], kernels: Sequence[str], summary: dict[str, Any]) -> Any:
     """The figure."""
     made, panels = common.figure(9.0, 6.8, 2, 2)
     titles = {

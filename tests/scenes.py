@@ -1,13 +1,16 @@
-"""Small scenes, maps and look-ups whose shadows are known, shared by the tests of shadows and fits."""
+"""Small scenes, maps and look-ups whose shadows are known, and places for runs, shared by the tests."""
 
+import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from diffshadow.fit import Problem
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, Scene, SpotLight, merge
@@ -156,3 +159,24 @@ def random_lookups(
 def apply(kernel: AbstractFilter, shadow_map: ShadowMap, lookup: Lookup, compare: Any) -> Any:
     """The filter's visibility, compiled once for each kind and shape."""
     return kernel(shadow_map, lookup, compare)
+
+
+@contextlib.contextmanager
+def staying_in(folder: Path) -> Iterator[None]:
+    """`folder` as the current one, with a cache of its own, until the block ends."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("DIFFSHADOW_CACHE", str(folder / "cache"))
+        yield
+
+
+def fit_section(bias: float, radius: float, max_steps: int, anneal: str) -> str:
+    """The section of a configuration that fits bias and radius, each from 0 to so many texels."""
+    return f"""
+fit:
+  parameters:
+    bias.constant: {{lower: 0, upper: {bias}}}
+    filter.radius: {{lower: 0, upper: {radius}}}
+  solver: {{max_steps: {max_steps}}}
+  anneal: {anneal}
+"""

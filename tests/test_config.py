@@ -594,6 +594,11 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
         ("scene.meshes.0.path=no.obj", "scene.meshes.0.path: there is no file"),
         ("fit.parameters.bias.slpe.upper=3", "fit.parameters.bias.slpe: cannot be fitted"),
         ("fit.parameters.bias.slope.uper=3", "fit.parameters.bias.slope.uper: is no key of fit.parameters.bias.slope"),
+        (
+            "fit.parameters.scene.light.azimuth.uper=3",
+            "fit.parameters.scene.light.azimuth.uper: is no key of fit.parameters.scene.light.azimuth; "
+            "expected initial, lower or upper; did you mean 'upper'?",
+        ),
         ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights; give it a value"),
     ],
 )
@@ -733,6 +738,21 @@ def test_a_bias_that_knows_the_plane_needs_no_other_by_default():
     plane = parse_config(TINY + "bias: {plane: {type: receiver_plane}}").bias
     assert (plane.constant, plane.slope) == (0, 0)
     assert parse_config(TINY + "bias: {slope: 2, plane: {type: adaptive}}").bias.slope == 2
+
+
+def test_override_reaches_a_parameter_of_the_scene():
+    spot = QUICKSTART.with_name("fit_light_spot.yaml")
+    names = "scene.light.position.x", "scene.meshes.0.translate.y", "scene.meshes.1.vertices.3.z"
+    added = [f"fit.parameters.{name}={{initial: 0.5, lower: -1, upper: 1}}" for name in names[1:]]
+    found = load_config(spot, [*added, *(f"fit.parameters.{name}.upper=1.5" for name in names)]).fit.parameters
+    assert [found[name].upper for name in names] == [1.5] * 3
+    assert found["scene.light.position.x"].lower == -2.8
+    for typo in ("scene.light.position.w", "scene.lihgt.azimuth"):
+        with pytest.raises(ConfigError) as caught:
+            load_config(spot, [f"fit.parameters.{typo}.upper=1.5"])
+        said = str(caught.value)
+        assert f"override 'fit.parameters.{typo}.upper=1.5': fit.parameters.{typo}" in said
+    assert "did you mean 'scene.light.azimuth'?" in said
 
 
 def test_biases_in_window_depth_are_so_called():

@@ -15,11 +15,12 @@ ROOT = Path(__file__).parent.parent / PACKAGE
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "study", "cli")
 EVERYBODY = {"_types", "_misc"}
 # Beside the order: what each may know, and who may know it.
-ASIDE_KNOWS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}}
+ASIDE_KNOWS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set()}
 KNOWN_BY = {
     "reference": {"fit", "config", "study", "cli"},
     "metrics": {"fit", "config", "study", "cli"},
     "io": {"config", "study", "cli"},
+    "_xla": set(),
 }
 PURE = {*EVERYBODY, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {

@@ -1,16 +1,20 @@
 """Runs from a configuration to a folder: what is written, what is said, and what a failure leaves behind."""
 
+import ast
 import io as text_io
 import json
 import re
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
+from scenes import fit_section, staying_in
 
 from diffshadow import fit, io, study
 from diffshadow.cli import main
@@ -31,14 +35,9 @@ shadow_map: {resolution: [128, 128]}
 filter: {samples: 8, pattern_size: 4, radius: 1}
 bias: {constant: 0.1}
 reference: {samples: 8}
-fit:
-  parameters:
-    bias.constant: {lower: 0, upper: 10}
-    filter.radius: {lower: 0, upper: 8}
-  solver: {max_steps: 3}
-  anneal: {phases: 2}
 output: runs
 """
+TINY += fit_section(bias=10, radius=8, max_steps=3, anneal="{phases: 2}")
 FIT_FILES = {
     *("config.yaml", "result.json", "arrays.npz", "report.html"),
     *("comparison.png", "shadow_map.png", "loss.png", "parameters.png", "shaded.png"),
@@ -51,11 +50,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(autouse=True)
-def apart(tmp_path, monkeypatch):
+def apart(tmp_path):
     """Each test in a folder of its own, with a cache of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "cache"))
-    Path("tiny.yaml").write_text(TINY)
+    with staying_in(tmp_path):
+        Path("tiny.yaml").write_text(TINY)
+        yield
 
 
 def tiny(*overrides: str):
@@ -77,11 +76,9 @@ def run(*overrides: str) -> tuple[Path, str]:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """One finished fit that several tests look at: its folder and what was printed."""
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("finished")
-        patch.chdir(folder)
-        patch.setenv("DIFFSHADOW_CACHE", str(folder / "cache"))
-        (folder / "tiny.yaml").write_text(TINY)
+    folder = tmp_path_factory.mktemp("finished")
+    with staying_in(folder):
+        Path("tiny.yaml").write_text(TINY)
         made, said = run()
         return folder / made, said, folder
 
@@ -485,18 +482,41 @@ def test_validating_loads_no_matplotlib():
     assert done.stderr.splitlines()[-1] == "False"
 
 
-def readme_example() -> str:
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    return code
+@pytest.fixture
+def readme():
+    """The README's Python, block by block, each of which uses what those before it import; the quickstart is tiny."""
+    shutil.copytree(ROOT / "configs", "configs")
+    shutil.copy("tiny.yaml", "configs/quickstart.yaml")
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 2
+    return [compile(block, "README.md", "exec") for block in blocks]
 
 
 @pytest.mark.slow
-def test_python_of_the_readme_runs(tmp_path, capsys):
-    shutil.copy("tiny.yaml", "quickstart.yaml")
-    program = readme_example().replace("configs/quickstart.yaml", "quickstart.yaml")
-    assert program != readme_example()
-    exec(compile(program, "README.md", "exec"), {})
+def test_python_of_the_readme_runs(readme, capsys, monkeypatch):
+    """But for the fit of the sun, which compiles for minutes: of that, the problem is made and its start set."""
+    names, (technique, sun) = {}, readme
+    exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
+
+    def start(problem, parameters, *, solver):
+        values = jnp.asarray([p.initial for p in parameters], jnp.float32)
+        return types.SimpleNamespace(fitted=fit.with_values(problem.subject, [p.where for p in parameters], values))
+
+    monkeypatch.setattr(fit, "fit", start)
+    exec(sun, names)
+    assert isinstance(names["problem"], fit.PoseProblem)
+    assert "Arrangement" in capsys.readouterr().out
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_readme_finds_the_sun_where_it_says(readme, capsys):
+    names = {}
+    for block in readme:
+        exec(block, names)
+    found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
+    assert found == pytest.approx({"lights.0.azimuth": -59.9, "lights.0.elevation": 50.3}, abs=0.2)
 
 
 # Runs the command, and tells the most memory it held; the kernel's figure for children would count a forked parent's.

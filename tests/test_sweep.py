@@ -1,8 +1,10 @@
 """Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
 
+import importlib
 import io as text_io
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,6 +17,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from rich.console import Console
+from scenes import staying_in
 
 from diffshadow import study
 from diffshadow.config import Config, ConfigError, load_config, load_sweep
@@ -47,11 +50,11 @@ sweep:
 
 
 @pytest.fixture(autouse=True)
-def apart(tmp_path, monkeypatch):
+def apart(tmp_path):
     """Each test in a folder of its own, with a cache of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "cache"))
-    Path("s.yaml").write_text(BASE + SWEEP)
+    with staying_in(tmp_path):
+        Path("s.yaml").write_text(BASE + SWEEP)
+        yield
 
 
 def sweep_of(section: str, *overrides: str):
@@ -207,6 +210,50 @@ def test_faults_of_all_runs_are_told_at_once_and_once_each():
     assert "first in the run" not in caught.value.problems[-1].message
 
 
+def test_overrides_reach_what_is_swept():
+    section = "{list: [{label: a}, {label: b}], grid: {filter.radius: [1, 2]}, qmc: {count: 2, axes: {}}}"
+    sweep = sweep_of(
+        section,
+        "sweep.grid.filter.samples=[4, 8]",
+        "sweep.grid.filter.radius.1=3",
+        "sweep.list.1.bias.slope=2",
+        "sweep.qmc.axes.bias.constant={lower: 1, upper: 2}",
+        "sweep.qmc.axes.bias.constant.upper=1.5",
+        "sweep.zip.scene.camera.resolution=[[8, 8]]",
+    )
+    found = sweep.settings
+    assert found.grid == {"filter.radius": (1, 3), "filter.samples": (4, 8)}
+    assert found.list == ({"label": "a"}, {"label": "b", "bias.slope": 2})
+    assert found.qmc is not None
+    assert found.qmc.axes["bias.constant"].upper == 1.5
+    assert sweep.runs[0].config.scene.camera.resolution == (8, 8)
+    assert len(sweep.runs) == 2 * 2 * 2 * 2
+
+
+def test_bounds_of_a_parameter_can_be_swept():
+    pose = "fit.parameters.scene.light.azimuth"
+    swept = f"{{run: fit, grid: {{{pose}.upper: [70, 80]}}}}"
+    sweep = sweep_of(swept, f"{pose}={{initial: 55, lower: 50, upper: 65}}", "filter.lookup=bilinear")
+    assert [run.config.fit.parameters["scene.light.azimuth"].upper for run in sweep.runs] == [70, 80]
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("sweep.grid.filter.sampels=[4, 8]", "filter.sampels: is no key of filter (type: random_disk)"),
+        ("sweep.gird.filter.samples=[4, 8]", "sweep.gird: is no key of sweep"),
+        ("sweep.grid.filter.samples=4", "sweep.grid.filter.samples: is 4; expected a list of values"),
+        ("sweep.grid.filter.radius.9=4", "sweep.grid.filter.radius.9: index 9 is out of range"),
+        ("sweep.qmc.axes.bias.slope.uper=3", "sweep.qmc.axes.bias.slope.uper: is no key of sweep.qmc.axes.bias.slope"),
+    ],
+)
+def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
+    section = "{grid: {filter.radius: [1]}, qmc: {count: 2, axes: {bias.slope: {lower: 1, upper: 2}}}}"
+    with pytest.raises(ConfigError) as caught:
+        sweep_of(section, override)
+    assert f"override {override!r}: {said}" in str(caught.value)
+
+
 def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
     with pytest.raises(ConfigError, match=r"s\.yaml:\d+: sweep: makes many runs.*diffshadow sweep.*sweep=null"):
         load_config(Path("s.yaml"))
@@ -226,12 +273,9 @@ def test_shipped_sweeps_are_valid():
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """One finished sweep that several tests look at: itself, its folder and what was printed."""
-    with pytest.MonkeyPatch.context() as patch:
-        home = tmp_path_factory.mktemp("finished")
-        patch.chdir(home)
-        patch.setenv("DIFFSHADOW_CACHE", str(home / "cache"))
+    with staying_in(tmp_path_factory.mktemp("finished")):
         Path("s.yaml").write_text(BASE + SWEEP)
-        sweep = load_sweep(Path("s.yaml"), ["sweep.csv=true"])
+        sweep = load_sweep(Path("s.yaml"), ["sweep.csv=true", "scene.camera.resolution=[32, 32]"])
         folder, said = run(sweep)
         return sweep, folder, said
 
@@ -276,6 +320,8 @@ def test_table_has_a_row_for_each_run_in_order(finished):
 
 def test_run_folder_says_what_was_done_and_does_it_again(finished):
     sweep, folder, _ = finished
+    record = json.loads((folder / "result.json").read_text())
+    assert shlex.split(record["command"]) == ["diffshadow", "sweep", "s.yaml", *sweep.overrides]
     assert sorted(entry.name for entry in (folder / "runs").iterdir()) == sorted(run.id for run in sweep.runs)
     first = folder / "runs" / sweep.runs[3].id
     assert sorted(entry.name for entry in first.iterdir()) == ["config.yaml", "result.json"]
@@ -283,6 +329,27 @@ def test_run_folder_says_what_was_done_and_does_it_again(finished):
     assert load_config(first / "config.yaml") == sweep.runs[3].config
     result = json.loads((first / "result.json").read_text())
     assert result["metrics"]["rmse"] == table(folder)["rmse"][3]
+
+
+@pytest.mark.parametrize(("kind", "images", "end"), [("render", 1, "-render"), ("fit", 2, "")])
+def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypatch):
+    module = importlib.import_module(f"diffshadow.study._{kind}_run")
+    drawn, draw = [], module.visibility_of
+    monkeypatch.setattr(module, "visibility_of", lambda *args: drawn.append(draw(*args)) or drawn[-1])
+    brief = ("fit={solver: {max_steps: 1}, anneal: {phases: 1}}", "filter.lookup=bilinear")
+    sweep = sweep_of(f"{{run: {kind}, figures: true, grid: {{filter.radius: [1]}}}}", *brief)
+    folder, _ = run(sweep)
+    assert table(folder)["status"] == ["ok"]
+    assert len(drawn) == images
+    (figures,) = (folder / "figures").iterdir()
+    assert figures.name == sweep.runs[0].id + end
+    assert (figures / "report.html").is_file()
+    assert load_config(figures / "config.yaml").filter == sweep.runs[0].config.filter
+    stored, columns = json.loads((figures / "result.json").read_text())["metrics"], table(folder)
+    if kind == "render":
+        assert columns["rmse"] == [stored["errors"]["rmse"]]
+    else:
+        assert columns["after.rmse"] == [stored["after"]["rmse"]]
 
 
 def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatch):

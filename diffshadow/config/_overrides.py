@@ -1,15 +1,16 @@
 """Overrides: `key=value` pairs that replace values of a configuration."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from ._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from ._fitted import fit_paths
+from ._poses import pose_of
+from ._schema import FitParameterConfig
+from ._section import look
+from ._sweep import QuasiRandomAxisConfig
 from ._yaml import read_yaml
-
-# Names of parameters hold a dot themselves.
-_DOTTED_NAMES = ("fit", "parameters")
-_DEEPER = ("bias", "plane")
 
 
 def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Problem]:
@@ -39,10 +40,7 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
     if not equals or not all(words):
         raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write it like filter.radius=2")])
     value, inner, problems = read_yaml(text, lambda line, column: place)
-    if tuple(words[:2]) == _DOTTED_NAMES and len(words) > 3:
-        # The longest name that such a key may begin with: `bias.plane` holds numbers as `bias` does.
-        parts = 3 if tuple(words[2:4]) == _DEEPER and len(words) > 4 else 2
-        words[2 : 2 + parts] = [".".join(words[2 : 2 + parts])]
+    words = _with_whole_names(data, words, value)
     # Walk to what holds the value, and make the sections that are missing.
     holder: Any = data
     path: KeyPath = ()
@@ -63,6 +61,40 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
     return [replace(problem, key=dotted((*path, problem.key) if problem.key else path)) for problem in problems]
 
 
+def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
+    """`words` with the name of a parameter or of what is swept, which holds dots itself, in one piece."""
+    match words:
+        case ["fit", "parameters", _, *_]:
+            start, keys = 2, FitParameterConfig.model_fields
+            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in there
+        case ["sweep", "qmc", "axes", _, *_]:
+            start, keys = 3, QuasiRandomAxisConfig.model_fields
+            known = lambda name, rest: name in there
+        case ["sweep", "grid" | "zip", _, *_]:
+            start, keys = 2, ()
+            known = lambda name, rest: name in there and (not rest or _is_index(rest[0]))
+        case ["sweep", "list", _, _, *_]:
+            return [*words[:3], ".".join(words[3:])]
+        case _:
+            return words
+    there = look(data, *words[:start])
+    there = there if isinstance(there, Mapping) else {}
+    end = start + _length_of_name(words[start:], known, () if isinstance(value, dict) else keys)
+    return [*words[:start], ".".join(words[start:end]), *words[end:]]
+
+
+def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], bool], keys: Collection[str]) -> int:
+    """How many of `words` are a name: the longest that is known, or else all but a last one that is among `keys`."""
+    for length in range(len(words), 0, -1):
+        if known(".".join(words[:length]), words[length:]):
+            return length
+    return len(words) - (len(words) > 1 and words[-1] in keys)
+
+
+def _is_index(word: str) -> bool:
+    return word.isascii() and word.isdigit()
+
+
 def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
     """The key or index that `word` means in `holder`, which stands at `path`."""
     key = dotted((*path, word))
@@ -73,7 +105,7 @@ def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
             f"leads into {dotted(path)}, which is {show(holder)}; expected a section; set {dotted(path)} as a whole"
         )
         raise ConfigError([Problem(place, key, message)])
-    if not (word.isascii() and word.isdigit()):
+    if not _is_index(word):
         message = f"{word!r} is no index of the list {dotted(path)}; expected a number from 0; write {dotted(path)}.0"
         raise ConfigError([Problem(place, key, message)])
     if int(word) >= len(holder):

@@ -43,11 +43,15 @@ class SweepRun(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """A sweep and all of its runs, in the order of its axes, the last of which changes first."""
+    """A sweep and all of its runs, in the order of its axes, the last of which changes first.
+
+    - `source`, `overrides`: what it was loaded from.
+    """
 
     settings: SweepConfig
     runs: tuple[SweepRun, ...]
     source: str
+    overrides: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -90,7 +94,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     if faults:
         # What is wrong with every run does not depend on the values.
         raise ConfigError(p if len(held) == count else _with_values(p, held[0]) for p, held in faults.items())
-    return Sweep(settings, tuple(runs), draft.origin.source)
+    return Sweep(settings, tuple(runs), draft.origin.source, tuple(overrides))
 
 
 def _settings_of(draft: Draft) -> SweepConfig:

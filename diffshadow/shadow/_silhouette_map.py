@@ -62,8 +62,13 @@ class SilhouetteMap(eqx.Module):
 
     def area_within(self, slot: Int[Array, "*n"], part: Rectangle) -> Float[Array, "*n"]:
         """The area, in square texels, of a `part` of a texel, seen from its centre, that lies in both half-planes."""
-        one, other = (HalfPlane(*(values[slot] for values in plane)) for plane in self.planes)
+        one, other = (HalfPlane(*(at_slot(values, slot) for values in plane)) for plane in self.planes)
         return cut_area(part, one, other)
+
+
+def at_slot(values: Float[Array, " s"], slot: Int[Array, "*n"]) -> Float[Array, "*n"]:
+    """The values of silhouettes that exist."""
+    return values.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 class Outline(eqx.Module):

@@ -27,7 +27,7 @@ from ._compare import AbstractCompare
 from ._cut_rectangle import WHOLE_TEXEL, Rectangle
 from ._lookup import Lookup
 from ._map import ShadowMap
-from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
+from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap, at_slot
 from .patterns import Pattern, interleaved_gradient_noise
 
 TapMode = Literal["nearest", "bilinear"]
@@ -97,7 +97,7 @@ class PaddedMap(eqx.Module):
         found = self.silhouettes.map
         slot = self._read(found.slot, place, skip)
         held = jnp.maximum(slot, 0)
-        inner, outer = function(found.inner[held]), function(found.outer[held])
+        inner, outer = (function(at_slot(depth, held)) for depth in (found.inner, found.outer))
         area = (part.right - part.left) * (part.above - part.below)
         share = found.area_within(held, part) / jnp.maximum(area, _LEAST_AREA)
         return jnp.where(slot == NO_SILHOUETTE, plain, outer + share * (inner - outer))
@@ -175,7 +175,8 @@ class _Pyramid(eqx.Module):
             for column in (block(x - reach, columns), block(x + reach, columns)):
                 place = first + (layer * rows + row) * columns + column
                 found = found | self.marked.at[place].get(mode="promise_in_bounds")
-        return found
+        # Squares beyond the border would find what is on it.
+        return found & (x + reach >= 0)
 
 
 class Sites(eqx.Module):

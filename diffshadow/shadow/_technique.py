@@ -14,6 +14,9 @@ from ._receiver import receiver
 from .biases import AbstractBias
 from .filters import AbstractFilter
 
+# Texels beyond the map's border, and so far that no filter reaches it.
+_NOWHERE = -1e6
+
 
 class ShadowMapping(eqx.Module):
     """How a shadow map becomes visibility.
@@ -34,8 +37,13 @@ class ShadowMapping(eqx.Module):
         centre is dark, since light would have to come through it. Pixels without a surface are lit.
         """
         lookup, cosine = self._look_up(shadow_map, surface)
-        lit = jnp.where(lookup.inside, self.filter(shadow_map, lookup, self.compare), 1)
-        return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
+        turned_away = surface.mask & ~(cosine > 0)
+        asked = surface.mask & lookup.inside & ~turned_away
+        # The rest looks where nothing has to be worked out.
+        texel = jnp.where(asked[..., None], lookup.texel, _NOWHERE)
+        lookup = eqx.tree_at(lambda lookup: lookup.texel, lookup, texel)
+        lit = self.filter(shadow_map, lookup, self.compare)
+        return jnp.where(asked, lit, jnp.where(turned_away, 0, 1))
 
     def covered(self, shadow_map: ShadowMap, surface: Surface) -> Mask:
         """Pixels whose surface lies within the light's frustum, (h, w): those that the map can say something of."""

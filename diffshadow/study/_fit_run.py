@@ -54,7 +54,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)
         with stages.stage("writing"):
-            write_whole(folder, lambda draft: _write(draft, folder, fitted, stages.seconds))
+            write_fit(folder, fitted, stages.seconds)
     table.print_fit(
         console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
     )
@@ -69,7 +69,13 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
+def write_fit(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
+    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
+
+
 def fit_technique(config: Config, stages: Stages) -> Fitted:
+    """Fits the parameters of `config`, and measures the images before and after."""
     casting = load(config, stages)
     plan, technique = build_fit(config, casting), build_shadow_mapping(config)
     drawn = draw(config, casting, technique, stages)

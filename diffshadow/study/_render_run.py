@@ -44,16 +44,26 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
     folder = folder_of(config, SUFFIX)
     with Stages(console) as stages:
         casting, technique = load(config, stages), build_technique(config, fitting=False)
-        drawn = draw(config, casting, technique, stages)
-        with stages.stage("measuring"):
-            visibility = [visibility_of(technique, each) for each in drawn]
-            errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
-        rendered = Rendered(config, technique, drawn, visibility, errors)
+        rendered = render_drawn(config, technique, draw(config, casting, technique, stages), stages)
         with stages.stage("writing"):
-            write_whole(folder, lambda draft: _write(draft, folder, rendered, stages.seconds, debug))
-    table.print_errors(console, config.name, {each.key: e for each, e in zip(drawn, errors, strict=True)})
-    table.print_lines(console, [table.noise_text(record.noise(drawn))])
+            write_render(folder, rendered, stages.seconds, debug)
+    named = zip(rendered.drawn, rendered.errors, strict=True)
+    table.print_errors(console, config.name, {each.key: errors for each, errors in named})
+    table.print_lines(console, [table.noise_text(record.noise(rendered.drawn))])
     return folder
+
+
+def render_drawn(config: Config, technique: Technique, drawn: list[Drawn], stages: Stages) -> Rendered:
+    """The visibility that `technique` makes of a scene that is drawn already, and its errors."""
+    with stages.stage("measuring"):
+        visibility = [visibility_of(technique, each) for each in drawn]
+        errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
+    return Rendered(config, technique, drawn, visibility, errors)
+
+
+def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
+    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    write_whole(folder, lambda draft: _write(draft, folder, rendered, seconds, debug))
 
 
 def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool) -> None:

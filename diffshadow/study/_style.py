@@ -48,7 +48,7 @@ DISTANCE = "cividis_r"
 DPI = 150
 FORMATS = ("png", "svg", "pdf")
 """What figures can be written as; text stays text in the latter two."""
-_TITLE, _TEXT = 10, 8.5
+TITLE, TEXT = 10, 8.5
 # Embeds TrueType fonts in PDF, for many publishers refuse Type 3; makes names in SVG that are alike in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
@@ -62,20 +62,20 @@ def figure(width: float, height: float, rows: int = 1, columns: int = 1, **optio
 
 def title(axes: Axes, text: str, below: str = "") -> None:
     """A title, and a line of numbers under the axes."""
-    axes.set_title(text, fontsize=_TITLE, color=INK, loc="left", parse_math=False)
+    axes.set_title(text, fontsize=TITLE, color=INK, loc="left", parse_math=False)
     if below:
-        axes.set_xlabel(below, fontsize=_TEXT, color=INK, loc="left")
+        axes.set_xlabel(below, fontsize=TEXT, color=INK, loc="left")
 
 
 def heading(axes: Axes, words: str, above: int) -> None:
     """The title of one chart among several, as many points `above` it."""
-    axes.set_title(words, fontsize=_TEXT, color=INK, loc="left", pad=above)
+    axes.set_title(words, fontsize=TEXT, color=INK, loc="left", pad=above)
 
 
 def text(axes: Axes, x: float, words: str) -> None:
     """Words above a chart, over its `x`."""
     place = axes.get_xaxis_transform()
-    axes.text(x, 1.01, words, transform=place, ha="center", va="bottom", fontsize=_TEXT, color=INK)
+    axes.text(x, 1.01, words, transform=place, ha="center", va="bottom", fontsize=TEXT, color=INK)
 
 
 def picture(axes: Axes, image: Any, **options: Any) -> Any:
@@ -89,9 +89,9 @@ def picture(axes: Axes, image: Any, **options: Any) -> Any:
 def chart(axes: Axes, x: str, y: str) -> None:
     """Axes for curves, with what is along them and its unit."""
     axes.set_facecolor(PAPER)
-    axes.set_xlabel(x, fontsize=_TEXT, color=INK)
-    axes.set_ylabel(y, fontsize=_TEXT, color=INK)
-    axes.tick_params(labelsize=_TEXT, color=FAINT, labelcolor=INK, which="both")
+    axes.set_xlabel(x, fontsize=TEXT, color=INK)
+    axes.set_ylabel(y, fontsize=TEXT, color=INK)
+    axes.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")
     axes.grid(True, color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     for side, spine in axes.spines.items():
@@ -117,7 +117,7 @@ def log_scale(axes: Axes) -> None:
 
 def legend(axes: Axes, **options: Any) -> None:
     """A legend without a frame."""
-    made = axes.legend(fontsize=_TEXT, labelcolor=INK, frameon=False, **options)
+    made = axes.legend(fontsize=TEXT, labelcolor=INK, frameon=False, **options)
     made.get_title().set_color(INK)
     for words in made.get_texts():
         words.set_parse_math(False)
@@ -131,8 +131,8 @@ def dashes(index: int) -> str:
 def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
     """A colour bar beside `axes`."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
-    bar.set_label(label, fontsize=_TEXT, color=INK)
-    bar.ax.tick_params(labelsize=_TEXT, color=FAINT, labelcolor=INK)
+    bar.set_label(label, fontsize=TEXT, color=INK)
+    bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK)
     bar.outline.set_edgecolor(FAINT)  # type: ignore[operator]
     bar.outline.set_linewidth(0.6)  # type: ignore[operator]
     return bar

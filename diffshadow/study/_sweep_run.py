@@ -230,7 +230,7 @@ def _write_record(folder: Path, sweep: Sweep, outcomes: Mapping[str, Outcome]) -
         "failed": sum(outcome.status == FAILED for outcome in outcomes.values()),
         "settings": sweep.settings.model_dump(mode="json"),
         "versions": record.versions(),
-        "command": shlex.join(["diffshadow", "sweep", sweep.source]),
+        "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
     }
     with io.atomic_path(folder / RESULT) as temporary:
         temporary.write_text(json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

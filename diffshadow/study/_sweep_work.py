@@ -21,10 +21,10 @@ from .. import io, metrics, reference
 from .._types import HostArray
 from ..config import LIMIT_ERROR, Config, RandomDiskConfig, SweepConfig, SweepRun, build_technique
 from . import _record as record
-from ._fit_run import fit_technique, run_fit
+from . import _render_run as render_run
+from ._fit_run import fit_technique, write_fit
 from ._progress import Stages
-from ._render_run import run_render
-from ._run_folder import RESULT, write_whole
+from ._run_folder import RESULT, folder_of, write_whole
 from ._setup import Drawn, draw, load, visibility_of
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
@@ -130,10 +130,8 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
     _make_room(shape_of(run.config))
     stages = Stages(Console(quiet=True))
     try:
-        measured = _MEASURES[batch.settings.run](run.config, batch, stages)
-        if batch.settings.figures:
-            with stages.stage("figures"):
-                _write_figures(batch, run)
+        config = _with_figures(batch, run) if batch.settings.figures else run.config
+        measured = _MEASURES[batch.settings.run](config, batch, stages)
         status, error = OK, None
     except Exception as problem:
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
@@ -143,23 +141,27 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
 
 
 def _measure_render(config: Config, batch: Batch, stages: Stages) -> Measured:
-    technique, drawn = build_technique(config, fitting=False), _draw(config, stages)
-    with stages.stage("measuring"):
-        images = [visibility_of(technique, each) for each in drawn]
-        errors = [record.measured(image, each) for image, each in zip(images, drawn, strict=True)]
-    measured: Measured = dict(record.combined(errors, drawn))
+    drawn = _draw(config, stages)
+    rendered = render_run.render_drawn(config, build_technique(config, fitting=False), drawn, stages)
+    measured: Measured = dict(record.combined(rendered.errors, drawn))
     if batch.settings.limit_samples is not None:
         limits = _limits(config, batch.settings.limit_samples, drawn, batch.folder, stages)
         away = [
             {"rmse": metrics.rmse(image, limit, each.mask) if each.pixels else np.nan}
-            for image, limit, each in zip(images, limits, drawn, strict=True)
+            for image, limit, each in zip(rendered.visibility, limits, drawn, strict=True)
         ]
         measured[LIMIT_ERROR] = record.combined(away, drawn)["rmse"]
+    if batch.settings.figures:
+        with stages.stage("figures"):
+            render_run.write_render(folder_of(config, render_run.SUFFIX), rendered, stages.seconds)
     return {**measured, **_of_reference(drawn)}
 
 
 def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
     fitted = fit_technique(config, stages)
+    if batch.settings.figures:
+        with stages.stage("figures"):
+            write_fit(folder_of(config), fitted, stages.seconds)
     return {
         **{f"fitted.{name}": value for name, value in fitted.result.fitted.items()},
         **{f"before.{name}": value for name, value in fitted.errors_before.items()},
@@ -205,14 +207,9 @@ def _limits(
         return _kept(("limit", key), compute)
 
 
-def _write_figures(batch: Batch, run: SweepRun) -> None:
-    """Does the run once more as a single one, which writes everything."""
-    config = run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
-    quiet = Console(quiet=True)
-    if batch.settings.run == "fit":
-        run_fit(config, console=quiet)
-    else:
-        run_render(config, console=quiet)
+def _with_figures(batch: Batch, run: SweepRun) -> Config:
+    """The configuration of a run whose figures are written, too, to a folder of its own."""
+    return run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
 
 
 _memory: OrderedDict[tuple[str, str], Any] = OrderedDict()
