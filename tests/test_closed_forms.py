@@ -292,6 +292,7 @@ INVARIANT = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", INVARIANT)
 @pytest.mark.parametrize("light", LIGHTS)
 def test_visibility_does_not_change_with_scale_or_rigid_motion(light, case):

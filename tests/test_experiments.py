@@ -79,7 +79,7 @@ def test_error_falls_with_resolution_as_a_seam_does():
     assert -1 < found["slopes"]["bilinear"] < -0.2, "about -1/2"
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_fit_ends_where_the_landscape_is_lowest():
     found = run("bias_landscape", size=7)
     assert found["ratio"] < 1.03
@@ -94,7 +94,7 @@ def test_fit_ends_where_the_landscape_is_lowest():
     assert acne[0].min() > 2 * acne[-1].max()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_soft_compare_nears_the_hard_one_and_its_gradient():
     found = run("soft_width", kernels="linear", widths=3, least=0.02, most=8.0, points=2, scale=0.5)
     narrow, middle, wide = found["rows"]
@@ -108,7 +108,7 @@ def test_soft_compare_nears_the_hard_one_and_its_gradient():
     assert (np.array(found["truth"])[:, 0] != 0).any()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_shootout_fits_before_it_times():
     found = run("shootout", only="nearest,disk", repeats=3, most=1)
     nearest, disk = found["rows"]

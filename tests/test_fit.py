@@ -181,6 +181,7 @@ def two_lights():
     ]
 
 
+@pytest.mark.exhaustive
 def test_several_lights_are_fitted_together(two_lights):
     radius = lambda problems: fit(problems, [RADIUS], solver=patient("levenberg_marquardt"), anneal=Anneal(1.0, 0.2, 2))
     first, second, both = (radius(p) for p in (two_lights[0], two_lights[1], two_lights))

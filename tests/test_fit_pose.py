@@ -270,7 +270,7 @@ def test_precision_names_nothing_where_the_image_tells_all(recovered):
     assert np.diag(result.precision.correlations) == pytest.approx([1, 1])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_height_of_a_card_along_the_light_is_not_determined():
     """Under a directional light a caster may move along the light, and its shadow stays."""
     along = np.asarray(SUN.direction) / np.linalg.norm(SUN.direction)
@@ -286,7 +286,7 @@ def test_height_of_a_card_along_the_light_is_not_determined():
     np.testing.assert_allclose(left - (left @ along) * along, 0, atol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
     tight = lambda joint, *_: joint.each(lambda p: dataclasses.replace(p, room=Room(), edges=p._edges()))
     monkeypatch.setattr("diffshadow.fit._solve.prepared", tight)

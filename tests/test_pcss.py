@@ -120,6 +120,7 @@ def test_search_finds_all_that_can_hide_the_light_and_nothing_else():
     assert finds[x > 32].all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", ["directional", "spot"])
 def test_light_size_takes_the_place_of_the_lights_own(light):
     known = problem(technique(PercentageCloserSoft(), constant=0.5, slope=1.0), light, image=48)
@@ -191,6 +192,7 @@ POLE = merge(
 )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", ["directional", "spot"])
 def test_shadow_of_a_tall_pole_is_nearer_to_rays_than_with_any_one_radius(light):
     if light == "directional":

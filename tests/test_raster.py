@@ -82,6 +82,7 @@ def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
         assert_explained(draw(clip, cull=cull)[0], exact, f"soup {k} of {seed}")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("resolution", [(8, 8), (17, 5), (96, 64)])
 def test_soups_at_other_resolutions_see_the_nearest_face(resolution):
     for k in range(40):
@@ -247,7 +248,10 @@ def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
     assert (second >= 0).any()
 
 
-@pytest.mark.parametrize("resolution", [(1, 1), (1, 8192), (8192, 1), (33, 47)])
+@pytest.mark.parametrize(
+    "resolution",
+    [(1, 1), (1, 8192), *(pytest.param(more, marks=pytest.mark.exhaustive) for more in [(8192, 1), (33, 47)])],
+)
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
     clip = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)
     face, depth = draw(
@@ -315,6 +319,7 @@ def test_capacities_grow_to_hold_either_scene():
     assert a.grown_to(a) == a
 
 
+@pytest.mark.exhaustive
 def test_a_plan_holds_what_it_was_made_for_in_powers_of_two():
     clip, _ = soup(np.random.default_rng(13), COUNT, RESOLUTION)
     planned = plan(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)

@@ -342,6 +342,7 @@ def render(*overrides: str, debug: bool = False) -> tuple[Path, str]:
     return study.run_render(tiny(*SMALL, *overrides), console=to, debug=debug), out.getvalue()
 
 
+@pytest.mark.exhaustive
 def test_render_of_several_lights_tells_them_apart():
     folder, said = render(*LIGHTS, debug=True)
     per_light = (
@@ -401,6 +402,7 @@ def test_debug_views_are_written_only_when_asked_for():
     assert not list(folder.glob("debug_*"))
 
 
+@pytest.mark.exhaustive
 def test_volumes_come_closer_to_a_hard_reference_than_any_map():
     hard = "scene.light={type: spot, position: [1, 3, 2]}"
     folders = [render(hard, *more)[0] for more in (["name=map"], ["name=volumes", "technique.type=shadow_volumes"])]
@@ -442,13 +444,15 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
 @pytest.mark.parametrize(
     ("technique", "parameters"),
     [
-        (
+        pytest.param(
             "filter={type: pcss, light_size: 1, samples: 8, pattern_size: 2}",
             "{filter.light_size: {lower: 0, upper: 4}}",
+            marks=pytest.mark.exhaustive,
         ),
-        (
+        pytest.param(
             "filter={type: evsm, radius: 1}",
             "{filter.radius: {lower: 0, upper: 4}, filter.positive_exponent: {lower: 5, upper: 42}}",
+            marks=pytest.mark.exhaustive,
         ),
         (
             "bias={slope: 1, slope_most: 3}",

@@ -190,6 +190,7 @@ def all_slopes(shadow_map, lookup, radius, width):
     return found
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**31),

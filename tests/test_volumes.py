@@ -158,7 +158,7 @@ def test_overlapping_volumes_count_up():
     assert {0, 1, 2} <= set(np.unique(counts).tolist())
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("file", ["spot.obj", "fandisk.obj"])
 def test_real_closed_meshes_agree_with_float64_rays(file):
     if not (REAL_MESHES / file).exists():
@@ -289,6 +289,7 @@ def test_compiled_call_equals_the_plain_one():
     np.testing.assert_array_equal(result, visibility)
 
 
+@pytest.mark.exhaustive
 def test_left_out_edges_and_capacity_are_found():
     casters = merge([library_mesh("box"), GROUND])
     visibility = Z_FAIL.visibility(casters, LAMP, PERSPECTIVE)
@@ -322,6 +323,7 @@ def test_unknown_methods_are_refused():
 # Counted fragments
 
 
+@pytest.mark.exhaustive
 def test_faces_counted_against_their_own_depth_have_the_same_bits():
     """No fragment passes where its own face is seen or hidden, and the seen one fails: depths are equal, not close."""
     count = 24
