@@ -383,19 +383,22 @@ def _scan_sum(one: Callable[[Any, Any], Any], sites: Any, like: Any, steps: Any,
     count = jax.tree.leaves(steps)[0].shape[0]
     at_once = math.ceil(count / math.ceil(count * cost / _COST_OF_A_STEP))
 
-    def add(total: Any, some: Any) -> tuple[Any, None]:
-        # Else every part would work out for itself where the look-ups are, or all parts would read from memory what
-        # one of them could work out.
-        held, some = lax.optimization_barrier((sites, some))
+    def add(total: Any, sites: Any, some: Any) -> Any:
         for i in range(jax.tree.leaves(some)[0].shape[0]):
-            total = jax.tree.map(jnp.add, total, one(held, jax.tree.map(itemgetter(i), some)))
-        return total, None
+            total = jax.tree.map(jnp.add, total, one(sites, jax.tree.map(itemgetter(i), some)))
+        return total
 
-    whole = count // at_once
-    head = jax.tree.map(lambda s: s[: whole * at_once].reshape(whole, at_once, *s.shape[1:]), steps)
-    total, _ = lax.scan(add, jax.tree.map(jnp.zeros_like, like), head, unroll=whole == 1)
-    if whole * at_once < count:
-        total, _ = add(total, jax.tree.map(lambda s: s[whole * at_once :], steps))
+    def step(total: Any, some: Any) -> tuple[Any, None]:
+        # Else all parts would read from memory what one of them could work out.
+        return add(total, *lax.optimization_barrier((sites, some))), None
+
+    total, loops = jax.tree.map(jnp.zeros_like, like), count // at_once
+    if loops > 1:
+        head = jax.tree.map(lambda s: s[: loops * at_once].reshape(loops, at_once, *s.shape[1:]), steps)
+        total, _ = lax.scan(step, total, head)
+        steps = jax.tree.map(lambda s: s[loops * at_once :], steps)
+    # Else every part would work out for itself where the look-ups are.
+    total = add(total, lax.optimization_barrier(sites), steps)
     # Else XLA runs through the pixels as whoever reads the sum lays them out, and no longer vectorizes.
     return lax.optimization_barrier(total)
 

@@ -40,8 +40,11 @@ class ShadowMapping(eqx.Module):
         turned_away = surface.mask & ~(cosine > 0)
         asked = surface.mask & lookup.inside & ~turned_away
         # The rest looks where nothing has to be worked out.
-        texel = jnp.where(asked[..., None], lookup.texel, _NOWHERE)
-        lookup = eqx.tree_at(lambda lookup: lookup.texel, lookup, texel)
+        xy = [jnp.where(asked, lookup.texel[..., axis], _NOWHERE) for axis in (0, 1)]
+        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them, and
+        # each by itself, so that what carries no derivative stays without one.
+        xy, lookup = jax.tree.map(lax.optimization_barrier, (xy, lookup))
+        lookup = eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1))
         lit = self.filter(shadow_map, lookup, self.compare)
         return jnp.where(asked, lit, jnp.where(turned_away, 0, 1))
 
@@ -52,9 +55,4 @@ class ShadowMapping(eqx.Module):
 
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
         at = receiver(shadow_map, surface)
-        lookup = look_up(shadow_map, at, self.bias(at))
-        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them, and
-        # each by itself, so that what carries no derivative stays without one.
-        xy = (lookup.texel[..., 0], lookup.texel[..., 1])
-        xy, lookup = jax.tree.map(lax.optimization_barrier, (xy, lookup))
-        return eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1)), at.cosine
+        return look_up(shadow_map, at, self.bias(at)), at.cosine
