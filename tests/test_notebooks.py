@@ -19,7 +19,7 @@ from jupyter_client.manager import KernelManager
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # These compile for minutes, at any size.
-LONG = {"bias_radius_landscape", "fit_a_light", "write_your_own_filter"}
+LONG = {"bias_radius_landscape", "error_vs_samples", "fit_a_light", "write_your_own_filter"}
 RUN = [pytest.param(path, marks=pytest.mark.exhaustive if path.stem in LONG else ()) for path in NOTEBOOKS]
 MOST_BYTES = 600_000
 # Names that other words contain, or that a container gives everybody.

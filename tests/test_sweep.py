@@ -578,7 +578,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_killed_sweep_is_taken_up_where_it_was(quick):
     """The sweep is killed without warning and, once it has been started again, its worker."""
     Path("command.py").write_text(QUICK_COMMAND)

@@ -385,7 +385,9 @@ def _scan_sum(one: Callable[[Any, Any], Any], sites: Any, like: Any, steps: Any,
 
     def add(total: Any, sites: Any, some: Any) -> Any:
         for i in range(jax.tree.leaves(some)[0].shape[0]):
-            total = jax.tree.map(jnp.add, total, one(sites, jax.tree.map(itemgetter(i), some)))
+            total = jax.tree.map(
+                jnp.add, total, one(sites, jax.tree.map(jnp.asarray, jax.tree.map(itemgetter(i), some)))
+            )
         return total
 
     def step(total: Any, some: Any) -> tuple[Any, None]:
