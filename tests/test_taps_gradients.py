@@ -21,7 +21,8 @@ from diffshadow.shadow import (
     SoftCompare,
     stratified,
 )
-from diffshadow.shadow._taps import Sites, _DiskTap, _plain_sum, mean_of_taps, pad, sum_of_parts
+from diffshadow.shadow._padded_map import pad
+from diffshadow.shadow._taps import Sites, _DiskTap, _plain_sum, mean_of_taps, sum_of_parts
 from diffshadow.shadow.filters._pcf import _Row
 
 NAMES = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")

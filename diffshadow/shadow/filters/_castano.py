@@ -10,7 +10,8 @@ from ..._types import Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import PaddedMap, Sites, bilinear_tap, pad, sites_of, sum_of_parts
+from .._padded_map import PaddedMap, pad
+from .._taps import Sites, bilinear_tap, sites_of, sum_of_parts
 from ._abstract import AbstractFilter
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}

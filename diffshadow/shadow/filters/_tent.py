@@ -13,7 +13,8 @@ from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import PaddedMap, Sites, pad, sites_of, sum_of_parts
+from .._padded_map import PaddedMap, pad
+from .._taps import Sites, sites_of, sum_of_parts
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit, share
 

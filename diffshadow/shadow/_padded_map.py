@@ -1,0 +1,154 @@
+"""Shadow maps laid out for look-ups.
+
+A texel that holds nothing, and everything beyond the border, is lit however soft the compare. To that end the map is
+padded by as many texels as a look-up reads along a side: clamped look-ups then always land on texels that exist, and
+no branch is needed.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ._cut_rectangle import WHOLE_TEXEL, Rectangle
+from ._map import ShadowMap
+from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap, at_slot
+
+# Deeper than any receiver by far more than any soft compare is wide.
+_NOTHING = 1e6
+# Of a part of a texel, in square texels: less cannot be told from none.
+_LEAST_AREA = 1e-9
+
+
+class PaddedMap(eqx.Module):
+    """A shadow map's depths as one row of memory, padded with depths that shadow nothing.
+
+    - `margin`: texels on each side.
+    - `silhouettes`: where casters end within texels, if that is known.
+    """
+
+    depth: Float[Array, " n"]
+    height: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    margin: int = eqx.field(static=True)
+    silhouettes: "_PaddedSilhouettes | None" = None
+
+    @property
+    def stride(self) -> int:
+        """Places from a texel to the one above it."""
+        return self.width + 2 * self.margin
+
+    def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
+        """Where texel (x, y), whole numbers, is stored: clamped so that a `margin` of texels from there on exist."""
+        clamp = lambda p, size: jnp.clip(p, -self.margin, size).astype(jnp.int32) + self.margin
+        row = clamp(y, self.height)
+        if layer is not None:
+            row = row + layer * (self.height + 2 * self.margin)
+        return row * self.stride + clamp(x, self.width)
+
+    def at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int = 0) -> Float[Array, "*n"]:
+        """The depths stored `skip` places after `place`: fewer than `margin` texels to the right, and up.
+
+        Look-ups that differ by `skip` alone share what it takes to find them.
+        """
+        return self._read(self.depth, place, skip)
+
+    def mean(
+        self,
+        function: Callable[[Array], Array],
+        place: Int[Array, "*n"],
+        skip: Int[Array, ""] | int = 0,
+        part: Rectangle = WHOLE_TEXEL,
+    ) -> Float[Array, "*n"]:
+        """The mean, over a `part` of the texel there, of a function of the stored depth."""
+        plain = function(self.at(place, skip))
+        if self.silhouettes is None:
+            return plain
+        found = self.silhouettes.map
+        slot = self._read(found.slot, place, skip)
+        held = jnp.maximum(slot, 0)
+        inner, outer = (function(at_slot(depth, held)) for depth in (found.inner, found.outer))
+        area = (part.right - part.left) * (part.above - part.below)
+        share = found.area_within(held, part) / jnp.maximum(area, _LEAST_AREA)
+        return jnp.where(slot == NO_SILHOUETTE, plain, outer + share * (inner - outer))
+
+    def without_silhouettes(self) -> "PaddedMap":
+        """The map as its texels' centres saw it."""
+        return dataclasses.replace(self, silhouettes=None)
+
+    def _read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
+        from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
+        return from_there.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
+    """The map, padded by the texels that a look-up reads along a side, with empty texels that shadow nothing."""
+    height, width = shadow_map.resolution
+    hides = lambda depth: jnp.where(depth < 1, depth, _NOTHING)
+
+    def padded(values: Array, beyond: int | float) -> Array:
+        sides = [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2
+        # Else XLA pads anew for each reader, or, texel by texel, for one row of memory.
+        return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
+
+    silhouettes, found = None, shadow_map.silhouettes
+    if found is not None:
+        where = lambda found: (found.slot, found.inner, found.outer)
+        new = padded(found.slot, NO_SILHOUETTE), hides(found.inner), hides(found.outer)
+        silhouettes = _PaddedSilhouettes(eqx.tree_at(where, found, new), _Pyramid.of(found.slot != NO_SILHOUETTE))
+    return PaddedMap(padded(hides(shadow_map.depth), _NOTHING), height, width, margin, silhouettes)
+
+
+class _PaddedSilhouettes(eqx.Module):
+    """Silhouettes whose slots are padded as their map is, and which texels have one."""
+
+    map: SilhouetteMap
+    texels: "_Pyramid"
+
+
+class _Pyramid(eqx.Module):
+    """Which blocks of 1, 2, 4, ... texels a side hold a marked one, from the finest level to the coarsest.
+
+    - `marked`: of all levels, one after the other; `levels`: (first, rows, columns) of each.
+    """
+
+    marked: Bool[Array, " n"]
+    levels: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, marked: Bool[Array, "*l h w"]) -> "_Pyramid":
+        level, first = marked.reshape(-1, *marked.shape[-2:]), 0
+        flat, levels = [], []
+        while True:
+            _, rows, columns = level.shape
+            flat.append(level.reshape(-1))
+            levels.append((first, rows, columns))
+            first += level.size
+            if rows == columns == 1:
+                return cls(jnp.concatenate(flat), tuple(levels))
+            even = jnp.pad(level, ((0, 0), (0, rows % 2), (0, columns % 2)))
+            level = even[:, ::2, ::2] | even[:, 1::2, ::2] | even[:, ::2, 1::2] | even[:, 1::2, 1::2]
+
+    def any_within(
+        self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None, reach: Float[Array, "..."]
+    ) -> Bool[Array, "*n"]:
+        """Whether there may be a marked texel within a square of half width `reach` texels round each (x, y).
+
+        The least blocks as wide as the square are asked: it touches two by two of them at the most.
+        """
+        x, y, reach = lax.stop_gradient((x, y, reach))
+        level = jnp.ceil(jnp.log2(jnp.maximum(2 * reach, 1))).astype(jnp.int32)
+        level = jnp.minimum(level, len(self.levels) - 1)
+        first, rows, columns = jnp.moveaxis(jnp.array(self.levels, jnp.int32)[level], -1, 0)
+        block = lambda place, size: jnp.clip(place * 0.5**level, 0, size - 1).astype(jnp.int32)
+        before = 0 if layer is None else layer
+        found = jnp.zeros(x.shape, bool)
+        for row in (block(y - reach, rows), block(y + reach, rows)):
+            for column in (block(x - reach, columns), block(x + reach, columns)):
+                place = first + (before * rows + row) * columns + column
+                found = found | self.marked.at[place].get(mode="promise_in_bounds")
+        # Squares beyond the border would find what is on it.
+        return found & (x + reach >= 0)
