@@ -66,7 +66,7 @@ def main() -> None:
         "map and silhouettes": draw,
         "plain step": lambda by: loss(by, outlines=False),
         "step": loss,
-        "step and gradient, forward": lambda by: (loss(by), jax.jacfwd(loss)(by)),
+        "step and gradient, forward": jax.jacfwd(lambda by: (loss(by),) * 2, has_aux=True),
         "step and gradient, reverse": jax.value_and_grad(loss),
     }
     start = jnp.zeros(6)

@@ -79,8 +79,7 @@ def test_weights_of_the_box_sum_to_one(radius, rng):
     radius = jnp.float32(max(radius, 1e-3))
     position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
     first, edge = _lower_edge(position, radius)
-    covered = (_covered(edge, radius, i) for i in range(7))
-    shares = [(high - low) / (2 * radius) for low, high in covered]
+    shares = [_covered(edge, radius, i).weight / (2 * radius) for i in range(7)]
     np.testing.assert_allclose(sum(shares), 1, atol=3e-5)
     # The box lies round the position: its lower edge is a radius below.
     own = jnp.floor(position)

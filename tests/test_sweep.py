@@ -557,6 +557,22 @@ def test_missing_scheduler_is_told(quick, monkeypatch):
         study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
 
 
+def test_sweep_whose_workers_are_gone_ends_with_what_to_do(quick, monkeypatch):
+    from distributed import Client, LocalCluster
+
+    from diffshadow.study import _sweep_pool as sweep_pool
+    from diffshadow.study._sweep_work import Batch
+
+    monkeypatch.setattr(sweep_pool, "_WORKERS_PATIENCE", 0.2)
+    batch = Batch(*[None] * len(Batch._fields))
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as none,
+        Client(none) as client,
+        pytest.raises(ConnectionError, match=r"all Dask workers are gone.*start the sweep again"),
+    ):
+        next(sweep_pool.OnCluster(client).outcomes([batch]))
+
+
 # Runs that take no time, in the workers as well: they load the script that they were started from.
 QUICK_COMMAND = """
 import sys

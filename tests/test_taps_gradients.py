@@ -21,8 +21,10 @@ from diffshadow.shadow import (
     SoftCompare,
     stratified,
 )
+from diffshadow.shadow._kernel import Sites
 from diffshadow.shadow._padded_map import pad
-from diffshadow.shadow._taps import Sites, _DiskTap, _plain_sum, mean_of_taps, sum_of_parts
+from diffshadow.shadow._sum import _Plain, _sum, sum_over
+from diffshadow.shadow._taps import Tap, mean_of_taps
 from diffshadow.shadow.filters._pcf import _Row
 
 NAMES = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
@@ -65,11 +67,11 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel, light):
     np.testing.assert_allclose(gradient, slopes, rtol=0.01)
 
 
-PARTS = {"bilinear": _DiskTap("bilinear"), "nearest": _DiskTap("nearest"), "pcf": _Row(2.5)}
+KERNELS = {"bilinear": Tap("bilinear"), "nearest": Tap("nearest"), "pcf": _Row(2.5)}
 
 
 def sum_arguments(seed, name):
-    """What `sum_of_parts` takes, at random, with sites whose planes are followed."""
+    """What `sum_over` takes, at random, with sites whose planes are followed."""
     rng = np.random.default_rng(seed)
     shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (6, 7), (9, 9))
     slope = tuple(jnp.asarray(rng.normal(scale=0.05, size=(6, 7))) for _ in range(2))
@@ -78,29 +80,29 @@ def sum_arguments(seed, name):
     deepest = lookup.depth + jnp.asarray(rng.uniform(0, 0.1, (6, 7)))
     sites = Sites(x, y, lookup.depth, lookup.depth_per_texel, slope, None, radius, deepest=deepest)
     steps = jnp.arange(6) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 10, 1, 1))))
-    return PARTS[name], pad(shadow_map, 6), SoftCompare(1.3), sites, steps
+    return KERNELS[name], pad(shadow_map, 6), SoftCompare(1.3), sites, steps
 
 
 def moving(function, arguments):
     """`function` of a sum's arguments as one of all that it may be differentiated by, and those."""
-    part, padded, compare, sites, steps = arguments
+    kernel, padded, compare, sites, steps = arguments
     primals = (padded.depth, compare.width, sites.x, sites.y, sites.depth, sites.depth_per_texel, *sites.slope)
     primals += (sites.deepest, sites.radius)
 
     def moved(depth, width, x, y, receiver, unit, slope_x, slope_y, deepest, radius):
         new = eqx.tree_at(lambda p: p.depth, padded, depth)
         at = Sites(x, y, receiver, unit, (slope_x, slope_y), None, radius, deepest=deepest)
-        return function(part, new, eqx.tree_at(lambda c: c.width, compare, width), at, steps)
+        return function(kernel, new, eqx.tree_at(lambda c: c.width, compare, width), at, steps)
 
     return moved, primals
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", KERNELS)
 def test_custom_derivative_is_the_plain_one(name):
     with jax.enable_x64(True):
         rng = np.random.default_rng(1)
-        custom, primals = moving(sum_of_parts, sum_arguments(0, name))
-        plain, _ = moving(_plain_sum, sum_arguments(0, name))
+        custom, primals = moving(sum_over, sum_arguments(0, name))
+        plain, _ = moving(lambda kernel, *rest: _sum(_Plain(kernel), *rest, None), sum_arguments(0, name))
         both = jax.jit(lambda p, t: (jax.jvp(custom, p, t), jax.jvp(plain, p, t)))
         zeros = tuple(jnp.zeros_like(p) for p in primals)
         directions = [tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)]
@@ -115,11 +117,11 @@ def test_custom_derivative_is_the_plain_one(name):
             assert (np.abs(np.asarray(expected[1])).max() == 0) == flat
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", KERNELS)
 def test_forward_and_reverse_mode_agree(name):
     with jax.enable_x64(True):
         rng = np.random.default_rng(2)
-        function, primals = moving(sum_of_parts, sum_arguments(3, name))
+        function, primals = moving(sum_over, sum_arguments(3, name))
         tangents = tuple(jnp.asarray(rng.normal(size=p.shape)) for p in primals)
         weight = jnp.asarray(rng.normal(size=(6, 7)))
 

@@ -5,7 +5,6 @@ padded by as many texels as a look-up reads along a side: clamped look-ups then 
 no branch is needed.
 """
 
-import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -13,9 +12,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._cut_rectangle import WHOLE_TEXEL, Rectangle
+from ._cut_rectangle import Rectangle
 from ._map import ShadowMap
-from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap, at_slot
+from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
 
 # Deeper than any receiver by far more than any soft compare is wide.
 _NOTHING = 1e6
@@ -49,39 +48,43 @@ class PaddedMap(eqx.Module):
             row = row + layer * (self.height + 2 * self.margin)
         return row * self.stride + clamp(x, self.width)
 
-    def at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int = 0) -> Float[Array, "*n"]:
+    def depth_at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Float[Array, "*n"]:
         """The depths stored `skip` places after `place`: fewer than `margin` texels to the right, and up.
 
         Look-ups that differ by `skip` alone share what it takes to find them.
         """
         return self._read(self.depth, place, skip)
 
-    def mean(
-        self,
-        function: Callable[[Array], Array],
-        place: Int[Array, "*n"],
-        skip: Int[Array, ""] | int = 0,
-        part: Rectangle = WHOLE_TEXEL,
-    ) -> Float[Array, "*n"]:
-        """The mean, over a `part` of the texel there, of a function of the stored depth."""
-        plain = function(self.at(place, skip))
-        if self.silhouettes is None:
-            return plain
-        found = self.silhouettes.map
-        slot = self._read(found.slot, place, skip)
-        held = jnp.maximum(slot, 0)
-        inner, outer = (function(at_slot(depth, held)) for depth in (found.inner, found.outer))
-        area = (part.right - part.left) * (part.above - part.below)
-        share = found.area_within(held, part) / jnp.maximum(area, _LEAST_AREA)
-        return jnp.where(slot == NO_SILHOUETTE, plain, outer + share * (inner - outer))
+    def has_silhouette(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Bool[Array, "*n"]:
+        """Whether a caster ends in the texel `skip` places after `place`. Only for maps with silhouettes."""
+        return self._read(self._found.slot, place, skip) != NO_SILHOUETTE
 
-    def without_silhouettes(self) -> "PaddedMap":
-        """The map as its texels' centres saw it."""
-        return dataclasses.replace(self, silhouettes=None)
+    def change_by_silhouette(
+        self, function: Callable[[Array], Array], place: Int[Array, "*n"], part: Rectangle
+    ) -> Float[Array, "*n"]:
+        """By how much the mean of a function of depth, over a `part` of a texel, differs from that of the stored depth.
+
+        Only for texels with a silhouette.
+        """
+        found = self._found
+        slot = jnp.maximum(_at(found.slot, place), 0)
+        inner, outer = function(_at(found.inner, slot)), function(_at(found.outer, slot))
+        area = (part.right - part.left) * (part.above - part.below)
+        share = found.area_within(slot, part) / jnp.maximum(area, _LEAST_AREA)
+        return outer + share * (inner - outer) - function(_at(self.depth, place))
+
+    @property
+    def _found(self) -> SilhouetteMap:
+        assert self.silhouettes is not None
+        return self.silhouettes.map
 
     def _read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
-        return from_there.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return _at(from_there, place)
+
+
+def _at(values: Array, place: Int[Array, "*n"]) -> Array:
+    return values.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:

@@ -62,13 +62,9 @@ class SilhouetteMap(eqx.Module):
 
     def area_within(self, slot: Int[Array, "*n"], part: Rectangle) -> Float[Array, "*n"]:
         """The area, in square texels, of a `part` of a texel, seen from its centre, that lies in both half-planes."""
-        one, other = (HalfPlane(*(at_slot(values, slot) for values in plane)) for plane in self.planes)
+        at = lambda values: values.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        one, other = (HalfPlane(*map(at, plane)) for plane in self.planes)
         return cut_area(part, one, other)
-
-
-def at_slot(values: Float[Array, " s"], slot: Int[Array, "*n"]) -> Float[Array, "*n"]:
-    """The values of silhouettes that exist."""
-    return values.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 class Outline(eqx.Module):
@@ -192,13 +188,12 @@ def find_silhouettes(
         "expected as much as there are sides of texels that they cross: call plan_shadow_map(...) on them",
     )
     sides, texel = _cross(outline, corners.reshape(-1), grid, room)
-    beside = jnp.arange(2 * room, dtype=jnp.int32)
-    slot = jnp.full(depth.size + 1, 2 * room, jnp.int32).at[texel].min(beside)[:-1]
     planes, inner, outer, crosses = _contour(
         depth.reshape(-1), corners.reshape(-1), sides, jnp.minimum(texel, depth.size - 1), grid
     )
-    has = (slot < 2 * room) & crosses[jnp.minimum(slot, 2 * room - 1)]
-    return SilhouetteMap(jnp.where(has, slot, NO_SILHOUETTE).reshape(depth.shape), planes, inner, outer)
+    beside = jnp.arange(2 * room, dtype=jnp.int32)
+    slot = jnp.full(depth.size + 1, NO_SILHOUETTE, jnp.int32).at[jnp.where(crosses, texel, depth.size)].max(beside)[:-1]
+    return SilhouetteMap(slot.reshape(depth.shape), planes, inner, outer)
 
 
 def _cross(outline: Outline, corners: Float[Array, " k"], grid: _Grid, room: int) -> tuple[_Sides, Int[Array, " t"]]:

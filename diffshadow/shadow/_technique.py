@@ -53,6 +53,8 @@ class ShadowMapping(eqx.Module):
         lookup, _ = self._look_up(shadow_map, surface)
         return surface.mask & within_frustum(lookup, shadow_map)
 
+    @eqx.filter_checkpoint
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
+        # Reverse mode works this out anew: keeping what it needs of every pixel in memory takes longer.
         at = receiver(shadow_map, surface)
         return look_up(shadow_map, at, self.bias(at)), at.cosine

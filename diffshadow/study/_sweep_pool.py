@@ -5,6 +5,7 @@ A local worker has one thread, so that as many workers as cores share the machin
 
 import logging
 import os
+import time
 import uuid
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -23,6 +24,10 @@ _ONE_THREAD = {
 _BYTES_A_WORKER = 1_500_000_000
 # Seconds to wait for a scheduler, and for its first worker.
 _PATIENCE = 15
+# Seconds to wait for a worker once all have died: a busy machine takes long to start one.
+_WORKERS_PATIENCE = 120
+# Seconds between looks at what is finished.
+_POLL = 0.1
 
 
 class InProcess:
@@ -51,14 +56,16 @@ class OnCluster:
     def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, as they come. What a worker that dies had begun is done by another.
 
-        **Raises** `OSError` if the scheduler is lost or a worker cannot write, `ValueError` if one lacks this package.
+        **Raises** `OSError` if the scheduler or all workers are lost or one cannot write, `ValueError` if one lacks this
+        package.
         """
         from distributed import KilledWorker, as_completed
 
         waiting = {self._submit(batch): batch for batch in batches}
         finished = as_completed(list(waiting))
         try:
-            for future in finished:
+            while waiting:
+                future = self._next(finished)
                 batch = waiting.pop(future)
                 try:
                     yield from future.result()
@@ -84,6 +91,21 @@ class OnCluster:
                     ) from error
         finally:
             self._client.cancel(list(waiting))
+
+    def _next(self, finished: Any) -> Any:
+        """The next run's future. **Raises** `OSError` if workers die and none comes: Dask would wait for ever."""
+        last_seen = time.monotonic()
+        while not finished.has_ready():
+            time.sleep(_POLL)
+            if self.workers:
+                last_seen = time.monotonic()
+            elif time.monotonic() - last_seen > _WORKERS_PATIENCE:
+                raise ConnectionError(
+                    f"all Dask workers are gone, and for {_WORKERS_PATIENCE} seconds none has come; expected at least "
+                    "one: see why they died (too little memory?), then start the sweep again, and only what is missing "
+                    "is done"
+                )
+        return next(finished)
 
     def _submit(self, batch: Batch) -> Any:
         return self._client.submit(work, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float, Int
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
-from .._cut_rectangle import Rectangle
+from .._kernel import AbstractKernel, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._padded_map import PaddedMap, pad
-from .._taps import Sites, sites_of, sum_of_parts
+from .._padded_map import pad
+from .._sum import sum_over
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit
 
@@ -51,10 +51,10 @@ class PercentageCloser(AbstractFilter):
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         row = _Row(self.max_radius)
         sites = sites_of(lookup, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
-        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
+        return sum_over(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
 
 
-class _Row(eqx.Module):
+class _Row(AbstractKernel):
     """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
 
     max_radius: float = eqx.field(static=True)
@@ -68,21 +68,14 @@ class _Row(eqx.Module):
     def cost(self) -> float:
         return _COST_OF_A_TEXEL * self.texels
 
-    def __call__(
-        self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, number: Int[Array, ""]
-    ) -> Float[Array, "*n"]:
+    def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
         column, left = _lower_edge(sites.x, sites.radius)
         row, below = _lower_edge(sites.y, sites.radius)
-        place = padded.place(column, row, sites.layer)
-        below, above = _covered(below, sites.radius, number)
-        total = 0.0
-        for i in range(self.texels):
-            low, high = _covered(left, sites.radius, i)
-            part = Rectangle(low - 0.5, high - 0.5, below - 0.5, above - 0.5)
-            total = total + (high - low) * sites.lit(padded, compare, place, column, row, i, number, part)
-        return (above - below) * total / (2 * sites.radius) ** 2
+        columns = [_covered(left, sites.radius, i) for i in range(self.texels)]
+        own = _covered(below, sites.radius, step)
+        return Footprint(column, row, columns, [own._replace(weight=own.weight / (2 * sites.radius) ** 2)], step)
 
-    def reach(self, sites: Sites, numbers: Any) -> Float[Array, "..."]:
+    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
         return sites.radius
 
 
@@ -95,8 +88,9 @@ def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tu
     return own + first, edge - first
 
 
-def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> tuple[Array, Array]:
-    """From where to where a box covers texel `number` from the one its lower `edge` lies in."""
+def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Span:
+    """The part that a box covers of texel `number` from the one its lower `edge` lies in."""
     upper = edge + 2 * radius - number
     # Rather than a clip, whose derivatives halve on its corners at some cost.
-    return jnp.where(number == 0, edge, 0), jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))
+    low, high = jnp.where(number == 0, edge, 0), jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))
+    return Span(high - low, low - 0.5, high - 0.5)

@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, Int
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
+from .._kernel import AbstractKernel, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._padded_map import PaddedMap, pad
-from .._taps import Sites, sites_of, sum_of_parts
+from .._padded_map import pad
+from .._sum import sum_over
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit, share
 
@@ -48,10 +49,10 @@ class Tent(AbstractFilter):
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         row = _Row(self.max_radius)
         sites = sites_of(lookup, jnp.minimum(self.radius, self.max_radius))
-        return sum_of_parts(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
+        return sum_over(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
 
 
-class _Row(eqx.Module):
+class _Row(AbstractKernel):
     """One row of the tent's texels, numbered from the lowest that the widest tent covers."""
 
     max_radius: float = eqx.field(static=True)
@@ -65,15 +66,11 @@ class _Row(eqx.Module):
     def cost(self) -> float:
         return _COST_OF_A_TEXEL * self.texels
 
-    def __call__(
-        self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, number: Int[Array, ""]
-    ) -> Float[Array, "*n"]:
+    def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
         column, left = self._first(sites.x)
         row, below = self._first(sites.y)
-        place = padded.place(column, row, sites.layer)
-        weight = lambda first, i: share("tent", sites.radius, first + i, first + (i + 1))
-        taps = (weight(left, i) * sites.lit(padded, compare, place, column, row, i, number) for i in range(self.texels))
-        return weight(below, number) * sum(taps, start=jnp.zeros_like(sites.x))
+        span = lambda first, i: Span(share("tent", sites.radius, first + i, first + (i + 1)))
+        return Footprint(column, row, [span(left, i) for i in range(self.texels)], [span(below, step)], step)
 
     def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
         return sites.radius
