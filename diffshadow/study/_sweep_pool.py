@@ -56,8 +56,8 @@ class OnCluster:
     def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, as they come. What a worker that dies had begun is done by another.
 
-        **Raises** `OSError` if the scheduler or all workers are lost or one cannot write, `ValueError` if one lacks this
-        package.
+        **Raises** `OSError` if the scheduler or all workers are lost or one cannot write, `ValueError` if one lacks
+        this package.
         """
         from distributed import KilledWorker, as_completed
 
