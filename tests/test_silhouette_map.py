@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import lookups_at
 from shadow_area_oracle import difference, lit_area
 
 from diffshadow.geometry import DirectionalLight, Edges, Mesh, PointLight, SpotLight, library_mesh
@@ -294,6 +295,35 @@ def test_every_filter_sees_the_outline(name):
     # A spread of samples is as good as it is.
     allowed = {"random_disk": 4e-3, "pcss": 8e-3}.get(name, 2e-3)
     assert fine == pytest.approx(exact, abs=allowed)
+
+
+def test_receivers_that_move_see_outlines_pass_and_no_steps_between_texels():
+    """A light that moves takes texels along: what only depends on where these lie, such as acne, has no derivative."""
+    shadow_map = _scene()[-1]
+    rng = np.random.default_rng(0)
+    # Half of the square: the border of what is looked at crosses it.
+    x, y = rng.uniform(4, 24, (120, 120)), rng.uniform(4, 44, (120, 120))
+    depths = np.asarray(shadow_map.depth)
+    depths = depths[depths < 1]
+    # Among the square's depths, which of its texels shadow changes from one to the next; beyond them, all do.
+    among, beyond = float(np.median(depths)), float(depths.max()) + 0.01
+
+    @eqx.filter_jit
+    def lit(shadow_map, lookup, along):
+        moved = dataclasses.replace(lookup, texel=lookup.texel + along * jnp.array([1.0, 0.0]))
+        return jnp.sum(Bilinear()(shadow_map, moved, HardCompare()))
+
+    at = lambda depth: lookups_at(x, y, depth)
+    slope = lambda depth, of: float(jax.jacfwd(lambda along: lit(of, at(depth), along))(jnp.float32(0)))
+    outlines = shadow_map.silhouettes
+    none = dataclasses.replace(
+        shadow_map, silhouettes=dataclasses.replace(outlines, slot=jnp.full_like(outlines.slot, -1))
+    )
+    plain = dataclasses.replace(shadow_map, silhouettes=None)
+    assert slope(among, none) == 0 != slope(among, plain)
+    step = 0.25
+    ahead, behind = (float(lit(shadow_map, at(beyond), jnp.float32(sign * step))) for sign in (1, -1))
+    assert slope(beyond, shadow_map) == pytest.approx((ahead - behind) / (2 * step), rel=0.05)
 
 
 def test_hard_shadows_end_where_casters_do():

@@ -1,12 +1,15 @@
 """Residuals where lights or meshes move: the map, and if need be the surface, are drawn anew at every step."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._misc import normalize, round_up_to_power_of_two
@@ -17,6 +20,11 @@ from ..shadow import ShadowMap, draw_shadow_map, plan_shadow_map
 from ._arrangement import Arrangement
 from ._parameters import with_values
 
+# The standard deviation, in coarse pixels, of the Gaussian under which coarse images are compared: a shadow that lies
+# further off than an outline is wide is otherwise not seen to be there.
+_BLUR = 3.0
+# By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
+_FINER_MAP = 2
 # What poses elsewhere within the bounds may need beyond the greatest need that was seen.
 _HEADROOM = 2
 _MORE_SILHOUETTES = 4
@@ -83,6 +91,7 @@ class PoseProblem(eqx.Module):
     - `surface`: what the camera sees; none to draw it anew, which it must be unless what moves is out of sight.
     - `room`: what drawing may take, see `planned`; without it, nothing may be traced.
     - `edges`: of all that casts, which `planned` finds if the settings ask for silhouettes.
+    - `blur`: standard deviation, in pixels, of the Gaussian under which differences count; 0 for none.
     """
 
     arrangement: Arrangement
@@ -97,6 +106,7 @@ class PoseProblem(eqx.Module):
     surface: Surface | None = None
     room: Room | None = eqx.field(static=True, default=None)
     edges: Edges | None = None
+    blur: float = eqx.field(static=True, default=0.0)
 
     @property
     def subject(self) -> Arrangement:
@@ -114,12 +124,12 @@ class PoseProblem(eqx.Module):
         return jnp.sum(self.weight)
 
     def difference(self, arrangement: Arrangement) -> Float[Array, "h w"]:
-        """Visibility less reference, times the square root of the pixel's weight."""
+        """Visibility less reference, times the square root of the pixel's weight, blurred."""
         shadow_map, surface = self.draw(arrangement)
         visibility = arrangement.technique.visibility(shadow_map, surface) * cone_share(shadow_map.light, surface)
         counts = self.weight > 0
         root = jnp.sqrt(jnp.where(counts, self.weight, 1))
-        return jnp.where(counts, (visibility - self.reference) * root, 0)
+        return _blurred(jnp.where(counts, (visibility - self.reference) * root, 0), self.blur)
 
     def draw(self, arrangement: Arrangement) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement."""
@@ -140,14 +150,14 @@ class PoseProblem(eqx.Module):
         return shadow_map, draw_surface(merge(meshes), self.camera, capacity=room.from_camera)
 
     def at_level(self, level: int) -> "PoseProblem":
-        """The problem seen with `level` x `level` pixels made one, and as much coarser a map.
+        """The problem seen with `level` x `level` pixels made one, and a map that is half as much coarser.
 
         A filter's radius in texels stays, so that it spans as much more of the scene. The reference's pixels are means
-        of those that count.
+        of those that count, and differences are blurred.
         """
         if level == 1:
             return self
-        smaller = lambda size: (size[0] // level, size[1] // level)
+        smaller = lambda size, by=level: (size[0] // by, size[1] // by)
         blocks = lambda image: image.reshape(image.shape[0] // level, level, image.shape[1] // level, level)
         mean = lambda image: blocks(image).mean(axis=(1, 3))
         weight = mean(self.weight)
@@ -159,9 +169,10 @@ class PoseProblem(eqx.Module):
             camera=camera,
             reference=reference,
             weight=weight,
-            settings=self.settings._replace(resolution=smaller(self.settings.resolution)),
+            settings=self.settings._replace(resolution=smaller(self.settings.resolution, max(1, level // _FINER_MAP))),
             surface=None if self.surface is None else draw_surface(merge(self.meshes), camera),
             room=None if self.room is None else self.room.coarser(),
+            blur=_BLUR,
         )
 
     def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "PoseProblem":
@@ -208,6 +219,20 @@ def cone_share(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
         return jnp.ones(surface.mask.shape)
     share = light.cone(normalize(light.towards(surface.position)))
     return jnp.where(surface.mask, share, 1)
+
+
+def _blurred(image: Float[Array, "h w"], deviation: float) -> Float[Array, "h w"]:
+    """An image under a Gaussian of this standard deviation in pixels, and 0 beyond its border."""
+    if deviation == 0:
+        return image
+
+    def along(size: int) -> np.ndarray:
+        distance = np.arange(size)[:, None] - np.arange(size)
+        return np.exp(-0.5 * (distance / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi))
+
+    height, width = image.shape
+    product = partial(jnp.matmul, precision="highest")
+    return product(product(along(height).astype(image.dtype), image), along(width).astype(image.dtype))
 
 
 def is_overflow(error: RuntimeError) -> bool:

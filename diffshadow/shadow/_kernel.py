@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ._compare import AbstractCompare
@@ -36,6 +37,10 @@ class Sites(eqx.Module):
     radius: Float[Array, "..."]
     turn: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None
     deepest: Float[Array, "*n"] | None = None
+
+    def held(self) -> "Sites":
+        """Without derivative by position."""
+        return eqx.tree_at(lambda s: (s.x, s.y), self, lax.stop_gradient((self.x, self.y)))
 
     def map(self, function: Callable[[Array], Array]) -> "Sites":
         """With `function` of every array but a `radius` of all."""
@@ -90,11 +95,16 @@ class Footprint(NamedTuple):
         return sum((span.weight * row(self.up + j) for j, span in enumerate(self.rows)), start=jnp.zeros_like(sites.x))
 
     def correction(
-        self, padded: PaddedMap, compare: AbstractCompare, sites: Sites, number: Int[Array, "*n"]
+        self,
+        padded: PaddedMap,
+        compare: AbstractCompare,
+        sites: Sites,
+        number: Int[Array, "*n"],
+        motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
     ) -> Float[Array, "*n"]:
         """By how much the sum changes as a caster ends in the texel of this `number`, which has a silhouette.
 
-        It then counts by the mean over the part of it that is covered.
+        It then counts by the mean over the part of it that is covered. With a `motion`, the outline has moved by that.
         """
         i, j = number % len(self.columns), number // len(self.columns)
         column, row = _choose(self.columns, i), _choose(self.rows, j)
@@ -102,7 +112,7 @@ class Footprint(NamedTuple):
         depth = self._depth(sites, i, self.up + j)
         against = lambda stored: compare(stored, depth, sites.depth_per_texel)
         part = Rectangle(column.low, column.high, row.low, row.high)
-        return column.weight * row.weight * padded.change_by_silhouette(against, place, part)
+        return column.weight * row.weight * padded.change_by_silhouette(against, place, part, motion)
 
     def _depth(self, sites: Sites, right: Array | int, up: Array | int) -> Float[Array, "*n"]:
         """What a texel is compared with: the depth at which its centre meets the receiver's plane."""

@@ -60,17 +60,21 @@ class PaddedMap(eqx.Module):
         return self._read(self._found.slot, place, skip) != NO_SILHOUETTE
 
     def change_by_silhouette(
-        self, function: Callable[[Array], Array], place: Int[Array, "*n"], part: Rectangle
+        self,
+        function: Callable[[Array], Array],
+        place: Int[Array, "*n"],
+        part: Rectangle,
+        motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None,
     ) -> Float[Array, "*n"]:
         """By how much the mean of a function of depth, over a `part` of a texel, differs from that of the stored depth.
 
-        Only for texels with a silhouette.
+        Only for texels with a silhouette, which is taken to have moved by `motion`.
         """
         found = self._found
         slot = jnp.maximum(_at(found.slot, place), 0)
         inner, outer = function(_at(found.inner, slot)), function(_at(found.outer, slot))
         area = (part.right - part.left) * (part.above - part.below)
-        share = found.area_within(slot, part) / jnp.maximum(area, _LEAST_AREA)
+        share = found.area_within(slot, part, motion) / jnp.maximum(area, _LEAST_AREA)
         return outer + share * (inner - outer) - function(_at(self.depth, place))
 
     @property

@@ -45,12 +45,15 @@ class SilhouetteMap(eqx.Module):
     - `slot`: (h, w), or (l, h, w), where each texel's silhouette stands in the other arrays; `NO_SILHOUETTE` for none.
     - `planes`: two half-planes, (s,) each, in texels from the texel's centre. They carry the outline's derivative.
     - `inner`, `outer`: (s,), window depths where both planes hold, and elsewhere in the texel; 1 for nothing.
+    - `follows`: (s,), whether the outline is that of silhouette edges, and moves as they do. Elsewhere samples alone
+        tell that there is one, such as where meshes cut through each other.
     """
 
     slot: Int[Array, "*l h w"]
     planes: tuple[HalfPlane, HalfPlane]
     inner: Float[Array, " s"]
     outer: Float[Array, " s"]
+    follows: Bool[Array, " s"]
 
     def mean_of(self, function: Callable[[Array], Any], depth: Float[Array, "*l h w"]) -> Any:
         """The mean over each texel of a function of depth, which gives arrays of its shape; `depth` is the map's."""
@@ -60,11 +63,28 @@ class SilhouetteMap(eqx.Module):
         pick = lambda plain, mean: jnp.where(self.slot == NO_SILHOUETTE, plain, mean[jnp.maximum(self.slot, 0)])
         return jax.tree.map(pick, function(depth), means)
 
-    def area_within(self, slot: Int[Array, "*n"], part: Rectangle) -> Float[Array, "*n"]:
-        """The area, in square texels, of a `part` of a texel, seen from its centre, that lies in both half-planes."""
-        at = lambda values: values.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
-        one, other = (HalfPlane(*map(at, plane)) for plane in self.planes)
-        return cut_area(part, one, other)
+    def area_within(
+        self,
+        slot: Int[Array, "*n"],
+        part: Rectangle,
+        motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
+    ) -> Float[Array, "*n"]:
+        """The area, in square texels, of a `part` of a texel, seen from its centre, that lies in both half-planes.
+
+        With a `motion`, half-planes that follow edges have moved by that, in texels.
+        """
+
+        at_slot = lambda values: values.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+        def moved(plane: HalfPlane) -> HalfPlane:
+            x, y, offset = map(at_slot, plane)
+            if motion is None:
+                return HalfPlane(x, y, offset)
+            along = x * motion[0] + y * motion[1]
+            return HalfPlane(x, y, offset + jnp.where(at_slot(self.follows), along, 0))
+
+        one, other = self.planes
+        return cut_area(part, moved(one), moved(other))
 
 
 class Outline(eqx.Module):
@@ -188,12 +208,12 @@ def find_silhouettes(
         "expected as much as there are sides of texels that they cross: call plan_shadow_map(...) on them",
     )
     sides, texel = _cross(outline, corners.reshape(-1), grid, room)
-    planes, inner, outer, crosses = _contour(
+    planes, inner, outer, follows, crosses = _contour(
         depth.reshape(-1), corners.reshape(-1), sides, jnp.minimum(texel, depth.size - 1), grid
     )
     beside = jnp.arange(2 * room, dtype=jnp.int32)
     slot = jnp.full(depth.size + 1, NO_SILHOUETTE, jnp.int32).at[jnp.where(crosses, texel, depth.size)].max(beside)[:-1]
-    return SilhouetteMap(slot.reshape(depth.shape), planes, inner, outer)
+    return SilhouetteMap(slot.reshape(depth.shape), planes, inner, outer, follows)
 
 
 def _cross(outline: Outline, corners: Float[Array, " k"], grid: _Grid, room: int) -> tuple[_Sides, Int[Array, " t"]]:
@@ -266,8 +286,9 @@ def _cross(outline: Outline, corners: Float[Array, " k"], grid: _Grid, room: int
 
 def _contour(
     depth: Float[Array, " m"], corners: Float[Array, " k"], sides: _Sides, texel: Int[Array, " t"], grid: _Grid
-) -> tuple[tuple[HalfPlane, HalfPlane], Float[Array, " t"], Float[Array, " t"], Bool[Array, " t"]]:
-    """The lines that the outline draws through texels (t,): planes, depths in and outside, and whether there are any.
+) -> tuple[tuple[HalfPlane, HalfPlane], Float[Array, " t"], Float[Array, " t"], Bool[Array, " t"], Bool[Array, " t"]]:
+    """The lines that the outline draws through texels (t,): planes, depths in and outside, whether it follows edges,
+    and whether there are any.
 
     Walking round a texel, anticlockwise from its lower left corner, casters begin and end. The outline runs from where
     one ends to where one begins, with the caster to its left.
@@ -332,7 +353,9 @@ def _contour(
 
     near = jnp.where(own < threshold, own, near)
     inner, outer = jnp.where(turned, far, near), jnp.where(turned, near, far)
-    return (one, two), inner, outer, jnp.any(is_end, axis=0)
+    known = lambda point: jnp.any(lax.stop_gradient(point.way) != 0, axis=-1)
+    follows = known(from_first) & known(to_first) & (~has_two | (known(from_second) & known(to_second)))
+    return (one, two), inner, outer, follows, jnp.any(is_end, axis=0)
 
 
 class _Point(NamedTuple):

@@ -90,12 +90,13 @@ def sum_over(
     if sites.depth.ndim == 2:
         blocks = Blocks.of(sites.depth.shape)
         return blocks.join(sum_over(kernel, padded, compare, sites.map(blocks.cut), steps))
-    plain = _total(_Plain(kernel), padded, compare, sites, steps, wanted)
+    held = padded.silhouettes is not None and not _sees_depths(compare, sites)
+    plain = _total(_Plain(kernel), padded, compare, sites.held() if held else sites, steps, wanted)
     if padded.silhouettes is None:
         return plain
     near = padded.silhouettes.texels.any_within(sites.x, sites.y, sites.layer, kernel.reach(sites, steps))
     near = near if wanted is None else near & wanted
-    return plain + _total(_Corrections(kernel), padded, compare, sites, steps, near)
+    return plain + _total(_Corrections(kernel, held), padded, compare, sites, steps, near)
 
 
 class _AbstractTerms(eqx.Module):
@@ -146,11 +147,21 @@ class _Plain(_AbstractTerms):
 
 
 class _Corrections(_AbstractTerms):
-    """What silhouettes change, one texel after another that has one; a step is a kernel's and the texel's number."""
+    """What silhouettes change, one texel after another that has one; a step is a kernel's and the texel's number.
+
+    - `moves_outlines`: whether a site that moves counts as if outlines moved the other way, and all else with it.
+    """
+
+    moves_outlines: bool = eqx.field(static=True)
 
     def term(self, padded, compare, sites, step):
         step, number = step
-        return self.kernel.footprint(sites, step).correction(padded, compare, sites, number)
+        if not self.moves_outlines:
+            return self.kernel.footprint(sites, step).correction(padded, compare, sites, number)
+        here = sites.held()
+        # No motion, but its derivative.
+        motion = here.x - sites.x, here.y - sites.y
+        return self.kernel.footprint(here, step).correction(padded, compare, here, number, motion)
 
     def add_up(self, function, padded, sites, like, steps):
         shape = sites.depth.shape
