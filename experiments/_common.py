@@ -38,7 +38,7 @@ from diffshadow.config import (
     build_shadow_mapping,
     load_config,
 )
-from diffshadow.study import _style as style
+from diffshadow.study import style
 
 BIAS, RADIUS = "bias.constant", "filter.radius"
 """The two numbers that most experiments are about."""

@@ -162,7 +162,7 @@ def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
 
 def test_pictures_show_every_pixel_with_its_colour(tmp_path):
     from diffshadow.study._page import picture
-    from diffshadow.study._style import NO_SURFACE
+    from diffshadow.study.style import NO_SURFACE
 
     image = np.array([[0.0, 1.0, np.nan], [0.5, 0.25, 1.0]], np.float32)
     shown = picture("x", image)
@@ -230,7 +230,7 @@ def test_figures_are_written_again_in_any_format(form, tmp_path):
 def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
     from matplotlib.colors import to_hex
 
-    from diffshadow.study import _style as style
+    from diffshadow.study import style
     from diffshadow.study._figures import parameters
     from diffshadow.study._stored import read_run
 

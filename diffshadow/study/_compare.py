@@ -96,7 +96,7 @@ def _errors(runs: Sequence[StoredRun]) -> list[Line]:
 def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]]) -> None:
     # Here, since they load Matplotlib.
     from . import _figures as figures
-    from . import _style as style
+    from . import style
     from ._page import difference_scale, picture, write_page
 
     limit, extend = figures.difference_limit([light for run in runs for light in run.lights], slice(-1, None))
@@ -130,7 +130,7 @@ def _named(labels: Sequence[str], runs: Sequence[StoredRun]) -> Iterator[tuple[s
 
 def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> Iterator[dict[str, Any]]:
     """The pictures light by light: references, one where all are equal, and each run's result and its difference."""
-    from . import _style as style
+    from . import style
     from ._page import picture
 
     for index in range(max(len(run.lights) for run in runs)):

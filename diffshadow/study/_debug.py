@@ -14,7 +14,7 @@ from .. import geometry, raster, shadow
 from .._types import HostArray
 from ..config import Config, Technique
 from . import _figures as figures
-from . import _style as style
+from . import style
 from ._setup import Drawn
 from ._shade import shade
 from ._techniques import visibility

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from .. import shadow
 from .._types import HostArray
-from . import _style as style
+from . import style
 from ._stored import LightImages, StoredRun
 
 Image = Float[HostArray, "h w"]

@@ -10,7 +10,7 @@ import jinja2
 
 from .. import io
 from .._types import HostArray
-from . import _style as style
+from . import style
 
 # A picture with more pixels along a side is shown smaller, so that pages stay a few megabytes.
 _MOST_PIXELS = 768

@@ -15,7 +15,7 @@ from .. import fit
 from .._types import HostArray
 from ..config import Casting, FitPlan
 from ..geometry import DirectionalLight, Mesh
-from . import _style as style
+from . import style
 
 Track = Float[HostArray, "n 3"]
 # Room round what is drawn, as a share of its extent.

@@ -117,7 +117,7 @@ def _errors(run: StoredRun) -> list[dict[str, Any]]:
 
 def _light(run: StoredRun, index: int, limit: float) -> dict[str, Any]:
     """The pictures of one light, each with a name of its own on the page."""
-    from . import _style as style
+    from . import style
     from ._page import picture
 
     light = run.lights[index]
@@ -142,7 +142,7 @@ def _shaded(run: StoredRun) -> list[Any]:
 def _curves(run: StoredRun) -> list[tuple[str, str]]:
     """The curves of a fit as SVG, each with its caption."""
     from . import _figures as figures
-    from . import _style as style
+    from . import style
 
     return [
         (

@@ -153,7 +153,7 @@ def _figure(
     folder: Path, result: Mapping[str, Any], runs: Runs, settings: Sequence[Row], form: str | None
 ) -> str | None:
     """The sweep's figure for the page, if it has one; written to the folder, too, where `form` says so."""
-    from . import _style as style
+    from . import style
     from ._sweep_figures import write_plot
 
     if result["settings"].get("plot") is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from ..config import PlotConfig
-from . import _style as style
+from . import style
 from ._sweep_curves import Curve
 
 _WIDTH, _HEIGHT = 4.1, 3.9
