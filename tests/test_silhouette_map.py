@@ -253,7 +253,6 @@ def test_poses_move_shadows(caster, light, float64):
     # A point light's map spreads over six faces, and a bunny's triangles are small.
     resolution = 512 if light == "point" or caster == "bunny" else 256
     value, exact, gradient, truth = _gradient(mesh, light, resolution, 1536)
-    print(caster, light, float(value), exact, np.asarray(gradient), truth)
     assert value == pytest.approx(exact, rel=2e-3)
     np.testing.assert_allclose(gradient, truth, atol=0.03 * np.abs(truth).max())
 
