@@ -1,7 +1,6 @@
 """Residuals where lights or meshes move: the map, and if need be the surface, are drawn anew at every step."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -9,7 +8,6 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._misc import normalize, round_up_to_power_of_two
@@ -226,13 +224,12 @@ def _blurred(image: Float[Array, "h w"], deviation: float) -> Float[Array, "h w"
     if deviation == 0:
         return image
 
-    def along(size: int) -> np.ndarray:
-        distance = np.arange(size)[:, None] - np.arange(size)
-        return np.exp(-0.5 * (distance / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi))
+    def along(size: int) -> Array:
+        place = jnp.arange(size, dtype=image.dtype)
+        return jax.scipy.stats.norm.pdf(place[:, None] - place, scale=deviation)
 
-    height, width = image.shape
     product = partial(jnp.matmul, precision="highest")
-    return product(product(along(height).astype(image.dtype), image), along(width).astype(image.dtype))
+    return product(product(along(image.shape[0]), image), along(image.shape[1]))
 
 
 def is_overflow(error: RuntimeError) -> bool:

@@ -19,6 +19,9 @@ from ._cut_rectangle import WHOLE_TEXEL, Rectangle
 from ._lookup import Lookup
 from ._padded_map import PaddedMap
 
+# A compare with a texel of a row, in nearest taps, which have to find theirs.
+_COST_OF_A_TEXEL = 0.4
+
 
 class Sites(eqx.Module):
     """Look-ups laid out in any way, and what the texels that they read depend on.
@@ -57,7 +60,7 @@ def sites_of(lookup: Lookup, radius: Float[Array, "..."] | float = 0.0) -> Sites
 class Span(NamedTuple):
     """What a column or a row of texels counts, and from where to where it is covered, seen from its middle."""
 
-    weight: Float[Array, "*n"] | float = 1.0
+    weight: Float[Array, "*n"] | float
     low: Float[Array, "*n"] | float = WHOLE_TEXEL.left
     high: Float[Array, "*n"] | float = WHOLE_TEXEL.right
 
@@ -148,3 +151,18 @@ class AbstractKernel(eqx.Module):
     @abc.abstractmethod
     def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
         """Half the width of a square round a site that holds all that it reads, in texels."""
+
+
+class AbstractRow(AbstractKernel):
+    """One row of the texels that a filter reads, a square of them; a step is the row's number from the lowest.
+
+    - `texels`: along a side of the square.
+    """
+
+    @property
+    @abc.abstractmethod
+    def texels(self) -> int: ...
+
+    @property
+    def cost(self) -> float:
+        return _COST_OF_A_TEXEL * self.texels

@@ -14,13 +14,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import round_up_to_power_of_two
 from ._compare import AbstractCompare
-from ._kernel import AbstractKernel, Sites
-from ._padded_map import PaddedMap
+from ._kernel import AbstractKernel, AbstractRow, Sites
+from ._map import ShadowMap
+from ._padded_map import PaddedMap, pad
 from ._set_bits import SetBits, empty_words, put_bits
 
 # What a step of the loop over a kernel's may cost, in nearest taps: more run no faster, and take longer to compile.
@@ -97,6 +99,11 @@ def sum_over(
     near = padded.silhouettes.texels.any_within(sites.x, sites.y, sites.layer, kernel.reach(sites, steps))
     near = near if wanted is None else near & wanted
     return plain + _total(_Corrections(kernel, held), padded, compare, sites, steps, near)
+
+
+def sum_over_rows(row: AbstractRow, shadow_map: ShadowMap, compare: AbstractCompare, sites: Sites) -> Array:
+    """The sum of compares with the texels of all rows, for sites that are the pixels of an image."""
+    return sum_over(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
 
 
 class _AbstractTerms(eqx.Module):
@@ -259,7 +266,8 @@ def _total_jvp(primals, tangents):
 def _sees_depths(compare: AbstractCompare, sites: Sites) -> bool:
     """Whether visibility changes as stored depths do, by the little of a soft compare: a hard one never sees it."""
     against = lambda stored: compare(stored, sites.depth, sites.depth_per_texel)
-    return eqx.filter_jvp(against, (sites.depth,), (sites.depth,))[1] is not None
+    change = lambda: eqx.filter_jvp(against, (sites.depth,), (sites.depth,))[1]
+    return eqx.filter_eval_shape(change) is not None
 
 
 def _without_depths(change: Any) -> Any:

@@ -4,23 +4,18 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._types import Visibility
 from .._compare import AbstractCompare
-from .._kernel import AbstractKernel, Footprint, Sites, Span, sites_of
+from .._kernel import AbstractRow, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._padded_map import pad
-from .._sum import sum_over
+from .._sum import sum_over_rows
 from ._abstract import AbstractFilter
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
 """The weights of bilinear compares one texel apart, along each axis, that the taps of each size add up to."""
-
-# A compare with a texel of a row, in nearest taps, which have to find theirs.
-_COST_OF_A_TEXEL = 0.4
 
 
 class Castano(AbstractFilter):
@@ -42,11 +37,10 @@ class Castano(AbstractFilter):
             raise ValueError(f"Castaño's kernel has size {self.size}; expected 3, 5 or 7")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        row = _Row(self.size)
-        return sum_over(row, pad(shadow_map, row.texels), compare, sites_of(lookup), np.arange(row.texels))
+        return sum_over_rows(_Row(self.size), shadow_map, compare, sites_of(lookup))
 
 
-class _Row(AbstractKernel):
+class _Row(AbstractRow):
     """One row of texels, numbered from the lowest.
 
     With s the share of the texel to the right of a position between two texels' centres, a kernel k slides as
@@ -59,10 +53,6 @@ class _Row(AbstractKernel):
     def texels(self) -> int:
         """Texels that the kernel reads along a side."""
         return self.size + 1
-
-    @property
-    def cost(self) -> float:
-        return _COST_OF_A_TEXEL * self.texels
 
     def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
         column, right = self._first(sites.x)

@@ -5,24 +5,20 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
-from .._kernel import AbstractKernel, Footprint, Sites, Span, sites_of
+from .._kernel import AbstractRow, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._padded_map import pad
-from .._sum import sum_over
+from .._sum import sum_over_rows
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit
 
 # Narrower than this a box cannot be told from a point.
 _LEAST_RADIUS = 1e-3
-# Texels beside each other share what it takes to find them.
-_COST_OF_A_TEXEL = 0.4
 
 
 class PercentageCloser(AbstractFilter):
@@ -49,12 +45,11 @@ class PercentageCloser(AbstractFilter):
         check_radius("filter", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        row = _Row(self.max_radius)
         sites = sites_of(lookup, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
-        return sum_over(row, pad(shadow_map, row.texels), compare, sites, np.arange(row.texels))
+        return sum_over_rows(_Row(self.max_radius), shadow_map, compare, sites)
 
 
-class _Row(AbstractKernel):
+class _Row(AbstractRow):
     """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
 
     max_radius: float = eqx.field(static=True)
@@ -63,10 +58,6 @@ class _Row(AbstractKernel):
     def texels(self) -> int:
         """Texels that a box may cover along a side."""
         return math.ceil(2 * self.max_radius) + 1
-
-    @property
-    def cost(self) -> float:
-        return _COST_OF_A_TEXEL * self.texels
 
     def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
         column, left = _lower_edge(sites.x, sites.radius)
