@@ -63,9 +63,17 @@ class Bounds(eqx.Module):
     lower: Float[Array, " p"]
     upper: Float[Array, " p"]
 
+    def share(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
+        """How far the free values `y` are from the lower bounds towards the upper, in [0, 1]."""
+        return (1 + jnp.sin(y)) / 2
+
+    def at(self, share: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Values so far between the bounds."""
+        return self.lower + (self.upper - self.lower) * share
+
     def to_bounded(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
         """Values within the bounds."""
-        return self.lower + (self.upper - self.lower) * (1 + jnp.sin(y)) / 2
+        return self.at(self.share(y))
 
     def to_free(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
         """The inverse of `to_bounded`, for values moved off the bounds by at least 1 % of their distance."""

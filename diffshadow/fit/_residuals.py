@@ -120,13 +120,6 @@ class Joint(eqx.Module):
 AnyProblem = Problem | PoseProblem
 
 
-def residual_at(
-    problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Float[Array, " p"]
-) -> tuple[Float[Array, "h w"], ...]:
-    """The residuals with the named parameters at the free values `y` (p,)."""
-    return problem.residual(with_values(problem.subject, names, bounds.to_bounded(y)))
-
-
 def check_problem(problem: Joint, names: tuple[str, ...], bounds: Bounds) -> None:
     """**Raises** `ValueError` unless each of `names` can be fitted, and some pixel counts."""
     if not names:

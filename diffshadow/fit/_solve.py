@@ -28,7 +28,7 @@ from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
 from ._poses import is_overflow
 from ._precision import Precision, precision_of
-from ._residuals import AnyProblem, Joint, check_problem, residual_at
+from ._residuals import AnyProblem, Joint, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
 from ._starts import starts_within
 
@@ -44,8 +44,6 @@ _ENLARGEMENTS = 6
 _RECENT = 32
 # Mean square errors are not told from 0 below this.
 _LEAST_LOSS = 1e-10
-# On a bound the reparametrisation has no slope; this close to it, derivatives are scaled as if they were so far off.
-_LEAST_RATE = 1e-3
 
 
 class Outcome(NamedTuple):
@@ -83,7 +81,7 @@ class FitResult(NamedTuple):
     - `initial`, `fitted`: values by name.
     - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best.
     - `history`: every evaluation, in order.
-    - `flat`: names of the parameters whose gradient was zero at every phase's start; they were not fitted.
+    - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: where lights or meshes were fitted, all that was.
     - `precision`: how well the values are determined; none if no phase ended where that can be told.
@@ -165,7 +163,7 @@ def fit(
         phases=path.outcomes,
         chosen=best - 1,
         history=run.history,
-        flat=[name for name, slope in zip(run.names, run.slopes, strict=True) if slope == 0],
+        flat=run.flat(path),
         seconds_compiling=run.seconds_compiling,
         seconds_running=time.perf_counter() - began - run.seconds_compiling,
         arrangement=subject if isinstance(subject, Arrangement) else None,
@@ -180,7 +178,8 @@ class _Solution(NamedTuple):
     """The end of a phase, as arrays.
 
     Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
-    `slope` is 0 where a parameter has no gradient; `triangle` is the factor R of the residuals' Jacobian.
+    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` is the
+    Jacobian's factor R.
     """
 
     value: Float[Array, " a"]
@@ -248,6 +247,11 @@ class _Run:
         names = [self.names[i] for i in phase.active]
         count = float(phase.joint.count)
         return precision_of(names, np.asarray(solution.triangle), span, float(solution.loss), count)
+
+    def flat(self, path: _Path) -> list[str]:
+        """Names of the parameters that had no slope, and never moved."""
+        rests = np.all(np.asarray(path.free) == np.asarray(path.free[0]), axis=0)
+        return [name for name, slope, rest in zip(self.names, self.slopes, rests, strict=True) if slope == 0 and rest]
 
     def _start(self, initial: Float[Array, " p"]) -> _Path:
         loss = self._judged(initial)
@@ -332,54 +336,49 @@ class _Run:
 def _phase(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array, scale: Array
 ) -> _Solution:
-    def residual(y: Array, args: tuple[Joint, Bounds, Array]) -> tuple[Array, ...]:
+    def residual(y: Array, args: tuple[Joint, Bounds, Array]) -> tuple[Array, tuple[Array, Array]]:
+        # A solver asks for several products with the Jacobian. As a linear function it would be compiled, and
+        # evaluated, anew for each; here it is a matrix, found once beside the residuals.
         problem, bounds, scale = args
-        return tuple(scale * each for each in residual_at(problem, names, bounds, y))
+        share = bounds.share(y)
+        fixed = jax.lax.stop_gradient(share)
+        found, slopes = _with_jacobian(problem, names, bounds, fixed)
+        return scale * (found + jnp.matmul(slopes, share - fixed, precision="highest")), (found, slopes)
 
-    args = (problem, bounds, scale)
-    # Least squares want a Jacobian, minimisers a gradient; with few parameters and many pixels both go forward.
-    options = {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"}
     solution = optx.least_squares(
         residual,
         _optimistix(solver, token, moves=problem.moves),
         y,
-        args,
-        options,
+        (problem, bounds, scale),
+        {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"},
+        has_aux=True,
         max_steps=solver.max_steps,
         throw=False,
     )
-
-    if problem.moves and solver.name in _LEAST_SQUARES:
-        # The solver knows the Jacobian at its end: to draw everything once more would double what is compiled.
-        known = solution.state.f_info
-        rate = jnp.cos(solution.value) / 2
-        slopes = known.jac.as_matrix() / scale / jnp.where(jnp.abs(rate) > _LEAST_RATE, rate, _LEAST_RATE)
-        end = jnp.concatenate([each.ravel() for each in known.residual]) / scale
-        slope = jnp.sqrt(jnp.sum(slopes**2, axis=0))
-        gradient, triangle, loss = _measures(end, slopes)
-    else:
-        measures = lambda y: _measures(*_derivatives(problem, names, bounds, y))
-        # In a loop, so that both ends share what is compiled.
-        gradients, triangles, losses = jax.lax.map(measures, jnp.stack([y, solution.value]))
-        slope, gradient, triangle, loss = jnp.abs(gradients[0]), gradients[1], triangles[1], losses[1]
-    steps = solution.stats["num_steps"]
-    return _Solution(solution.value, gradient, slope, triangle, loss, steps, solution.result)
+    end, slopes = solution.state.aux
+    return _Solution(
+        value=solution.value,
+        gradient=2 * jnp.matmul(end, slopes, precision="highest"),
+        slope=jnp.sqrt(jnp.sum(slopes**2, axis=0)),
+        triangle=jnp.linalg.qr(slopes, mode="r"),
+        loss=jnp.sum(end**2),
+        steps=solution.stats["num_steps"],
+        result=solution.result,
+    )
 
 
-def _derivatives(problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array) -> tuple[Array, Array]:
-    """The residuals (n,), and their derivatives by each parameter's share of its bounds' distance, (n, p)."""
-    share = (bounds.to_bounded(y) - bounds.lower) / (bounds.upper - bounds.lower)
-    at = lambda share: bounds.lower + share * (bounds.upper - bounds.lower)
-    residual = lambda share: problem.residual(with_values(problem.subject, names, at(share)))
-    flat = lambda share: jnp.concatenate([each.ravel() for each in residual(share)])
-    pushed = jax.vmap(lambda way: jax.jvp(flat, (share,), (way,)), out_axes=(None, 1))
+def _with_jacobian(
+    problem: Joint, names: tuple[str, ...], bounds: Bounds, share: Float[Array, " p"]
+) -> tuple[Float[Array, " n"], Float[Array, "n p"]]:
+    """All residuals where the parameters have gone so far (p,) between their bounds, and their derivatives by that."""
+
+    def residual(share: Array) -> Array:
+        each = problem.residual(with_values(problem.subject, names, bounds.at(share)))
+        return jnp.concatenate([one.ravel() for one in each])
+
+    # Few parameters, many pixels: forward.
+    pushed = jax.vmap(lambda way: jax.jvp(residual, (share,), (way,)), out_axes=(None, 1))
     return pushed(jnp.eye(share.shape[0], dtype=share.dtype))
-
-
-def _measures(residual: Float[Array, " n"], slopes: Float[Array, "n p"]) -> tuple[Array, Array, Array]:
-    """The mean square error's gradient, the factor R of the derivatives, and the mean square error."""
-    gradient = 2 * jnp.matmul(residual, slopes, precision="highest")
-    return gradient, jnp.linalg.qr(slopes, mode="r"), jnp.sum(residual**2)
 
 
 _run_phase: Any = eqx.filter_jit(_phase)

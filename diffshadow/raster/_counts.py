@@ -18,12 +18,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from .._types import ClipVertices, DepthMap, Faces, Resolution
-from ._bins import BLOCK, WINDOWS, Capacity, Triangles, bin_triangles
+from ._bins import Capacity, Triangles, bin_triangles
 from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._fixed import signed_area
-from ._rasterize import _empty_within_capacity, plan
-from ._windows import _CHUNK, _GATHER, _IN_BOUNDS, _PADDING, _SCATTER, Windows, _corner, count, windows
+from ._rasterize import empty_within_capacity, plan
+from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, Windows, candidates, corner, count, over_windows, windows
 
 When = Literal["pass", "fail"]
 
@@ -96,16 +96,17 @@ def _count_fragments(clip, faces, weights, depth, when, capacity) -> Int[Array, 
     resolution = depth.shape
     clip, faces = _triangles(clip.astype(depth.dtype), faces, weights)
     triangles = bin_triangles(clip, faces, resolution, "none", capacity.clipped)
-    counts = count(triangles, resolution, capacity)
+    found = candidates(triangles, resolution, capacity)
+    counts = count(triangles, found)
     signed = (weights[triangles.source] * _facing(triangles)).astype(jnp.int32)
     # Windows then know which triangle each is of, rather than which face.
     own = jnp.arange(triangles.source.shape[0], dtype=jnp.int32)
-    ready = windows(eqx.tree_at(lambda t: t.source, triangles, own), resolution, capacity, _CLAMPED, None)
+    ready = windows(eqx.tree_at(lambda t: t.source, triangles, own), found, resolution, capacity, _CLAMPED, None)
     ready = eqx.tree_at(lambda r: r.form.greatest, ready, jnp.minimum(ready.form.greatest, 1))
     # The check holds integers that a trace in single precision cannot lower in double.
     with jax.enable_x64(False):
         counts = jax.tree.map(lambda n: n.astype(jnp.int32), counts)
-        _, nothing = _empty_within_capacity(counts, capacity, DepthTest(clear=0.0))
+        _, nothing = empty_within_capacity(counts, capacity, DepthTest(clear=0.0))
     return _add(ready, signed, depth, when, nothing.astype(jnp.int32))
 
 
@@ -120,32 +121,16 @@ def _add(
 ) -> Int[Array, "h w"]:
     """The sum at every pixel, over windows whose `source` indexes `signed` (n,), in chunks that fit a cache."""
     height, width = depth.shape
-    padding = ((0, _PADDING), (0, _PADDING))
-    buffer = jnp.broadcast_to(nothing, (height + _PADDING, width + _PADDING))
-    padded = jnp.pad(lax.stop_gradient(depth), padding)
+    buffer = jnp.broadcast_to(nothing, (height + PADDING, width + PADDING))
+    padded = jnp.pad(lax.stop_gradient(depth), ((0, PADDING), (0, PADDING)))
     weight = jnp.where(ready.source >= 0, signed[ready.source], 0)
-    start = 0
-    for k, (side, room) in enumerate(zip((*WINDOWS, BLOCK), ready.rooms, strict=False)):
-        chunk = min(room, max(_CHUNK // side**2, 1))
-        if not room:
-            continue
-        own = jax.tree.map(
-            lambda values, start=start, room=room: values[..., start : start + room], (ready.form, weight)
-        )
 
-        def write(number: Array, buffer: Array, own=own, room=room, chunk=chunk, side=side) -> Array:
-            # The last chunk may begin early; windows that it shares with the one before must not count again.
-            begin = jnp.minimum(number * chunk, room - chunk)
-            part = lambda values: lax.dynamic_slice_in_dim(values, begin, chunk, axis=values.ndim - 1)
-            form, weight = jax.tree.map(part, own)
-            fresh = begin + jnp.arange(chunk, dtype=jnp.int32) >= number * chunk
-            updates = jnp.where(fresh, weight, 0)[:, None, None] * _counted(form, side, padded, when)
-            return lax.scatter_add(buffer, _corner(form), updates, _SCATTER, mode=_IN_BOUNDS)
+    def write(buffer: Array, form: EdgeForm, weight: Array, side: int, fresh: Array) -> Array:
+        updates = jnp.where(fresh, weight, 0)[:, None, None] * _counted(form, side, padded, when)
+        return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=IN_BOUNDS)
 
-        chunks = (ready.used[k] + chunk - 1) // chunk
-        buffer = lax.fori_loop(jnp.int32(0), chunks.astype(jnp.int32), write, buffer)
-        start += room
-    return buffer[:height, :width]
+    weighted = eqx.tree_at(lambda windows: windows.source, ready, weight)
+    return over_windows(weighted, buffer, write)[:height, :width]
 
 
 def _counted(form: EdgeForm, side: int, padded: DepthMap, when: When) -> Int[Array, "n side side"]:
@@ -153,6 +138,6 @@ def _counted(form: EdgeForm, side: int, padded: DepthMap, when: When) -> Int[Arr
     z = window_depth(form, jnp.ones(form.x.shape, bool), side, _CLAMPED)
     # As the depth pass stores it alone, whatever the compiler would fuse it with.
     z = lax.optimization_barrier(z)
-    stored = lax.gather(padded, _corner(form), _GATHER, (side, side), mode=_IN_BOUNDS)
+    stored = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
     covered, nearer = z < jnp.inf, z < stored
     return (covered & (nearer if when == "pass" else ~nearer)).astype(jnp.int32)

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import safe_divide
@@ -55,7 +56,7 @@ def edge_form(
 
     - `polygon_offset`: (2,), OpenGL's factor and units.
     """
-    corner_x, corner_y = corners.snapped()
+    corner_x, corner_y = lax.optimization_barrier(corners.snapped())
     turn = jnp.where(signed_area(corner_x, corner_y) < 0, -1, 1)
     centre_x, centre_y = ((pixel << SUBPIXEL_BITS) + SUBPIXELS // 2 for pixel in (x, y))
     edges = []

@@ -1,5 +1,6 @@
 """The rasterizer: which triangle each pixel sees."""
 
+from functools import reduce
 from typing import Any
 
 import equinox as eqx
@@ -10,11 +11,13 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
-from .._types import Faces, Resolution
+from .._types import ClipVertices, Faces, Resolution
 from ._bins import WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
-from ._windows import Windows, count, windows, write_depth, write_depth_and_face
+from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
+# Counting begins with this much room for what must be cut into parts, which is enough for most scenes.
+_ROOM_TO_COUNT = Capacity(clipped=64, large=256, candidates=1 << 14)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 
@@ -38,12 +41,15 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
     clip = clip.astype(jnp.float32).reshape(-1, *clip.shape[-2:])
-    # What is clipped, and what is large, must be known before its parts can be counted.
-    room, needed = Capacity(), _count(clip, faces, resolution, cull, Capacity()).capacity()
-    while room != room.grown_to(needed):
+    # What is clipped, and what is large, must have room before its parts can be counted. One view after another, so
+    # that any number of them share what is compiled.
+    room = _ROOM_TO_COUNT
+    while True:
+        counted = [_count(view, faces, resolution, cull, room) for view in clip]
+        needed = reduce(Capacity.grown_to, (each.capacity() for each in counted))
+        if room == room.grown_to(needed._replace(windows=room.windows, blocks=room.blocks)):
+            return needed
         room = room.grown_to(needed)
-        needed = _count(clip, faces, resolution, cull, room).capacity()
-    return needed
 
 
 def rasterize(
@@ -116,11 +122,9 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
 
 
 @eqx.filter_jit
-def _count(clip: Float[Array, "b v 4"], faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Counts:
-    def of_view(clip: Array) -> Counts:
-        return count(bin_triangles(clip, faces, resolution, cull, capacity.clipped), resolution, capacity)
-
-    return jax.tree.map(lambda n: n.max(axis=0), jax.vmap(of_view)(clip))
+def _count(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Counts:
+    triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
+    return count(triangles, candidates(triangles, resolution, capacity))
 
 
 @eqx.filter_jit
@@ -129,7 +133,8 @@ def _rasterize(
 ) -> Fragments | Float[Array, "*b h w"]:
     def prepare(clip: Array) -> tuple[Windows, Counts]:
         triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
-        return windows(triangles, resolution, capacity, test, polygon_offset), count(triangles, resolution, capacity)
+        found = candidates(triangles, resolution, capacity)
+        return windows(triangles, found, resolution, capacity, test, polygon_offset), count(triangles, found)
 
     def write(ready: Windows, behind: Array | None, empty: tuple[Array, Array]) -> Fragments | Array:
         no_face, clear = empty
@@ -141,17 +146,17 @@ def _rasterize(
 
     if clip.ndim == 2:
         ready, counts = prepare(clip)
-        return write(ready, behind, _empty_within_capacity(counts, capacity, test))
+        return write(ready, behind, empty_within_capacity(counts, capacity, test))
     ready, counts = jax.vmap(prepare)(clip)
     # As many chunks for each view as the fullest needs: a loop of one length can run over all views together.
     used, counts = jax.tree.map(lambda n: n.max(axis=0), (ready.used, counts))
     ready = eqx.tree_at(lambda ready: ready.used, ready, used)
     axes = eqx.tree_at(lambda ready: ready.used, jax.tree.map(lambda _: 0, ready), None)
     views = jax.vmap(write, in_axes=(axes, None if behind is None else 0, None))
-    return views(ready, behind, _empty_within_capacity(counts, capacity, test))
+    return views(ready, behind, empty_within_capacity(counts, capacity, test))
 
 
-def _empty_within_capacity(counts: Counts, capacity: Capacity, test: DepthTest) -> tuple[Array, Array]:
+def empty_within_capacity(counts: Counts, capacity: Capacity, test: DepthTest) -> tuple[Array, Array]:
     """What a pixel that sees nothing holds, face and depth, checked that there is room for all triangles.
 
     The check hangs on these since either result needs its own, also where no triangle is read for want of room.

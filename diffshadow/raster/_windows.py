@@ -25,12 +25,12 @@ from ._compact import compact, members
 from ._coverage import EdgeForm, edge_form, window_depth
 from ._depth_test import DepthTest
 
-_PADDING = max(WINDOWS)
-_SCATTER = lax.ScatterDimensionNumbers(
+PADDING = max(WINDOWS)
+SCATTER = lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0, 1)
 )
-_GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
-_IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
+GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
+IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
 # Pixels that are evaluated at once.
 _CHUNK = 1 << 17
@@ -46,20 +46,23 @@ class Blocks(NamedTuple):
     y: Int[Array, " n"]
 
 
-def count(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> Counts:
-    """How many there are of each kind; of blocks, as many as `capacity` has room to look at."""
-    candidates = blocks = jnp.int32(0)
-    if capacity.large:
-        _, tiles = _large(triangles, resolution, capacity)
-        touched = tiles.columns * tiles.rows
-        # Hundreds of thousands of faces as large as the map would wrap the integer round; none has room for that many.
-        too_many = jnp.sum(touched.astype(jnp.float32)) > _MOST_BLOCKS
-        candidates = jnp.where(too_many, _MOST_BLOCKS, jnp.sum(touched, dtype=jnp.int32))
-    if capacity.large and capacity.candidates:
-        _, hit = _hit_blocks(triangles, resolution, capacity)
-        blocks = jnp.sum(hit)
+class Candidates(NamedTuple):
+    """The blocks that the boxes of large triangles touch, as many as there is room for.
+
+    - `blocks`: which; `hit`: (n,), whether their triangles themselves may touch them.
+    - `number`: how many there are, with or without room.
+    """
+
+    blocks: Blocks
+    hit: Bool[Array, " n"]
+    number: Int[Array, ""]
+
+
+def count(triangles: Triangles, candidates: Candidates) -> Counts:
+    """How many there are of each kind; of blocks, as many as there was room to look at."""
     counts = triangles.ranks.counts
-    return Counts(triangles.clipped, counts[:LARGE], counts[LARGE], candidates, blocks)
+    blocks = jnp.sum(candidates.hit, dtype=jnp.int32)
+    return Counts(triangles.clipped, counts[:LARGE], counts[LARGE], candidates.number, blocks)
 
 
 class Windows(eqx.Module):
@@ -77,6 +80,7 @@ class Windows(eqx.Module):
 
 def windows(
     triangles: Triangles,
+    candidates: Candidates,
     resolution: Resolution,
     capacity: Capacity,
     test: DepthTest,
@@ -89,39 +93,25 @@ def windows(
     x, y = (jnp.where(member >= 0, low, 0) for low in (box.left, box.bottom))
     used, rooms = triangles.ranks.counts, capacity.windows
     if capacity.large and capacity.blocks:
-        blocks = _kept_blocks(triangles, resolution, capacity)
+        blocks = _kept(candidates, capacity.blocks)
         member, x, y = (jnp.concatenate(both) for both in zip((member, x, y), blocks, strict=True))
         used, rooms = used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)), (*rooms, capacity.blocks)
     # One set-up for all classes, which is far quicker to compile than one for each.
-    form = edge_form(triangles.corners(member), x, y, test, polygon_offset)
+    form = edge_form(lax.optimization_barrier(triangles.corners(member)), x, y, test, polygon_offset)
     return Windows(form, jnp.where(member >= 0, triangles.source[member], -1), used, rooms)
 
 
-class Tiles(NamedTuple):
-    """The blocks that boxes touch: the first one's column and row in the grid of blocks, and how many; each (n,)."""
-
-    left: Int[Array, " n"]
-    bottom: Int[Array, " n"]
-    columns: Int[Array, " n"]
-    rows: Int[Array, " n"]
-
-
-def _large(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> tuple[Int[Array, " large"], Tiles]:
-    """The large triangles, -1 for none, and the blocks that their boxes touch."""
+def candidates(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> Candidates:
+    """The blocks that large triangles may touch."""
+    if not capacity.large:
+        none = jnp.zeros(0, jnp.int32)
+        return Candidates(Blocks(none, none, none), none > 0, jnp.int32(0))
     member = members(triangles.size_class, triangles.ranks, (0,) * LARGE + (capacity.large,))
     box = pixel_box(*triangles.corners(member).snapped(), resolution)
     left, bottom = box.left // BLOCK, box.bottom // BLOCK
     columns = jnp.where(member >= 0, box.right // BLOCK - left + 1, 0)
-    return member, Tiles(left, bottom, columns, box.top // BLOCK - bottom + 1)
-
-
-def _hit_blocks(
-    triangles: Triangles, resolution: Resolution, capacity: Capacity
-) -> tuple[Blocks, Bool[Array, " candidates"]]:
-    """The blocks that the boxes of large triangles touch, and whether the triangles themselves may touch them."""
-    member, tiles = _large(triangles, resolution, capacity)
     # Number all candidates through: number p belongs to the triangle whose run holds p.
-    lengths = tiles.columns * tiles.rows
+    lengths = columns * (box.top // BLOCK - bottom + 1)
     ends = jnp.cumsum(lengths)
     starts = ends - lengths
     number = jnp.arange(capacity.candidates, dtype=jnp.int32)
@@ -129,24 +119,26 @@ def _hit_blocks(
     marks = marks.at[jnp.where(lengths > 0, starts, capacity.candidates)].add(1, mode="drop")
     owner = jnp.maximum(jnp.cumsum(marks[:-1]) - 1, 0)
     used = number < ends[-1]
-    within, columns = number - starts[owner], jnp.maximum(tiles.columns[owner], 1)
-    x, y = tiles.left[owner] + within % columns, tiles.bottom[owner] + within // columns
+    within, across = number - starts[owner], jnp.maximum(columns[owner], 1)
+    x, y = left[owner] + within % across, bottom[owner] + within // across
     blocks = Blocks(jnp.where(used, member[owner], -1), *(jnp.where(used, tile * BLOCK, 0) for tile in (x, y)))
     form = edge_form(triangles.corners(blocks.member), blocks.x, blocks.y, DepthTest(), None)
-    return blocks, used & ~form.misses(BLOCK)
+    # Hundreds of thousands of faces as large as the map would wrap the integer round; none has room for that many.
+    too_many = jnp.sum(lengths.astype(jnp.float32)) > _MOST_BLOCKS
+    return Candidates(blocks, used & ~form.misses(BLOCK), jnp.where(too_many, _MOST_BLOCKS, ends[-1]).astype(jnp.int32))
 
 
-def _kept_blocks(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> Blocks:
-    blocks, hit = _hit_blocks(triangles, resolution, capacity)
-    kept = compact(hit, capacity.blocks)
-    member, x, y = (jnp.where(kept >= 0, values[kept], empty) for values, empty in zip(blocks, (-1, 0, 0), strict=True))
-    return Blocks(member, x, y)
+def _kept(candidates: Candidates, room: int) -> Blocks:
+    kept = compact(candidates.hit, room)
+    pick = lambda values, empty: jnp.where(kept >= 0, values[kept], empty)
+    blocks = candidates.blocks
+    return Blocks(pick(blocks.member, -1), pick(blocks.x, 0), pick(blocks.y, 0))
 
 
 def write_depth(windows: Windows, resolution: Resolution, test: DepthTest) -> Float[Array, "h w"]:
     """The least depth at every pixel, infinite where there is none."""
     stored = lambda form, source, side: window_depth(form, source >= 0, side, test)
-    return _write(windows, stored, jnp.inf, jnp.float32, resolution)
+    return _least(windows, stored, jnp.inf, jnp.float32, resolution)
 
 
 def write_depth_and_face(
@@ -158,12 +150,12 @@ def write_depth_and_face(
     """
     # The least complement is that of the greatest face.
     order = lambda face: ~face if test.compare == "less_equal" else face
-    padded = None if behind is None else jnp.pad(behind, ((0, _PADDING), (0, _PADDING)), constant_values=-1)
+    padded = None if behind is None else jnp.pad(behind, ((0, PADDING), (0, PADDING)), constant_values=-1)
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
         depth = window_depth(form, source >= 0, side, test)
         if padded is not None:
-            passed = lax.gather(padded, _corner(form), _GATHER, (side, side), mode=_IN_BOUNDS)
+            passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
         # As it would be stored alone, whatever the compiler would fuse it with.
         depth = lax.optimization_barrier(depth)
@@ -173,7 +165,7 @@ def write_depth_and_face(
 
     with jax.enable_x64(True):
         nothing = jnp.iinfo(jnp.int64).max
-        key = _write(windows, stored, nothing, jnp.int64, resolution)
+        key = _least(windows, stored, nothing, jnp.int64, resolution)
         depth = lax.bitcast_convert_type((key >> _FACE_BITS).astype(jnp.int32), jnp.float32)
         face = order(key.astype(jnp.int32))
     # The bits of an infinite depth, and of none at all, are those of no number below infinity.
@@ -181,39 +173,59 @@ def write_depth_and_face(
     return jnp.where(seen, depth, jnp.inf), jnp.where(seen, face, -1)
 
 
-def _corner(form: EdgeForm) -> Int[Array, "n 2"]:
+def corner(form: EdgeForm) -> Int[Array, "n 2"]:
+    """Row and column of each window's first pixel."""
     return jnp.stack([form.y, form.x], axis=-1)
 
 
-def _write(
+def over_windows(
+    windows: Windows,
+    buffer: Int[Array, "H W"] | Float[Array, "H W"],
+    write: Callable[[Array, EdgeForm, Int[Array, " n"], int, Bool[Array, " n"]], Array],
+) -> Array:
+    """`buffer` after all windows are written into it.
+
+    A size is written in chunks that fit a processor's cache, and no more of them than are used. `write` is given the
+    buffer, windows and their sources, their side, and which were not in the chunk before: the last begins early.
+    """
+    numbers, tree = jax.tree.flatten((windows.form, windows.source))
+    # In one array for each type: what every number is cut out by costs more to compile than all that is done with it.
+    kinds = [number.dtype for number in numbers]
+    together = {kind: jnp.stack([number for number in numbers if number.dtype == kind]) for kind in dict.fromkeys(kinds)}
+
+    def part(begin: Array, length: int) -> tuple[EdgeForm, Array]:
+        rows = {kind: iter(lax.dynamic_slice_in_dim(all_, begin, length, axis=1)) for kind, all_ in together.items()}
+        return jax.tree.unflatten(tree, [next(rows[kind]) for kind in kinds])
+
+    start = 0
+    for k, (side, room) in enumerate(zip((*WINDOWS, BLOCK), windows.rooms, strict=False)):
+        chunk = min(room, max(_CHUNK // side**2, 1))
+        if not room:
+            continue
+
+        def step(number: Array, buffer: Array, start=start, room=room, chunk=chunk, side=side) -> Array:
+            begin = jnp.minimum(number * chunk, room - chunk)
+            fresh = begin + jnp.arange(chunk, dtype=jnp.int32) >= number * chunk
+            return write(buffer, *part(start + begin, chunk), side, fresh)
+
+        chunks = (windows.used[k] + chunk - 1) // chunk
+        buffer = lax.fori_loop(jnp.int32(0), chunks.astype(jnp.int32), step, buffer)
+        start += room
+    return buffer
+
+
+def _least(
     windows: Windows,
     stored: Callable[[EdgeForm, Int[Array, " n"], int], Array],
     nothing: float | int,
     dtype: DTypeLike,
     resolution: Resolution,
 ) -> Array:
-    """The least of what is `stored` (n, side, side) by any window at every pixel.
-
-    A size is written in chunks that fit a processor's cache, and no more of them than are used.
-    """
+    """The least of what is `stored` (n, side, side) by any window at every pixel."""
     height, width = resolution
-    buffer = jnp.full((height + _PADDING, width + _PADDING), nothing, dtype)
-    start = 0
-    for k, (side, room) in enumerate(zip((*WINDOWS, BLOCK), windows.rooms, strict=False)):
-        chunk = min(room, max(_CHUNK // side**2, 1))
-        if not room:
-            continue
-        own = jax.tree.map(
-            lambda values, start=start, room=room: values[..., start : start + room], (windows.form, windows.source)
-        )
+    buffer = jnp.full((height + PADDING, width + PADDING), nothing, dtype)
 
-        def write(number: Array, buffer: Array, own=own, chunk=chunk, side=side) -> Array:
-            # The last chunk may begin early and write some windows again, which changes nothing.
-            part = lambda values: lax.dynamic_slice_in_dim(values, number * chunk, chunk, axis=values.ndim - 1)
-            form, source = jax.tree.map(part, own)
-            return lax.scatter_min(buffer, _corner(form), stored(form, source, side), _SCATTER, mode=_IN_BOUNDS)
+    def write(buffer: Array, form: EdgeForm, source: Array, side: int, _: Array) -> Array:
+        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=IN_BOUNDS)
 
-        chunks = (windows.used[k] + chunk - 1) // chunk
-        buffer = lax.fori_loop(jnp.int32(0), chunks.astype(jnp.int32), write, buffer)
-        start += room
-    return buffer[:height, :width]
+    return over_windows(windows, buffer, write)[:height, :width]
