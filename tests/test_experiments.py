@@ -69,7 +69,6 @@ def test_every_configuration_is_valid(config, capsys, monkeypatch):
     assert ("would be done now" if sweeps else "is valid") in " ".join(out.split())
 
 
-@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_error_falls_with_resolution_as_a_seam_does():
     found = run("error_vs_resolution", "scene.light.angular_radius=0", sizes="64,128", only="bilinear")
@@ -79,7 +78,6 @@ def test_error_falls_with_resolution_as_a_seam_does():
     assert -1 < found["slopes"]["bilinear"] < -0.2, "about -1/2"
 
 
-@pytest.mark.exhaustive
 def test_fit_ends_where_the_landscape_is_lowest():
     found = run("bias_landscape", size=7)
     assert found["ratio"] < 1.03
@@ -94,7 +92,6 @@ def test_fit_ends_where_the_landscape_is_lowest():
     assert acne[0].min() > 2 * acne[-1].max()
 
 
-@pytest.mark.exhaustive
 def test_soft_compare_nears_the_hard_one_and_its_gradient():
     found = run("soft_width", kernels="linear", widths=3, least=0.02, most=8.0, points=2, scale=0.5)
     narrow, middle, wide = found["rows"]
@@ -108,7 +105,6 @@ def test_soft_compare_nears_the_hard_one_and_its_gradient():
     assert (np.array(found["truth"])[:, 0] != 0).any()
 
 
-@pytest.mark.exhaustive
 def test_shootout_fits_before_it_times():
     found = run("shootout", only="nearest,disk", repeats=3, most=1)
     nearest, disk = found["rows"]
@@ -120,7 +116,6 @@ def test_shootout_fits_before_it_times():
     assert nearest["pareto"] == (nearest["milliseconds"] < disk["milliseconds"])
 
 
-@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_values_do_best_where_they_were_fitted():
     found = run("generalisation", over="light", count=2)

@@ -26,6 +26,7 @@ from diffshadow.fit import (
     with_values,
 )
 from diffshadow.fit._adam import Adam
+from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
 from diffshadow.fit._parameters import bounds_of
 from diffshadow.fit._poses import Room
 from diffshadow.fit._precision import precision_of
@@ -198,19 +199,31 @@ def test_starts_are_the_first_and_an_even_spread():
         starts_within(bounds, first, 0, seed=0)
 
 
-def test_precision_is_that_of_a_linear_regression():
+def test_precision_is_the_scatter_of_repeated_regressions():
     rng = np.random.default_rng(1)
     slopes = rng.normal(size=(400, 3)) @ np.array([[1, 0.8, 0], [0, 1, 0], [0, 0, 1]])
-    noise, span = 0.3, np.array([2.0, 1.0, 10.0])
-    found = precision_of("abc", np.linalg.qr(slopes / 20, mode="r"), span, noise**2 * 397 / 400, 400.0)
-    covariance = noise**2 * np.linalg.inv(slopes.T @ slopes)
-    np.testing.assert_allclose(list(found.deviations.values()), np.sqrt(np.diag(covariance)) * span, rtol=1e-6)
-    scale = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(found.correlations, covariance / np.outer(scale, scale), atol=1e-9)
+    # The steeper the first column, the noisier: evenly spread noise would tell half of the truth.
+    noise, span = 0.3 * np.abs(slopes[:, 0]), np.array([2.0, 1.0, 10.0])
+    residuals = noise * rng.normal(size=(20_000, 400))
+    fits = residuals @ np.linalg.pinv(slopes).T
+
+    def told(residual):
+        scatter = (slopes * residual[:, None] ** 2).T @ slopes
+        return precision_of("abc", np.linalg.qr(slopes, mode="r"), scatter, span)
+
+    found = told(noise)
+    np.testing.assert_allclose(list(found.deviations.values()), fits.std(axis=0) * span, rtol=0.03)
+    np.testing.assert_allclose(found.correlations, np.corrcoef(fits.T), atol=0.03)
     assert found.undetermined == []
+    # From the residuals of one regression, as well as 400 of them can tell.
+    np.testing.assert_allclose(list(told(residuals[0]).deviations.values()), fits.std(axis=0) * span, rtol=0.2)
+
+
+def test_what_an_image_cannot_tell_apart_is_named():
+    a, b = np.random.default_rng(1).normal(size=(2, 400))
     # b and c do the same, a is by itself, d does nothing.
-    columns = np.stack([slopes[:, 0], slopes[:, 1], slopes[:, 1], 0 * slopes[:, 0]], axis=1)
-    told = precision_of("abcd", np.linalg.qr(columns / 20, mode="r"), np.ones(4), 1e-4, 400.0)
+    columns = np.stack([a, b, b, 0 * a], axis=1)
+    told = precision_of("abcd", np.linalg.qr(columns, mode="r"), 1e-4 * columns.T @ columns, np.ones(4))
     assert told.names == ("a", "b", "c")
     assert told.undetermined == [("b", "c")]
 
@@ -224,6 +237,24 @@ def test_adam_finds_the_bottom_of_a_valley():
     np.testing.assert_allclose(found.value, [0.3, -0.2], atol=1e-3)
     assert len(reports) >= 1
     assert all(told == {"loss_this_step", "y"} for told in reports)
+
+
+def test_levenberg_marquardt_follows_a_bent_valley_to_its_bottom():
+    rosenbrock = lambda y, _: jnp.stack([10 * (y[1] - y[0] ** 2), 1 - y[0]])
+    solver = LevenbergMarquardt(1e-6, 1e-6, lambda **_: None)
+    found = optx.least_squares(rosenbrock, solver, jnp.array([-1.2, 1.0]), max_steps=60, throw=False)
+    assert found.result == optx.RESULTS.successful
+    np.testing.assert_allclose(found.value, [1, 1], atol=1e-4)
+
+
+def test_levenberg_marquardt_ends_where_the_loss_is_least_at_a_jump():
+    # Its derivative leads over the edge, and no step over it is ever accepted.
+    over_the_edge = lambda y, _: jnp.stack([1 - y[0], jnp.where(y[0] > 0.5, 2.0, 0.0)])
+    solver = LevenbergMarquardt(1e-4, 1e-6, lambda **_: None)
+    found = optx.least_squares(over_the_edge, solver, jnp.zeros(1), max_steps=60, throw=False)
+    assert found.result == optx.RESULTS.successful
+    assert 0.49 < float(found.value[0]) <= 0.5
+    assert int(found.stats["num_steps"]) < 40
 
 
 SUN = LIGHTS["directional"]

@@ -18,9 +18,6 @@ from jupyter_client.manager import KernelManager
 
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-# These compile for minutes, at any size.
-LONG = {"bias_radius_landscape", "error_vs_samples", "fit_a_light", "write_your_own_filter"}
-RUN = [pytest.param(path, marks=pytest.mark.exhaustive if path.stem in LONG else ()) for path in NOTEBOOKS]
 MOST_BYTES = 600_000
 # Names that other words contain, or that a container gives everybody.
 _COMMON_NAMES = {"root", "user", "localhost"}
@@ -50,7 +47,7 @@ def kernel(tmp_path_factory) -> Iterator[KernelManager]:
 # What the client of a kernel says of its own workings.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("path", RUN, ids=[path.stem for path in NOTEBOOKS])
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_at_small_settings(path, kernel):
     found = execute().executed(path.with_suffix(".py"), kernel)
     assert any("image/png" in output.get("data", {}) for output in outputs(found))

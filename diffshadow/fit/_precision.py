@@ -19,8 +19,10 @@ _PART = 0.3
 class Precision(NamedTuple):
     """The covariance of fitted values, to first order, from the Jacobian at the end of the last phase.
 
-    With `J` the derivatives of the n pixels' residuals and s² their sum of squares over n - p, it is s² (JᵀJ)⁻¹. It
-    takes the residuals for independent noise, which the pixels of one outline are only roughly.
+    With `r` the pixels' residuals and `J` their derivatives it is (JᵀJ)⁻¹ Jᵀ diag(r²) J (JᵀJ)⁻¹ (White, "A
+    heteroskedasticity-consistent covariance matrix estimator", Econometrica 48, 1980): residuals and derivatives are
+    large at the same few pixels, those of the outlines. It takes pixels for independent, which neighbours on one
+    outline are only roughly.
 
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; not a number for what is not determined.
@@ -37,34 +39,34 @@ class Precision(NamedTuple):
 def precision_of(
     names: Sequence[str],
     triangle: Float[HostArray, "p p"],
+    scatter: Float[HostArray, "p p"],
     span: Float[HostArray, " p"],
-    mean_square: float,
-    count: float,
 ) -> Precision:
     """The precision of a least-squares fit.
 
     **Arguments:**
 
-    - `triangle`: (p, p), the factor R of the Jacobian of residuals whose squares sum to `mean_square`, with respect to
-        each parameter's share of the distance `span` (p,) between its bounds.
-    - `count`: how many pixels count.
+    - `triangle`: (p, p), the factor R of `J`, the Jacobian of the residuals with respect to each parameter's share of
+        the distance `span` (p,) between its bounds.
+    - `scatter`: (p, p), Jᵀ diag(r²) J.
     """
     used = [int(i) for i in np.flatnonzero(np.abs(triangle).max(axis=0) > 0)]
     kept = tuple(names[i] for i in used)
-    if not used or not np.isfinite(triangle).all():
+    if not used or not (np.isfinite(triangle).all() and np.isfinite(scatter).all()):
         return Precision((), {}, [], [])
     _, effect, ways = np.linalg.svd(np.asarray(triangle, np.float64)[:, used], full_matrices=False)
-    noise = np.sqrt(mean_square / max(count - len(used), 1))
-    spread = noise / np.maximum(effect, 1e-300)
-    lost = (effect < _LEAST_EFFECT * effect[0]) | (spread > _MOST_SPREAD)
+    # Along the ways that the image tells best to worst, whose effects are independent. Where nothing is left to doubt,
+    # the fit is exact and so are its values.
+    inverse = 1 / np.maximum(effect, 1e-100) ** 2
+    along = inverse[:, None] * (ways @ np.asarray(scatter, np.float64)[np.ix_(used, used)] @ ways.T) * inverse
+    lost = (effect < _LEAST_EFFECT * effect[0]) | (np.sqrt(np.maximum(np.diag(along), 0)) > _MOST_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
         group = tuple(name for name, part in zip(kept, way, strict=True) if part >= _PART * way.max())
         if group not in undetermined:
             undetermined.append(group)
-    # Where nothing is left to doubt, the fit is exact and so are its values.
-    covariance = (ways.T * spread**2) @ ways
-    deviation = np.sqrt(np.diag(covariance))
+    covariance = ways.T @ along @ ways
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0))
     correlation = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
     deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
     return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)

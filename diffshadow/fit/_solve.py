@@ -24,6 +24,7 @@ from ..shadow import ShadowMapping
 from ._adam import Adam
 from ._arrangement import Arrangement
 from ._history import Report, Reporter, Step
+from ._levenberg_marquardt import LevenbergMarquardt
 from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
 from ._poses import is_overflow
@@ -35,9 +36,6 @@ from ._starts import starts_within
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
-# Of the decrease that the linear model foretells, as much must come true for the next step to be longer. Outlines are
-# not linear, and optimistix's 0.99 would hardly ever let steps grow.
-_GOOD = 0.5
 # How often a phase may be given more room to draw before its error is passed on.
 _ENLARGEMENTS = 6
 # Of so many of the last evaluations it is counted how much room they take.
@@ -179,14 +177,14 @@ class _Solution(NamedTuple):
 
     Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
     `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` is the
-    Jacobian's factor R.
+    Jacobian's factor R, and `scatter` its square with each pixel weighted by its squared residual.
     """
 
     value: Float[Array, " a"]
     gradient: Float[Array, " a"]
     slope: Float[Array, " a"]
     triangle: Float[Array, "a a"]
-    loss: Array
+    scatter: Float[Array, "a a"]
     steps: Array
     result: optx.RESULTS
 
@@ -245,8 +243,7 @@ class _Run:
         active = np.asarray(phase.active)
         span = np.asarray(self.bounds.upper - self.bounds.lower)[active]
         names = [self.names[i] for i in phase.active]
-        count = float(phase.joint.count)
-        return precision_of(names, np.asarray(solution.triangle), span, float(solution.loss), count)
+        return precision_of(names, np.asarray(solution.triangle), np.asarray(solution.scatter), span)
 
     def flat(self, path: _Path) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
@@ -347,7 +344,7 @@ def _phase(
 
     solution = optx.least_squares(
         residual,
-        _optimistix(solver, token, moves=problem.moves),
+        _optimistix(solver, token),
         y,
         (problem, bounds, scale),
         {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"},
@@ -361,7 +358,7 @@ def _phase(
         gradient=2 * jnp.matmul(end, slopes, precision="highest"),
         slope=jnp.sqrt(jnp.sum(slopes**2, axis=0)),
         triangle=jnp.linalg.qr(slopes, mode="r"),
-        loss=jnp.sum(end**2),
+        scatter=jnp.matmul((end[:, None] * slopes).T, end[:, None] * slopes, precision="highest"),
         steps=solution.stats["num_steps"],
         result=solution.result,
     )
@@ -387,16 +384,12 @@ _hard_loss: Any = eqx.filter_jit(
 )
 
 
-def _optimistix(
-    solver: Solver, token: Array, *, moves: bool
-) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
+def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
     report = Report(token)
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":
-            made = optx.LevenbergMarquardt(**tolerances, linear_solver=lx.QR())
-            search = optx.ClassicalTrustRegion(high_cutoff=_GOOD)
-            return eqx.tree_at(lambda one: one.search, made, search) if moves else made
+            return LevenbergMarquardt(**tolerances)
         case "dogleg":
             # It solves undamped: a parameter without a gradient must not spoil the others' steps.
             return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))

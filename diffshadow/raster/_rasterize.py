@@ -17,7 +17,7 @@ from ._depth_test import DepthTest
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
 # Counting begins with this much room for what must be cut into parts, which is enough for most scenes.
-_ROOM_TO_COUNT = Capacity(clipped=64, large=256, candidates=1 << 14)
+_ROOM_TO_COUNT = Capacity(clipped=64, large=256, candidates=1 << 16)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 

@@ -191,7 +191,9 @@ def over_windows(
     numbers, tree = jax.tree.flatten((windows.form, windows.source))
     # In one array for each type: what every number is cut out by costs more to compile than all that is done with it.
     kinds = [number.dtype for number in numbers]
-    together = {kind: jnp.stack([number for number in numbers if number.dtype == kind]) for kind in dict.fromkeys(kinds)}
+    together = {
+        kind: jnp.stack([number for number in numbers if number.dtype == kind]) for kind in dict.fromkeys(kinds)
+    }
 
     def part(begin: Array, length: int) -> tuple[EdgeForm, Array]:
         rows = {kind: iter(lax.dynamic_slice_in_dim(all_, begin, length, axis=1)) for kind, all_ in together.items()}

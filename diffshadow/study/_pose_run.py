@@ -118,9 +118,10 @@ def as_record(plan: FitPlan, result: fit.FitResult) -> dict[str, Any]:
 
 
 def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
-    """Truth, start, end, error and standard deviation of each parameter, and what became of several starts."""
-    table = Table("", "truth", "start", "end", "error", "deviation", "unit")
-    for column in table.columns[1:6]:
+    """Truth, end, error and standard deviation of each parameter, and what became of several starts."""
+    table = Table("", "truth", "end", "error", "deviation")
+    table.columns[0].no_wrap = True
+    for column in table.columns[1:]:
         column.justify = "right"
     errors = errors_of(plan, result)
     deviations: Mapping[str, float] = {} if result.precision is None else result.precision.deviations
@@ -129,11 +130,9 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
         table.add_row(
             Text(p.name),
             text(plan.truth.get(p.name), ".5g"),
-            f"{result.initial[p.name]:.5g}",
             f"{result.fitted[p.name]:.5g}",
             text(errors.get(p.name), "+.2g"),
             text(deviations.get(p.name), ".2g"),
-            p.unit,
         )
     console.print(table)
     if result.starts:

@@ -1,0 +1,72 @@
+"""Levenberg's and Marquardt's method with Nielsen's damping, as a solver of optimistix."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Float
+
+# The first step's damping, as a share of the largest square of a column of the Jacobian.
+_FIRST_DAMPING = 0.01
+_SLOWEST, _FASTEST = 2.0, 3.0
+
+
+class _State(eqx.Module):
+    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by."""
+
+    step_size: Array
+    shrink: Array
+
+
+class NielsenDamping(optx.AbstractSearch):
+    """The damping of H. B. Nielsen, "Damping parameter in Marquardt's method" (1999).
+
+    Good steps make the next longer, the more so the more of the decrease that the linear model foretells comes true;
+    each rejected step in a row shortens the next more than the last.
+    """
+
+    def init(self, y: Array, f_info_struct: Any) -> _State:
+        return _State(jnp.ones((), y.dtype), jnp.full((), _SLOWEST, y.dtype))
+
+    def step(
+        self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: _State
+    ) -> tuple[Array, Array, optx.RESULTS, _State]:
+        foretold = -optx.ClassicalTrustRegion().predict_reduction(y_eval - y, f_info)
+        came_true = f_info.as_min() - f_eval_info.as_min()
+        accept = first_step | ((foretold > 0) & (came_true > 0))
+        share = came_true / jnp.where(foretold > 0, foretold, 1)
+        longer = state.step_size / jnp.maximum(1 / _FASTEST, 1 - (2 * share - 1) ** 3)
+        steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
+        first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
+        size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
+        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SLOWEST, 2 * state.shrink))
+
+
+class LevenbergMarquardt(optx.AbstractGaussNewton):
+    """optimistix's, with Nielsen's damping; it also ends where the step after a rejected one would be short.
+
+    That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none to be had where
+    the loss is least at a jump, such as a pixel makes that changes from lit to shadowed.
+    """
+
+    rtol: float
+    atol: float
+    norm: Callable[[Any], Array]
+    descent: optx.AbstractDescent
+    search: optx.AbstractSearch
+    verbose: Callable[..., None]
+
+    def __init__(self, rtol: float, atol: float, verbose: Callable[..., None]):
+        self.rtol, self.atol, self.norm, self.verbose = rtol, atol, optx.max_norm, verbose
+        self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
+        self.search = NielsenDamping()
+
+    def terminate(
+        self, fn: Any, y: Float[Array, " p"], args: Any, options: Any, state: Any, tags: Any
+    ) -> tuple[Array, optx.RESULTS]:
+        done, result = super().terminate(fn, y, args, options, state, tags)
+        short = jnp.abs(state.y_eval - y) < self.atol + self.rtol * jnp.abs(y)
+        return done | (jnp.all(short) & (state.num_steps_since_acceptance > 0)), result
