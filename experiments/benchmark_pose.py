@@ -30,7 +30,6 @@ from diffshadow.shadow import (
     stratified,
 )
 
-SIZE = (512, 512)
 POSITION, DIRECTION = jnp.array([-1.2, 2.6, 0.9]), jnp.array([1.2, -2.2, -0.9])
 
 
@@ -38,21 +37,23 @@ def main() -> None:
     """Measures, and prints a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=positive, default=9, help="timed runs of each step")
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--pixels", type=positive, default=512, help="side of the image, and of the map in texels")
+    options = parser.parse_args()
+    size = (options.pixels, options.pixels)
     knot = library_mesh("torus_knot")
     knot = Mesh(knot.vertices - jnp.array([0.0, knot.vertices[:, 1].min(), 0.0]), knot.faces)
     mesh = merge([knot, library_mesh("plane", size=4.0)])
-    camera = PinholeCamera((1.3, 1.8, 2.2), (0.1, 0.2, -0.2), fov_y=45.0, near=0.5, far=12.0, resolution=SIZE)
+    camera = PinholeCamera((1.3, 1.8, 2.2), (0.1, 0.2, -0.2), fov_y=45.0, near=0.5, far=12.0, resolution=size)
     surface, edges = draw_surface(mesh, camera), Edges.of(mesh)
     technique = ShadowMapping(RandomDisk(2.0, stratified(16, 8)), SlopeBias(1.0), HardCompare())
     light = lambda by: SpotLight(POSITION + by[:3], DIRECTION + by[3:], 40.0, 0.5, 6.0)
-    room = plan_shadow_map(mesh, light(jnp.zeros(6)), SIZE, edges=edges)
+    room = plan_shadow_map(mesh, light(jnp.zeros(6)), size, edges=edges)
 
     def draw(by, outlines=True):
         return draw_shadow_map(
             mesh,
             light(by),
-            SIZE,
+            size,
             edges=edges if outlines else None,
             capacity=room.triangles,
             silhouette_capacity=room.silhouettes,
@@ -72,7 +73,7 @@ def main() -> None:
     start = jnp.zeros(6)
     compiled = {name: eqx.filter_jit(step).lower(start).compile() for name, step in steps.items()}
     console = Console()
-    medians = median_ms({name: partial(step, start) for name, step in compiled.items()}, repeats, console)
+    medians = median_ms({name: partial(step, start) for name, step in compiled.items()}, options.repeats, console)
     table = Table("part", "ms", "over step")
     for name, ms in medians.items():
         table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}")

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
 PNG = b"\x89PNG\r\n\x1a\n"
 
-TINY = """
+SCENE = """
 scene:
   meshes:
     - {path: builtin:torus, size: 1, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
@@ -29,7 +29,7 @@ bias: {constant: 0.2, slope: 0.2}
 filter: {samples: 8, pattern_size: 4, radius: 2}
 reference: {samples: 16}
 """
-TINY += fit_section(bias=6, radius=6, max_steps=8, anneal="{start: 1, end: 0.1, phases: 2}")
+TINY = SCENE + fit_section(bias=6, radius=6, max_steps=8, anneal="{start: 1, end: 0.1, phases: 2}")
 
 
 @pytest.fixture(autouse=True)
@@ -173,3 +173,34 @@ def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, argument
     assert said in told
     assert "Traceback" not in told
     assert not Path("runs").exists()
+
+
+@pytest.mark.slow
+def test_light_is_recovered_from_its_shadow():
+    recover = importlib.import_module("recover_light").main
+    (row,) = recover("builtin:sphere", lights=["directional"], starts=1, pixels=64, texels=64)
+    assert row["median"] == row["greatest"] == row["errors"][0] < 1, "it starts 20 degrees off"
+    assert row["median"] < 4 * row["deviation"] < 4
+
+
+def test_gallery_shows_each_technique(monkeypatch):
+    gallery = importlib.import_module("gallery")
+    (name, rows), *_ = gallery.SECTIONS.items()
+    shown = [row for row in rows if row.name in ("Nearest", "Bilinear")]
+    monkeypatch.setattr(gallery, "SECTIONS", {name: shown})
+    Path("scene.yaml").write_text(SCENE)
+    gallery.main(Path("scene.yaml"), page=Path("gallery.md"), repeats=1)
+    page = Path("gallery.md").read_text()
+    assert [row.name in page for row in shown] == [True, True]
+    pictures = list(Path("images/gallery").glob("*.png"))
+    assert len(pictures) >= 3, "the reference is one"
+    assert all(str(picture) in page for picture in pictures)
+
+
+@pytest.mark.exhaustive
+def test_pose_benchmark_times_every_part(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["benchmark_pose.py", "--pixels", "32", "--repeats", "1"])
+    importlib.import_module("benchmark_pose").main()
+    told = capsys.readouterr().out
+    for part in ("map and silhouettes", "plain step", "gradient, forward", "gradient, reverse"):
+        assert part in told

@@ -67,6 +67,7 @@ def precision_of(
             undetermined.append(group)
     covariance = ways.T @ along @ ways
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0))
-    correlation = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
+    product = np.outer(deviation, deviation)
+    correlation = np.divide(covariance, product, out=np.eye(len(used)), where=product > 0)
     deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
     return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)
