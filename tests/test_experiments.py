@@ -178,9 +178,10 @@ def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, argument
 @pytest.mark.slow
 def test_light_is_recovered_from_its_shadow():
     recover = importlib.import_module("recover_light").main
-    (row,) = recover("builtin:sphere", lights=["directional"], starts=1, pixels=64, texels=64)
-    assert row["median"] == row["greatest"] == row["errors"][0] < 1, "it starts 20 degrees off"
-    assert row["median"] < 4 * row["deviation"] < 4
+    (row,) = recover("builtin:sphere", lights=["directional"], starts=2, pixels=24, texels=64)
+    assert row["median"] == pytest.approx(np.mean(row["errors"]))
+    assert max(row["errors"]) == row["greatest"] < 3, "they start 20 degrees off"
+    assert row["median"] < 4 * row["deviation"] < 8
 
 
 def test_gallery_shows_each_technique(monkeypatch):

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 # The first step's damping, as a share of the largest square of a column of the Jacobian.
 _FIRST_DAMPING = 0.01
-_SLOWEST, _FASTEST = 2.0, 3.0
+# By how much the first of several rejected steps shortens the next, and a good one lengthens it at most.
+_SHRINK, _MOST_GROWTH = 2.0, 3.0
 
 
 class _State(eqx.Module):
@@ -29,7 +30,7 @@ class NielsenDamping(optx.AbstractSearch):
     """
 
     def init(self, y: Array, f_info_struct: Any) -> _State:
-        return _State(jnp.ones((), y.dtype), jnp.full((), _SLOWEST, y.dtype))
+        return _State(jnp.ones((), y.dtype), jnp.full((), _SHRINK, y.dtype))
 
     def step(
         self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: _State
@@ -38,11 +39,11 @@ class NielsenDamping(optx.AbstractSearch):
         came_true = f_info.as_min() - f_eval_info.as_min()
         accept = first_step | ((foretold > 0) & (came_true > 0))
         share = came_true / jnp.where(foretold > 0, foretold, 1)
-        longer = state.step_size / jnp.maximum(1 / _FASTEST, 1 - (2 * share - 1) ** 3)
+        longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * share - 1) ** 3)
         steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
         first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
         size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
-        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SLOWEST, 2 * state.shrink))
+        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SHRINK, 2 * state.shrink))
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
