@@ -372,7 +372,7 @@ def test_render_of_several_lights_tells_them_apart():
 @pytest.mark.parametrize(
     ("overrides", "more"),
     [
-        (("technique.type=shadow_volumes",), {"debug_volumes.png"}),
+        pytest.param(("technique.type=shadow_volumes",), {"debug_volumes.png"}, marks=pytest.mark.exhaustive),
         (
             ("technique={type: projective_texture, resolution: [64, 64], blur: 1}", "scene.meshes.1.casts=false"),
             {"texture.png"},
