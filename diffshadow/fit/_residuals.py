@@ -93,11 +93,6 @@ class Joint(eqx.Module):
         return sum((jnp.sum(residual**2) for residual in self.residual(subject)), start=jnp.zeros(()))
 
     @property
-    def count(self) -> Scalar:
-        """How many pixels count, of all problems."""
-        return jnp.asarray(sum(problem.count for problem in self.problems), jnp.result_type(float))
-
-    @property
     def technique(self) -> ShadowMapping:
         """The subject's technique."""
         return self.subject.technique if isinstance(self.subject, Arrangement) else self.subject

@@ -20,7 +20,8 @@ class Solver(NamedTuple):
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
     - `max_steps`: of each phase.
-    - `rtol`, `atol`: a phase ends when both parameters and loss change by less.
+    - `rtol`, `atol`: a phase ends when both parameters and loss change by less. Levenberg-Marquardt also ends where,
+        after a step that did not help, the next would change all parameters by less.
     - `learning_rate`: of Adam alone: how far its first steps go, where the whole way between the bounds is pi.
     """
 

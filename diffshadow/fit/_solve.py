@@ -268,7 +268,7 @@ class _Run:
         """One phase more, from where `path` ends."""
         phase, free = self.phases[number], path.free[-1]
         active = np.asarray(phase.active)
-        # Errors of any size look alike to the solver, so that its first step is of a size with the way to go.
+        # Errors of any size look alike to the solver, so that its tolerances mean the same for all.
         scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
         solution = self._drawing(number, _run_phase, lambda phase: self._arguments(phase, free, scale))
