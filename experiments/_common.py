@@ -47,10 +47,8 @@ USER_ERROR, INTERRUPTED = 2, 130
 
 # As the figures of a run look.
 INK, FAINT = style.INK, style.FAINT
-COLOURS = (*style.CYCLE, INK, FAINT)
-MARKERS = (*style.MARKERS, "X", "*")
-HEAT = style.DISTANCE
-figure, colour_bar = style.figure, style.colour_bar
+COLOURS, HEAT = style.CYCLE, style.DISTANCE
+figure, colour_bar, curve = style.figure, style.colour_bar, style.curve
 _DPI = 100
 
 

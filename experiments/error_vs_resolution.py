@@ -142,8 +142,7 @@ def picture(rows: list[dict[str, Any]], sizes: list[int], slopes: dict[str, Any]
     axes.set_yscale("log")
     for i, (name, of) in enumerate(slopes.items()):
         label = TECHNIQUES[name].title + ("" if of is None else f": {of:.2f}")
-        style = {"color": common.COLOURS[i], "marker": common.MARKERS[i], "markersize": 5, "linewidth": 1.4}
-        axes.plot(sizes, errors_of(rows, name), label=label, **style)
+        axes.plot(sizes, errors_of(rows, name), label=label, **common.curve(i))
     # The power law of a hard shadow, beside the worst technique.
     top = 1.25 * max(row["rmse"] for row in rows if row["resolution"] == sizes[0])
     ends = np.array([sizes[0], sizes[-1]])

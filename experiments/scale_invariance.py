@@ -137,8 +137,7 @@ def picture(rows: list[dict[str, float]], keys: list[str]) -> Any:
     rows = [row for row in rows if row["scale"] != 1]
     for i, key in enumerate(keys):
         y = [max(row[key], LEAST) for row in rows]
-        style = {"color": common.COLOURS[i % 8], "marker": common.MARKERS[i % 8], "markersize": 5, "linewidth": 1.2}
-        axes.plot([row["scale"] for row in rows], y, label=key.removeprefix("deviation "), **style)
+        axes.plot([row["scale"] for row in rows], y, label=key.removeprefix("deviation "), **common.curve(i))
     axes.axhline(2**-24, color=common.FAINT, linestyle="--", linewidth=1, label="single precision")
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -31,7 +31,7 @@ from diffshadow.config import Config, build_technique, load_config
 
 NAME = "shootout"
 BOUNDS = {
-    common.BIAS: "{initial: 2, lower: 0, upper: 12}",
+    common.BIAS: "{initial: 2, lower: 0, upper: 40}",
     "bias.slope": "{initial: 0.5, lower: 0, upper: 6}",
     common.RADIUS: "{initial: 2, lower: 0, upper: 10}",
     "filter.light_bleeding": "{initial: 0.1, lower: 0, upper: 0.9}",
@@ -190,7 +190,7 @@ def picture(rows: list[dict[str, Any]], kept: list[int], summary: dict[str, Any]
     for i, name in enumerate(dict.fromkeys(row["technique"] for row in rows)):
         of, technique = [row for row in rows if row["technique"] == name], TECHNIQUES[name]
         x, y = ([row[key] for row in of] for key in ("milliseconds", "rmse"))
-        style = {"color": common.COLOURS[i % 8], "marker": common.MARKERS[i % 8], "markersize": 5, "linewidth": 1.2}
+        style = common.curve(i)
         axes.plot(x, y, label=technique.title, **style)
         for row in of if len(technique.settings) > 1 else []:
             at = (row["milliseconds"], row["rmse"])

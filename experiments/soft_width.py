@@ -245,8 +245,7 @@ def picture(rows: list[dict[str, Any]], kernels: Sequence[str], summary: dict[st
         for i, kernel in enumerate(kernels):
             of = [row for row in rows if row["kernel"] == kernel]
             x, y = ([row[name] for row in of] for name in ("deviation", key))
-            style = {"color": common.COLOURS[i], "marker": common.MARKERS[i], "markersize": 4, "linewidth": 1.3}
-            panel.plot(x, y, label=kernel, **style)
+            panel.plot(x, y, label=kernel, **common.curve(i))
         panel.set_xscale("log")
         panel.set_yscale("log")
         common.chart(panel, title, "standard deviation of the step [texels]", along)

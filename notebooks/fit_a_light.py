@@ -44,7 +44,7 @@ for p in plan.parameters:
 # **Fit.**
 
 # %%
-levels = (2, 1) if SMALL else (4, 2, 1)
+levels = (1,) if SMALL else (4, 2, 1)
 result = fit.fit(problems, plan.parameters, solver=plan.solver, anneal=plan.anneal, levels=levels)
 deviations = result.precision.deviations
 for name, value in result.fitted.items():

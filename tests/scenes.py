@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow.fit import Problem
+from diffshadow.fit import Problem, with_values
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, Scene, SpotLight, merge
 from diffshadow.raster import Surface, draw_surface
 from diffshadow.shadow import AbstractFilter, Bias, HardCompare, Lookup, ShadowMap, ShadowMapping, draw_shadow_map
@@ -119,6 +119,26 @@ def shadows(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -
 @eqx.filter_jit
 def covered(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -> Any:
     return technique.covered(shadow_map, surface)
+
+
+@eqx.filter_jit
+def _loss_and_gradients(known: Problem, names: tuple[str, ...], values: Any, reverse: bool) -> Any:
+    def loss(values: Any) -> Any:
+        found = known.mean_square_error(with_values(known.technique, names, values))
+        return found, found
+
+    forward, value = jax.jacfwd(loss, has_aux=True)(values)
+    return value, forward, jax.jacrev(loss, has_aux=True)(values)[0] if reverse else None
+
+
+def slopes_of_loss(known: Problem, names: tuple[str, ...], values: Any, steps: Any, reverse: bool = False) -> Any:
+    """Central differences (p,) of the mean square error by the numbers at `names`, in `steps` (p,) of each; and its
+    gradient by forward and, if asked for, by reverse mode. All by one program, so that one is compiled."""
+    at = lambda values: jax.tree.map(np.asarray, _loss_and_gradients(known, names, jnp.asarray(values), reverse))
+    differences = [(at(values + d)[0] - at(values - d)[0]) / (2 * d.sum()) for d in np.diag(steps)]
+    _, forward, backward = at(values)
+    assert forward.dtype == jnp.result_type(float)
+    return np.array(differences), forward, backward
 
 
 def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0, compare=None) -> ShadowMapping:

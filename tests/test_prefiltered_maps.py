@@ -5,10 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import lookups_at, map_of, problem, random_lookups, random_map, technique
+from scenes import lookups_at, map_of, problem, random_lookups, random_map, slopes_of_loss, technique
 from scipy.stats import norm
 
-from diffshadow.fit import with_values
 from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
 from diffshadow.shadow import (
     ExponentialShadowMap,
@@ -222,11 +221,6 @@ PARAMETERS = {
 }
 
 
-@eqx.filter_jit
-def loss(known, names, values):
-    return known.mean_square_error(with_values(known.technique, names, values))
-
-
 @pytest.mark.parametrize(("name", "kernel"), list(zip(KINDS, ("box", "tent", "gaussian", "box"), strict=True)))
 def test_gradient_of_the_loss_matches_central_differences(name, kernel):
     own = PARAMETERS[name]
@@ -234,12 +228,7 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel):
     values = np.array([0.2, 0.3, 0.4, 1.7, *own.values()])
     with jax.enable_x64(True):
         known = problem(technique(KINDS[name](1.0, 2.5, kernel, **own)), "spot", image=32, texels=96)
-        at, steps = jnp.asarray(values), np.diag(1e-6 * values)
-        slopes = [(loss(known, names, at + d) - loss(known, names, at - d)) / (2 * d.sum()) for d in steps]
-        forward, backward = (
-            np.asarray(jax.jit(jac(lambda values: loss(known, names, values)))(at)) for jac in (jax.jacfwd, jax.jacrev)
-        )
-        slopes = np.array(slopes)
+        slopes, forward, backward = slopes_of_loss(known, names, values, 1e-6 * values, reverse=True)
     assert (np.abs(slopes * values) > 1e-7).all()
     np.testing.assert_allclose(forward, slopes, rtol=0.01)
     np.testing.assert_allclose(forward, backward, rtol=1e-8)

@@ -60,7 +60,7 @@ def assert_explained(face, exact, what):
 # Soups
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=40)
 @given(seed=seeds)
 def test_soups_of_every_kind_see_the_nearest_face(seed):
     for k in range(SOUPS_AN_EXAMPLE):

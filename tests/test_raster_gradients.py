@@ -269,9 +269,15 @@ def test_reverse_mode_equals_forward_mode(case):
     parameter, capacity = jnp.array(case.parameter), room(case)
     only_maps = lambda p: maps(case, p, capacity)[0]
     tangent = jnp.asarray(rng.normal(size=len(case.parameter)), jnp.float32)
-    value, pushed = jax.jit(lambda p: jax.jvp(only_maps, (p,), (tangent,)))(parameter)
-    weights = jnp.asarray(rng.normal(size=value.shape), jnp.float32)
-    pulled = jax.jit(jax.grad(lambda p: jnp.sum(weights * only_maps(p))))(parameter)
+    weights = jnp.asarray(rng.normal(size=(*RESOLUTION, 4)), jnp.float32)
+
+    # Both in one program, so that what they share is compiled once.
+    @jax.jit
+    def both(p):
+        _, pushed = jax.jvp(only_maps, (p,), (tangent,))
+        return pushed, jax.grad(lambda p: jnp.sum(weights * only_maps(p)))(p)
+
+    pushed, pulled = both(parameter)
     a, b = np.sum(to_numpy(weights) * to_numpy(pushed)), np.sum(to_numpy(pulled) * to_numpy(tangent))
     size = np.sum(np.abs(to_numpy(weights) * to_numpy(pushed)))
     assert abs(a - b) <= 1e-5 * size, (a, b)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import problem, random_lookups, random_map, technique
+from scenes import problem, random_lookups, random_map, slopes_of_loss, technique
 
 from diffshadow.fit import with_values
 from diffshadow.shadow import (
@@ -52,17 +52,7 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel, light):
         mapping = technique(FILTERS[name](), compare=SoftCompare(3.0, kernel))
         known = problem(mapping, light, image=64, texels=64)
         count = SMOOTH.get(name, 4)
-
-        @eqx.filter_jit
-        def loss(known, values):
-            return known.mean_square_error(with_values(known.technique, NAMES[:count], values))
-
-        at = jnp.array(VALUES[:count])
-        steps = STEP * jnp.eye(count)
-        slopes = [(loss(known, at + step) - loss(known, at - step)) / (2 * STEP) for step in steps]
-        gradient = eqx.filter_jit(lambda known, at: jax.jacfwd(lambda values: loss(known, values))(at))(known, at)
-        assert gradient.dtype == jnp.float64
-        slopes, gradient = np.array(slopes), np.asarray(gradient)
+        slopes, gradient, _ = slopes_of_loss(known, NAMES[:count], VALUES[:count], np.full(count, STEP))
     assert (np.abs(slopes) > 1e-6).all()
     np.testing.assert_allclose(gradient, slopes, rtol=0.01)
 

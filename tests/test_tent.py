@@ -5,9 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import apply, lookups_at, map_of, problem, random_lookups, random_map, technique
+from scenes import apply, lookups_at, map_of, problem, random_lookups, random_map, slopes_of_loss, technique
 
-from diffshadow.fit import with_values
 from diffshadow.shadow import Bilinear, Castano, HardCompare, Lookup, Nearest, SoftCompare, Tent
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
@@ -101,11 +100,6 @@ def test_constant_maps_give_the_compare_itself_even_far_away(kernel, rng):
     np.testing.assert_allclose(apply(kernel, shadow_map, far, SOFT), 1, atol=3e-5)
 
 
-@eqx.filter_jit
-def loss(known, names, values):
-    return known.mean_square_error(with_values(known.technique, names, values))
-
-
 @pytest.mark.parametrize(
     ("name", "kernel"), [("tent", lambda: Tent(1.0, 2.0)), ("castano", lambda: Castano(3))], ids=["tent", "castano"]
 )
@@ -115,14 +109,7 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel):
         names, values = (*names, "filter.radius"), (*values, 1.7)
     with jax.enable_x64(True):
         known = problem(technique(kernel(), compare=SoftCompare(3.0)), "spot", image=32, texels=32)
-        at, step = jnp.array(values), 1e-5
-        slopes = [
-            (loss(known, names, at + d) - loss(known, names, at - d)) / (2 * step) for d in step * jnp.eye(len(at))
-        ]
-        forward, backward = (
-            np.asarray(jax.jit(jac(lambda values: loss(known, names, values)))(at)) for jac in (jax.jacfwd, jax.jacrev)
-        )
-        slopes = np.array(slopes)
+        slopes, forward, backward = slopes_of_loss(known, names, values, np.full(len(names), 1e-5), reverse=True)
     assert (np.abs(slopes) > 1e-6).all()
     np.testing.assert_allclose(forward, slopes, rtol=0.01)
     np.testing.assert_allclose(forward, backward, rtol=1e-9)

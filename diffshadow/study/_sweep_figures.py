@@ -42,9 +42,7 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, names: tup
 
 
 def _draw(axes: style.Axes, curve: Curve, index: int) -> None:
-    colour, marker = style.CYCLE[index % len(style.CYCLE)], style.MARKERS[index % len(style.MARKERS)]
-    marks = {"marker": marker, "markersize": 4, "linewidth": 1.3, "linestyle": style.dashes(index)}
-    axes.plot(curve.x, curve.y, color=colour, label=_label(curve), **marks)
+    axes.plot(curve.x, curve.y, label=_label(curve), **style.curve(index))
 
 
 def _label(curve: Curve) -> str:

@@ -128,11 +128,17 @@ def dashes(index: int) -> str:
     return ("-", "--", ":", "-.")[index // len(CYCLE) % 4]
 
 
+def curve(index: int) -> dict[str, Any]:
+    """What tells the curve at `index` from others, for `Axes.plot`: colour, marker and dashes."""
+    colour, marker = CYCLE[index % len(CYCLE)], MARKERS[index % len(MARKERS)]
+    return {"color": colour, "marker": marker, "linestyle": dashes(index), "markersize": 4, "linewidth": 1.3}
+
+
 def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
     """A colour bar beside `axes`."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
     bar.set_label(label, fontsize=TEXT, color=INK)
-    bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK)
+    bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")
     bar.outline.set_edgecolor(FAINT)  # type: ignore[operator]
     bar.outline.set_linewidth(0.6)  # type: ignore[operator]
     return bar
