@@ -178,7 +178,8 @@ def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, argument
 @pytest.mark.slow
 def test_light_is_recovered_from_its_shadow():
     recover = importlib.import_module("recover_light").main
-    (row,) = recover("builtin:sphere", lights=["directional"], starts=2, pixels=24, texels=64)
+    # Odd sides cannot be made coarser, which spares a program.
+    (row,) = recover("builtin:sphere", lights=["directional"], starts=2, pixels=25, texels=65)
     assert row["median"] == pytest.approx(np.mean(row["errors"]))
     assert max(row["errors"]) == row["greatest"] < 3, "they start 20 degrees off"
     assert row["median"] < 4 * row["deviation"] < 8

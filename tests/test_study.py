@@ -377,9 +377,10 @@ def test_render_of_several_lights_tells_them_apart():
             ("technique={type: projective_texture, resolution: [64, 64], blur: 1}", "scene.meshes.1.casts=false"),
             {"texture.png"},
         ),
-        (
+        pytest.param(
             ("filter={type: pcss, samples: 4, pattern_size: 2, pattern: vogel, rotated: false}",),
             {"shadow_map.png", "debug_depth.png", "debug_blockers.png", "debug_pattern.png"},
+            marks=pytest.mark.exhaustive,
         ),
         (("filter={type: nearest}", "shadow_map.layer=midpoint"), {"shadow_map.png", "debug_depth.png"}),
     ],
