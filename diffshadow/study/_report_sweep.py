@@ -117,6 +117,9 @@ def _mean(mean: float, error: float) -> str:
 
 
 def _text(value: Any) -> str:
+    if pd.isna(value):
+        # An entry of the list leaves it as it is.
+        return "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -165,12 +168,10 @@ def _figure(
     except ValueError:
         # No run has what is to be drawn; the failures say why.
         return None
-    of_metric = "visibility" if plot.y.rpartition(".")[2] in ("rmse", "mae", "rmse_to_limit") else ""
-    units = (_unit(settings, plot.x), of_metric)
     if form is not None:
-        write_plot(folder / f"plot.{form}", curves, plot, units)
+        write_plot(folder / f"plot.{form}", curves, plot, settings)
     with tempfile.TemporaryDirectory() as scratch:
-        write_plot(Path(scratch) / "plot.svg", curves, plot, units)
+        write_plot(Path(scratch) / "plot.svg", curves, plot, settings)
         return style.themed((Path(scratch) / "plot.svg").read_text(encoding="utf-8"))
 
 

@@ -5,22 +5,30 @@ from pathlib import Path
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from ..config import PlotConfig
+from ..config import LIMIT_ERROR, PlotConfig, Row
 from . import style
 from ._sweep_curves import Curve
 
 _WIDTH, _HEIGHT = 4.1, 3.9
 # Panels in a row.
 _MOST_COLUMNS = 3
+_METRICS = {
+    "rmse": "RMSE [visibility]",
+    "mae": "mean absolute error [visibility]",
+    "ssim": "SSIM",
+    LIMIT_ERROR: "RMSE against the filter's limit [visibility]",
+}
 
 
-def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, names: tuple[str, str]) -> None:
+def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: Sequence[Row]) -> None:
     """The curves, a panel for each value of `plot.panels`, and their slopes in the legends.
 
     **Arguments:**
 
-    - `names`: of the axis and of the metric, with their units.
+    - `settings`: of any of the runs, which tell the axis' unit.
     """
+    unit = next((row.unit for row in settings if row.key == plot.x), "")
+    names = f"{plot.x} [{unit}]" if unit else plot.x, _METRICS.get(plot.y, plot.y)
     panels = list(dict.fromkeys(curve.panel for curve in curves))
     lines = list(dict.fromkeys(curve.line for curve in curves))
     columns = min(len(panels), _MOST_COLUMNS)

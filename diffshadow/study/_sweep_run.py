@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .. import io
-from ..config import LIMIT_ERROR, Sweep, SweepRun, describe
+from ..config import Sweep, SweepRun, describe
 from . import _record as record
 from . import _table as table
 from ._report_sweep import report_sweep
@@ -36,12 +36,6 @@ _BATCH = 16
 # Batches for each worker at least, so that none is left with much to do when the others have ended.
 _BATCHES_A_WORKER = 8
 _MOST_SHOWN = 8
-_METRICS = {
-    "rmse": "RMSE [visibility]",
-    "mae": "mean absolute error [visibility]",
-    "ssim": "SSIM",
-    LIMIT_ERROR: "RMSE against the filter's limit [visibility]",
-}
 
 
 def run_sweep(
@@ -212,10 +206,8 @@ def _plotted(folder: Path, sweep: Sweep, columns: Mapping[str, list[Any]]) -> tu
         return [], [f"there is no figure: {error}"]
     from ._sweep_figures import write_plot
 
-    unit = next((row.unit for row in describe(sweep.runs[0].config) if row.key == plot.x), "")
-    names = f"{plot.x} [{unit}]" if unit else plot.x, _METRICS.get(plot.y, plot.y)
     with io.atomic_path(folder / PLOT) as temporary:
-        write_plot(temporary, curves, plot, names)
+        write_plot(temporary, curves, plot, describe(sweep.runs[0].config))
     return curves, []
 
 
