@@ -121,14 +121,21 @@ def covered(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -
     return technique.covered(shadow_map, surface)
 
 
+def jacfwd_and_value(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The derivative of a function and its value, which is not found twice."""
+
+    def twice(x: Any) -> Any:
+        value = function(x)
+        return value, value
+
+    return jax.jacfwd(twice, has_aux=True)
+
+
 @eqx.filter_jit
 def _loss_and_gradients(known: Problem, names: tuple[str, ...], values: Any, reverse: bool) -> Any:
-    def loss(values: Any) -> Any:
-        found = known.mean_square_error(with_values(known.technique, names, values))
-        return found, found
-
-    forward, value = jax.jacfwd(loss, has_aux=True)(values)
-    return value, forward, jax.jacrev(loss, has_aux=True)(values)[0] if reverse else None
+    loss = lambda values: known.mean_square_error(with_values(known.technique, names, values))
+    forward, value = jacfwd_and_value(loss)(values)
+    return value, forward, jax.jacrev(loss)(values) if reverse else None
 
 
 def slopes_of_loss(known: Problem, names: tuple[str, ...], values: Any, steps: Any, reverse: bool = False) -> Any:

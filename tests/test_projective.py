@@ -124,7 +124,6 @@ def test_point_light_projects_as_a_spot_light_that_looks_the_same_way(floor):
 def test_blur_has_a_gradient():
     with jax.enable_x64(True):
         surface = draw_surface(floor_and_card(HALF), floor_camera(1.5, (24, 24)))
-
         room = plan_shadow_map(CARD, DOWN, (32, 32)).triangles
 
         def mean_square(blur):

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import lookups_at
+from scenes import jacfwd_and_value, lookups_at
 from shadow_area_oracle import difference, lit_area
 
 from diffshadow.geometry import DirectionalLight, Edges, Mesh, PointLight, SpotLight, library_mesh
@@ -145,18 +145,8 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
         return (jnp.sum(lit) + rest) / size**2 * box
 
     exact = lambda by: lit_area(_moved(mesh, by[parameters:]), towards(by[:parameters]), BOX)
-    gradient, value = jax.jit(_with_value(jax.jacfwd, ours))(start)
+    gradient, value = jax.jit(jacfwd_and_value(ours))(start)
     return value, exact(np.zeros(parameters + 3)), gradient, difference(exact, start)
-
-
-def _with_value(derivative, function):
-    """The derivative of a function beside its value, which is not found twice."""
-
-    def twice(x):
-        value = function(x)
-        return value, value
-
-    return derivative(twice, has_aux=True)
 
 
 @pytest.fixture
@@ -236,7 +226,7 @@ def test_a_vertex_moves_the_shadow_of_a_square(light, float64):
     exact = lambda v: lit_area(square(jnp.asarray(v.reshape(4, 3))), towards(np.zeros(parameters)), box)
     flat = jnp.asarray(SQUARE.reshape(-1))
     # All in one program, so that what they share is compiled once.
-    (forward, value), backward = jax.jit(lambda v: (_with_value(jax.jacfwd, ours)(v), jax.grad(ours)(v)))(flat)
+    (forward, value), backward = jax.jit(lambda v: (jacfwd_and_value(ours)(v), jax.grad(ours)(v)))(flat)
     assert value == pytest.approx(exact(np.asarray(flat)), rel=1e-3)
     truth = difference(exact, flat)
     np.testing.assert_allclose(forward, truth, atol=0.01 * np.abs(truth).max())

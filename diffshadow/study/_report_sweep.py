@@ -11,7 +11,7 @@ import pandas as pd
 from .. import io
 from ..config import PlotConfig, Row, describe, load_config
 from ._stored import REPORT, read_result
-from ._sweep_curves import curves_of
+from ._sweep_curves import curves_of, unit_of, with_unit
 from ._sweep_table import MISSING, RESULTS
 from ._sweep_work import FAILED, FIGURES, OK, RUNS
 
@@ -56,9 +56,9 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
         total=len(runs),
         done=len(good),
         missing=int((runs["status"] == MISSING).sum()),
-        axes=[(axis, _listed(runs[axis].dropna().unique().tolist()), _unit(settings, axis)) for axis in axes],
+        axes=[(axis, _listed(runs[axis].dropna().unique().tolist()), unit_of(settings, axis)) for axis in axes],
         summary=summary._replace(rows=summary.rows[:_MOST_ROWS]),
-        heads=[f"{axis} [{unit}]" if (unit := _unit(settings, axis)) else axis for axis in axes],
+        heads=[with_unit(settings, axis) for axis in axes],
         left_out=max(len(summary.rows) - _MOST_ROWS, 0),
         seeds=int(good[_SEED].nunique()) if _SEED in good else 1,
         figure=figure,
@@ -146,10 +146,6 @@ def _settings(folder: Path, runs: Runs) -> list[Row]:
         if file.is_file():
             return describe(load_config(file, []))
     return []
-
-
-def _unit(settings: Sequence[Row], key: str) -> str:
-    return next((row.unit for row in settings if row.key == key), "")
 
 
 def _figure(

@@ -6,7 +6,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import HostArray
-from ..config import PlotConfig
+from ..config import PlotConfig, Row
+
+
+def unit_of(settings: Sequence[Row], key: str) -> str:
+    """A setting's unit, empty if it has none."""
+    return next((row.unit for row in settings if row.key == key), "")
+
+
+def with_unit(settings: Sequence[Row], key: str) -> str:
+    """A setting's key and its unit, if it has one."""
+    unit = unit_of(settings, key)
+    return f"{key} [{unit}]" if unit else key
 
 
 class Curve(NamedTuple):

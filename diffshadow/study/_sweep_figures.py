@@ -7,7 +7,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from ..config import LIMIT_ERROR, PlotConfig, Row
 from . import style
-from ._sweep_curves import Curve
+from ._sweep_curves import Curve, with_unit
 
 _WIDTH, _HEIGHT = 4.1, 3.9
 # Panels in a row.
@@ -27,8 +27,7 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: 
 
     - `settings`: of any of the runs, which tell the axis' unit.
     """
-    unit = next((row.unit for row in settings if row.key == plot.x), "")
-    names = f"{plot.x} [{unit}]" if unit else plot.x, _METRICS.get(plot.y, plot.y)
+    names = with_unit(settings, plot.x), _metric(plot.y)
     panels = list(dict.fromkeys(curve.panel for curve in curves))
     lines = list(dict.fromkeys(curve.line for curve in curves))
     columns = min(len(panels), _MOST_COLUMNS)
@@ -47,6 +46,14 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: 
     for one in axes[len(panels) :]:
         one.set_visible(False)
     style.save(figure, path)
+
+
+def _metric(name: str) -> str:
+    """A metric's name with its unit; those of a fit begin with `before.` or `after.`."""
+    when, _, metric = name.rpartition(".")
+    if metric not in _METRICS:
+        return name
+    return f"{when}: {_METRICS[metric]}" if when else _METRICS[metric]
 
 
 def _draw(axes: style.Axes, curve: Curve, index: int) -> None:
