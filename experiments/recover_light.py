@@ -1,8 +1,8 @@
 """How well is a light recovered from one image of its shadow? Fits it from random starts, for each mesh and light.
 
-A mesh of the library, or from a file, stands on a plane under a directional, a spot or a point light, and the traced
-hard shadow is the target. Starts are 20 degrees off (directional), or 20 % of the light's distance off to any side
-(spot and point; a spot light's direction by 20 degrees besides):
+A mesh of the library, or from a file, stands on a plane under a directional, a spot or a point light, and the hard
+shadow, traced with 4 x 4 camera rays a pixel, is the target. Starts are 20 degrees off (directional), or 20 % of the
+light's distance off to any side (spot and point; a spot light's direction by 20 degrees besides):
 
     python experiments/recover_light.py spot_cow.obj builtin:torus_knot
     python experiments/recover_light.py bunny.obj --lights directional --starts 20 --pixels 512
@@ -104,9 +104,9 @@ def configuration(mesh: str, kind: Kind, pixels: int, texels: int) -> Config:
             "light": LIGHTS[kind],
         },
         "shadow_map": {"resolution": [texels, texels]},
-        "bias": {"constant": 0.5, "slope": 1.0},
+        "bias": {"constant": 0.5, "plane": {"type": "receiver_plane", "deepening": 0.5}},
         "filter": {"type": "bilinear"},
-        "reference": {"type": "traced"},
+        "reference": {"type": "traced", "supersampling": 4},
         "fit": {"parameters": bounds},
     }
     return parse_config(json.dumps(data), source=f"the scene of {mesh}")

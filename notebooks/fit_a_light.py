@@ -88,20 +88,19 @@ axes[0].set_ylabel("y [pixels]")
 bars = figure.colorbar(bright, ax=axes[:3], shrink=0.7, label="visibility"), figure.colorbar(shown, ax=axes[3], shrink=0.7)
 
 # %% [markdown]
-# **The landscape**: the RMSE over both angles, at a quarter of the resolution (where the fit begins) and in full, with
-# the fit's evaluations at that level. Each level may take 20 steps. In the coarse image these are small, and most of the
-# way is gone in the finer ones.
+# **The landscape**: over both angles, the RMSE of blurred differences, which the fit makes least, at a quarter of the
+# resolution (where the fit begins) and in full, with the fit's evaluations at that level.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)
 azimuth, elevation = (np.linspace(p.lower, p.upper, GRID) for p in plan.parameters)
 for ax, level in zip(axes, (levels[0], 1)):
     coarse = problem.at_level(level)
-    mean_square = lambda values: float(jnp.sum(at(coarse, values)[1] ** 2) / coarse.count)
+    mean_square = lambda values: float(jnp.sum(coarse.compared(at(coarse, values)[1]) ** 2) / coarse.count)
     rmse = np.sqrt([[mean_square(jnp.array([a, e], jnp.float32)) for a in azimuth] for e in elevation])
     norm = LogNorm(rmse.min(), rmse.max())
     shown = ax.pcolormesh(azimuth, elevation, rmse, norm=norm, cmap="cividis_r", shading="nearest", rasterized=True)
-    figure.colorbar(shown, ax=ax, shrink=0.8, label="RMSE [visibility]")
+    figure.colorbar(shown, ax=ax, shrink=0.8, label="RMSE, blurred [visibility]")
     phases = [i for i, phase in enumerate(result.phases) if phase.level == level]
     path = np.array([step.values for step in result.history if step.phase in phases])
     ax.plot(*path.T, color="white", linewidth=3)

@@ -1,5 +1,6 @@
 """The reference tracer against closed forms, a float64 tracer and its own noise estimate."""
 
+import dataclasses
 import threading
 
 import jax.numpy as jnp
@@ -506,6 +507,43 @@ def test_bad_sampling_is_refused(trace):
 
     with pytest.raises(ValueError, match=r'expected one of .*did you mean "sobol"'):
         check_sampling(16, "sobel")
+    for number in (0, 9, True):
+        with pytest.raises(ValueError, match=f"supersampling is {number!r}; expected an integer from 1 to 8"):
+            check_sampling(16, "sobol", number)
+
+
+@pytest.mark.parametrize("trace", [trace_visibility, trace_visibility_exact])
+def test_supersampling_counts_the_part_of_a_pixel_that_is_lit(trace):
+    # Pixels of 0.1 units, from -0.4 on; beneath the caster they are dark, to a place within the fifth.
+    camera = OrthographicCamera((0, 0.5, 0), (0, 0, 0), (0, 0, -1), height=0.8, near=0.01, far=3, resolution=(8, 8))
+    for edge, rays_lit in ((0.026, 3), (0.074, 1)):
+        caster = quad(((edge - 1) / 2, 1, 0), ((edge + 1) / 2, 0, 0), (0, 0, -1))
+        scene = Scene(merge([floor(), caster]), camera, sun())
+        found = trace(scene, supersampling=4)
+        expected = np.array([0, 0, 0, 0, rays_lit / 4, 1, 1, 1])
+        np.testing.assert_array_equal(found.visibility, np.broadcast_to(expected, (8, 8)))
+        assert (found.samples, found.noise_floor) == (16, 0)
+        centres = trace(scene)
+        for field in ("mask", "position", "normal", "face"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(centres, field))
+
+
+def test_supersampling_leaves_out_rays_that_see_nothing_and_averages_noise():
+    scene = small_scene("pinhole", "spot", size=0.5, pixels=12)
+    found = trace_visibility(scene, 64, supersampling=2)
+    height, width = scene.camera.resolution
+    finer = dataclasses.replace(scene.camera, resolution=(2 * height, 2 * width))
+    fine = trace_visibility(dataclasses.replace(scene, camera=finer), 16)
+    blocks = lambda image: image.reshape(height, 2, width, 2).swapaxes(1, 2).reshape(height, width, 4)
+    seen = blocks(fine.mask)
+    assert (found.mask & ~seen.all(axis=2)).any()
+    for row, column in np.argwhere(found.mask):
+        part = seen[row, column]
+        mean = blocks(fine.visibility)[row, column][part].mean()
+        assert found.visibility[row, column] == pytest.approx(mean, abs=1e-6)
+        error = np.sqrt(np.sum(blocks(fine.standard_error)[row, column][part] ** 2)) / part.sum()
+        assert found.standard_error[row, column] == pytest.approx(error, abs=1e-6)
+    assert cache_key(scene, 64) != cache_key(scene, 64, supersampling=2)
 
 
 def test_negative_seed_is_refused():

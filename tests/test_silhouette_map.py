@@ -11,7 +11,7 @@ import pytest
 from scenes import jacfwd_and_value, lookups_at
 from shadow_area_oracle import difference, lit_area
 
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, PointLight, SpotLight, library_mesh
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, PointLight, SpotLight, library_mesh, merge
 from diffshadow.io import load_mesh
 from diffshadow.raster import Surface
 from diffshadow.shadow import (
@@ -254,6 +254,36 @@ def test_poses_move_shadows(caster, light, float64):
     value, exact, gradient, truth = _gradient(mesh, light, resolution, 1536)
     assert value == pytest.approx(exact, rel=2e-3)
     np.testing.assert_allclose(gradient, truth, atol=0.03 * np.abs(truth).max())
+
+
+def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light():
+    # Balls of a few texels, with several edges in each texel, at most `height` above the ground that they shadow. A
+    # light at a distance of 4 that moves by 1 moves their shadows by so many texels, and no visibility changes faster.
+    height, resolution = 0.07, 128
+    ball = library_mesh("sphere", subdivisions=2, radius=0.03)
+    places = [(x, 0.04, z) for x in (-0.3, -0.1, 0.1, 0.3) for z in (-0.25, -0.07, 0.12, 0.33)]
+    mesh = merge([_moved(ball, place) for place in places])
+    texel = 2 * 4 * np.tan(np.radians(12)) / resolution
+    most = height / (4 - height) / texel
+    edges, surface, technique = Edges.of(mesh), _ground(160, (-0.4, 0.4, -0.4, 0.4)), _technique(Bilinear())
+    surface = jax.tree.map(lambda a: a.astype(jnp.float32) if a.dtype == np.float64 else a, surface)
+    room = plan_shadow_map(mesh, _spot(jnp.zeros(5)), (resolution, resolution), edges=edges)
+
+    def visibility(x):
+        shadow_map = draw_shadow_map(
+            mesh,
+            _spot(jnp.zeros(5).at[0].set(x)),
+            (resolution, resolution),
+            edges=edges,
+            capacity=room.triangles,
+            silhouette_capacity=room.silhouettes,
+        )
+        return technique.visibility(shadow_map, surface)
+
+    _, change = jax.jit(lambda x: jax.jvp(visibility, (x,), (jnp.ones(()),)))(jnp.zeros(()))
+    assert np.sum(np.abs(change) > 0.1 * most) > 300
+    # A chord turns as its ends move, so that parts of it go a little further.
+    assert np.abs(change).max() < 2 * most, (np.abs(change).max(), most)
 
 
 def _scene(resolution=(48, 48), light=None):

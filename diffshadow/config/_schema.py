@@ -58,6 +58,12 @@ class TracedReferenceConfig(Section):
     type: Literal["traced"] = "traced"
     samples: Annotated[int, Unit("rays a pixel")] = Field(default=64, ge=1, le=65536, description="shadow rays a pixel")
     sampler: Literal["sobol", "stratified"] = Field(default="sobol", description="how points of the light are chosen")
+    supersampling: Annotated[int, Unit("camera rays a pixel's side")] = Field(
+        default=1,
+        ge=1,
+        le=8,
+        description="4 gives each pixel the mean over 4 x 4 points; fits of poses want it",
+    )
 
 
 class ImageReferenceConfig(Section):

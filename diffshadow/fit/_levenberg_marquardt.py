@@ -13,44 +13,73 @@ from jaxtyping import Array, Float
 _FIRST_DAMPING = 0.01
 # By how much the first of several rejected steps shortens the next, and a good one lengthens it at most.
 _SHRINK, _MOST_GROWTH = 2.0, 3.0
+# Where the loss is noisy, a fit ends when a full step is foretold to gain less than this share of it.
+_LEAST_GAIN = 1e-3
+# What is added to the squares of the Jacobian's columns, as a share, so that parameters that do the same can be told.
+_RIDGE = 1e-6
 
 
 class _State(eqx.Module):
-    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by."""
+    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by.
+
+    `gain` is what an undamped step from the last accepted place is foretold to gain, as a share of the loss.
+    """
 
     step_size: Array
     shrink: Array
+    gain: Array
 
 
 class NielsenDamping(optx.AbstractSearch):
     """The damping of H. B. Nielsen, "Damping parameter in Marquardt's method" (1999).
 
     Good steps make the next longer, the more so the more of the decrease that the linear model foretells comes true;
-    each rejected step in a row shortens the next more than the last.
+    each rejected step in a row shortens the next more than the last. Gains foretold and come true both count with the
+    loss's `noise`, a share of it, added: changes within it tell nothing, and the model is believed (Sun & Nocedal, "A
+    trust region method for noisy unconstrained optimization", Mathematical Programming 202, 2023).
     """
 
+    noise: float = 0.0
+
     def init(self, y: Array, f_info_struct: Any) -> _State:
-        return _State(jnp.ones((), y.dtype), jnp.full((), _SHRINK, y.dtype))
+        return _State(jnp.ones((), y.dtype), jnp.full((), _SHRINK, y.dtype), jnp.ones((), y.dtype))
 
     def step(
         self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: _State
     ) -> tuple[Array, Array, optx.RESULTS, _State]:
-        foretold = -optx.ClassicalTrustRegion().predict_reduction(y_eval - y, f_info)
-        came_true = f_info.as_min() - f_eval_info.as_min()
+        noise = self.noise * f_info.as_min()
+        foretold = noise - optx.ClassicalTrustRegion().predict_reduction(y_eval - y, f_info)
+        came_true = noise + f_info.as_min() - f_eval_info.as_min()
         accept = first_step | ((foretold > 0) & (came_true > 0))
         share = came_true / jnp.where(foretold > 0, foretold, 1)
         longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * share - 1) ** 3)
-        steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
+        jacobian = f_eval_info.jac.as_matrix()
+        steepest = jnp.max(jnp.sum(jacobian**2, axis=0))
         first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
         size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
-        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SHRINK, 2 * state.shrink))
+        gain = jnp.where(accept, _gain(jacobian, f_eval_info.residual), state.gain)
+        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SHRINK, 2 * state.shrink), gain)
+
+
+def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[Array, ""]:
+    """By which share a sum of squares falls at most, if it is linear: the squared cosine of the angle between residual
+    and tangents, which is zero where the fit is best (Bates & Watts, "A relative offset orthogonality convergence
+    criterion for nonlinear least squares", Technometrics 23, 1981)."""
+    length = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
+    unit = jacobian / jnp.where(length > 0, length, 1)
+    along = jnp.matmul(unit.T, residual, precision="highest")
+    square = jnp.matmul(unit.T, unit, precision="highest") + _RIDGE * jnp.eye(length.size, dtype=length.dtype)
+    square = square + jnp.diag(jnp.where(length > 0, 0, 1.0))
+    total = jnp.sum(residual**2)
+    return jnp.sum(along * jnp.linalg.solve(square, along)) / jnp.where(total > 0, total, 1)
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's, with Nielsen's damping; it also ends where the step after a rejected one would be short.
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none to be had where
-    the loss is least at a jump, such as a pixel makes that changes from lit to shadowed.
+    the loss is least at a jump, such as a pixel makes that changes from lit to shadowed. Where the loss has `noise`, a
+    share of it, it ends where the model foretells next to no gain.
     """
 
     rtol: float
@@ -59,15 +88,20 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     descent: optx.AbstractDescent
     search: optx.AbstractSearch
     verbose: Callable[..., None]
+    noise: float
 
-    def __init__(self, rtol: float, atol: float, verbose: Callable[..., None]):
+    def __init__(self, rtol: float, atol: float, verbose: Callable[..., None], noise: float = 0.0):
         self.rtol, self.atol, self.norm, self.verbose = rtol, atol, optx.max_norm, verbose
         self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
-        self.search = NielsenDamping()
+        self.search, self.noise = NielsenDamping(noise), noise
 
     def terminate(
         self, fn: Any, y: Float[Array, " p"], args: Any, options: Any, state: Any, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
         done, result = super().terminate(fn, y, args, options, state, tags)
         short = jnp.abs(state.y_eval - y) < self.atol + self.rtol * jnp.abs(y)
-        return done | (jnp.all(short) & (state.num_steps_since_acceptance > 0)), result
+        accepted = state.num_steps_since_acceptance == 0
+        done = done | (jnp.all(short) & ~accepted)
+        if self.noise > 0:
+            done = done | (accepted & (state.search_state.gain < _LEAST_GAIN))
+        return done, result

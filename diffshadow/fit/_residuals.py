@@ -49,6 +49,10 @@ class Problem(eqx.Module):
         visibility = technique.visibility(self.shadow_map, self.surface)
         return jnp.where(self.mask, visibility - self.reference, 0)
 
+    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """What counts of a difference: all of it."""
+        return difference
+
     @property
     def subject(self) -> ShadowMapping:
         """What is fitted."""
@@ -83,14 +87,23 @@ class Joint(eqx.Module):
             raise ValueError("got both a Problem and a PoseProblem to fit jointly; expected all of one kind")
         return cls(each[0].subject, each)
 
-    def residual(self, subject: Any) -> tuple[Float[Array, "h w"], ...]:
-        """The residuals of all problems, scaled so that the sum of all their squares is the mean square error."""
+    def differences(self, subject: Any) -> tuple[Float[Array, "h w"], ...]:
+        """Those of all problems, scaled so that the sum of all their squares is the mean square error."""
         count = jnp.maximum(sum(problem.count for problem in self.problems), 1)
         return tuple(problem.difference(subject) / jnp.sqrt(count) for problem in self.problems)
 
+    def compared(self, differences: Sequence[Float[Array, "h w"]]) -> tuple[Float[Array, "h w"], ...]:
+        """What counts of all differences: of poses, their blur."""
+        return tuple(problem.compared(each) for problem, each in zip(self.problems, differences, strict=True))
+
     def mean_square_error(self, subject: Subject) -> Scalar:
         """The mean square error over all pixels that count."""
-        return sum((jnp.sum(residual**2) for residual in self.residual(subject)), start=jnp.zeros(()))
+        return _sum_of_squares(self.differences(subject))
+
+    def losses(self, subject: Subject) -> tuple[Scalar, Scalar]:
+        """The mean square of what counts of the differences, which a fit makes least, and that of all of them."""
+        differences = self.differences(subject)
+        return _sum_of_squares(self.compared(differences)), _sum_of_squares(differences)
 
     @property
     def technique(self) -> ShadowMapping:
@@ -113,6 +126,10 @@ class Joint(eqx.Module):
 
 
 AnyProblem = Problem | PoseProblem
+
+
+def _sum_of_squares(images: Sequence[Float[Array, "h w"]]) -> Scalar:
+    return sum((jnp.sum(image**2) for image in images), start=jnp.zeros(()))
 
 
 def check_problem(problem: Joint, names: tuple[str, ...], bounds: Bounds) -> None:

@@ -4,7 +4,8 @@ The hard compare has no gradient, so the fit of a technique runs in phases under
 geometrically, each phase starting from the last. Where lights or meshes move, phases go from coarse images and maps to
 fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the soft
 one, in the end. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
-the best of them is the result, so a fit never ends worse than it began.
+the best of them is the result, so a fit never ends worse than it began. Of poses it sees blurred differences, as the
+phases do.
 """
 
 import time
@@ -35,11 +36,14 @@ from ._starts import starts_within
 
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
+_Images = tuple[Float[Array, "..."], ...]
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
 # How often a phase may be given more room to draw before its error is passed on.
 _ENLARGEMENTS = 6
 # Of so many of the last evaluations it is counted how much room they take.
 _RECENT = 32
+# By which share the loss of poses jumps as they move a little, and pixels go from lit to shadowed and back.
+_NOISE_OF_POSES = 0.25
 # Mean square errors are not told from 0 below this.
 _LEAST_LOSS = 1e-10
 
@@ -51,7 +55,8 @@ class Outcome(NamedTuple):
     - `steps`: the solver took.
     - `result`: `"successful"`, `"max_steps reached"`, or what the solver says went wrong.
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
-    - `hard_loss`: the mean square error under the hard compare at the phase's end; `values`: the parameters there.
+    - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
+        parameters there.
     - `level`: how many pixels a side made one.
     """
 
@@ -65,7 +70,10 @@ class Outcome(NamedTuple):
 
 
 class Start(NamedTuple):
-    """One of several starts: where it began, where the phases that all starts run took it, and the hard loss there."""
+    """One of several starts: where it began, where the phases that all starts run took it, and the judge's loss there.
+
+    That is the mean square of blurred differences, as phases see them, under the hard compare at full resolution.
+    """
 
     initial: tuple[float, ...]
     end: tuple[float, ...]
@@ -251,7 +259,7 @@ class _Run:
         return [name for name, slope, rest in zip(self.names, self.slopes, rests, strict=True) if slope == 0 and rest]
 
     def _start(self, initial: Float[Array, " p"]) -> _Path:
-        loss = self._judged(initial)
+        loss, _ = self._judged(initial)
         if not np.isfinite(loss):
             raise ValueError(
                 "the visibility or the reference is not finite at the initial values; expected numbers: check "
@@ -276,8 +284,8 @@ class _Run:
             free = free.at[active].set(solution.value)
         self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
         values = self.bounds.to_bounded(free)
-        loss = self._judged(values)
-        outcome = _outcome(solution, phase, loss, values)
+        loss, hard_loss = self._judged(values)
+        outcome = _outcome(solution, phase, hard_loss, values)
         return _Path(
             [*path.free, free],
             [*path.values, outcome.values],
@@ -294,10 +302,11 @@ class _Run:
         joint = Joint(subject, phase.joint.problems)
         return joint, paths, bounds, free[active], self.solver, self.reporter.token, as_float(scale)
 
-    def _judged(self, values: Float[Array, " p"]) -> float:
-        """The judge's mean square error at `values` (p,)."""
-        loss = float(self._drawing(None, _hard_loss, lambda _: (self.judge, self.paths, values)))
-        return loss if np.isfinite(loss) else np.inf
+    def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
+        """The judge's losses at `values` (p,): of what counts of the differences, and of all of them."""
+        loss, hard_loss = self._drawing(None, _losses, lambda _: (self.judge, self.paths, values))
+        finite = lambda loss: float(loss) if np.isfinite(loss) else np.inf
+        return finite(loss), finite(hard_loss)
 
     def _drawing(self, number: int | None, function: Any, arguments: Callable[[Any], tuple[Any, ...]]) -> Any:
         """What the program of a phase, or the judge's, returns; it gets more room to draw where it runs out of it."""
@@ -333,18 +342,20 @@ class _Run:
 def _phase(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, y: Array, solver: Solver, token: Array, scale: Array
 ) -> _Solution:
-    def residual(y: Array, args: tuple[Joint, Bounds, Array]) -> tuple[Array, tuple[Array, Array]]:
+    def residual(y: Array, args: tuple[Joint, Bounds, Array]) -> tuple[Array, tuple[_Images, _Images]]:
         # A solver asks for several products with the Jacobian. As a linear function it would be compiled, and
         # evaluated, anew for each; here it is a matrix, found once beside the residuals.
         problem, bounds, scale = args
         share = bounds.share(y)
         fixed = jax.lax.stop_gradient(share)
-        found, slopes = _with_jacobian(problem, names, bounds, fixed)
-        return scale * (found + jnp.matmul(slopes, share - fixed, precision="highest")), (found, slopes)
+        differences, slopes = _with_slopes(problem, names, bounds, fixed)
+        slopes = jax.vmap(problem.compared)(slopes)
+        change = jnp.matmul(_columns(slopes), share - fixed, precision="highest")
+        return scale * (_flat(problem.compared(differences)) + change), (differences, slopes)
 
     solution = optx.least_squares(
         residual,
-        _optimistix(solver, token),
+        _optimistix(solver, token, problem.moves),
         y,
         (problem, bounds, scale),
         {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"},
@@ -352,44 +363,54 @@ def _phase(
         max_steps=solver.max_steps,
         throw=False,
     )
-    end, slopes = solution.state.aux
+    differences, slopes = solution.state.aux
+    end, jacobian = _flat(problem.compared(differences)), _columns(slopes)
+    # Pixels are independent before they are blurred, and each counts for all that it is spread over.
+    pulled = _flat(differences)[:, None] * _columns(jax.vmap(problem.compared)(slopes))
     return _Solution(
         value=solution.value,
-        gradient=2 * jnp.matmul(end, slopes, precision="highest"),
-        slope=jnp.sqrt(jnp.sum(slopes**2, axis=0)),
-        triangle=jnp.linalg.qr(slopes, mode="r"),
-        scatter=jnp.matmul((end[:, None] * slopes).T, end[:, None] * slopes, precision="highest"),
+        gradient=2 * jnp.matmul(end, jacobian, precision="highest"),
+        slope=jnp.sqrt(jnp.sum(jacobian**2, axis=0)),
+        triangle=jnp.linalg.qr(jacobian, mode="r"),
+        scatter=jnp.matmul(pulled.T, pulled, precision="highest"),
         steps=solution.stats["num_steps"],
         result=solution.result,
     )
 
 
-def _with_jacobian(
+def _with_slopes(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, share: Float[Array, " p"]
-) -> tuple[Float[Array, " n"], Float[Array, "n p"]]:
-    """All residuals where the parameters have gone so far (p,) between their bounds, and their derivatives by that."""
+) -> tuple[_Images, _Images]:
+    """All differences where the parameters have gone so far (p,) between their bounds, and their derivatives by each.
 
-    def residual(share: Array) -> Array:
-        each = problem.residual(with_values(problem.subject, names, bounds.at(share)))
-        return jnp.concatenate([one.ravel() for one in each])
-
+    **Returns:** images (h, w), and stacks of them (p, h, w).
+    """
+    differences = lambda share: problem.differences(with_values(problem.subject, names, bounds.at(share)))
     # Few parameters, many pixels: forward.
-    pushed = jax.vmap(lambda way: jax.jvp(residual, (share,), (way,)), out_axes=(None, 1))
+    pushed = jax.vmap(lambda way: jax.jvp(differences, (share,), (way,)), out_axes=(None, 0))
     return pushed(jnp.eye(share.shape[0], dtype=share.dtype))
 
 
+def _flat(images: _Images) -> Float[Array, " n"]:
+    return jnp.concatenate([image.ravel() for image in images])
+
+
+def _columns(stacks: _Images) -> Float[Array, "n p"]:
+    return jnp.concatenate([stack.reshape(stack.shape[0], -1) for stack in stacks], axis=1).T
+
+
 _run_phase: Any = eqx.filter_jit(_phase)
-_hard_loss: Any = eqx.filter_jit(
-    lambda problem, names, values: problem.mean_square_error(with_values(problem.subject, names, values))
+_losses: Any = eqx.filter_jit(
+    lambda problem, names, values: problem.losses(with_values(problem.subject, names, values))
 )
 
 
-def _optimistix(solver: Solver, token: Array) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
+def _optimistix(solver: Solver, token: Array, moves: bool) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
     report = Report(token)
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":
-            return LevenbergMarquardt(**tolerances)
+            return LevenbergMarquardt(**tolerances, noise=_NOISE_OF_POSES if moves else 0.0)
         case "dogleg":
             # It solves undamped: a parameter without a gradient must not spoil the others' steps.
             return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))

@@ -14,17 +14,20 @@ _ALGORITHM = 1
 _OF_SHADING = {"inner_angle"}
 
 
-def cache_key(scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0) -> tuple[Any, ...]:
+def cache_key(
+    scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0, supersampling: int = 1
+) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines what `trace_visibility` answers.
 
     Equal keys mean equal references. Shading normals, albedo and a spot light's inner angle, which cast no shadows, are
     left out, and so are samples, sampler and seed of a light without size.
 
-    **Raises** `ValueError` as `trace_visibility` does for several lights, `samples` and `sampler`.
+    **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
-    check_sampling(samples, sampler)
+    check_sampling(samples, sampler, supersampling)
     light = scene.light
     sampling = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
+    sampling = (*sampling, int(supersampling))
     mesh = (np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces))
     return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(light))
 

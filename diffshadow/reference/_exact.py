@@ -88,6 +88,7 @@ def trace_visibility_exact(
     sampler: Sampler = "sobol",
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    supersampling: int = 1,
 ) -> Reference:
     """What `trace_visibility` answers, with every ray in float64 and tested against every triangle.
 
@@ -95,4 +96,4 @@ def trace_visibility_exact(
     pixels, samples and triangles. Arguments, result and errors are those of `trace_visibility`, and so are the sample
     points, so that the two differ by rounding alone.
     """
-    return trace_with(ExactTracer, scene, samples, sampler, seed, progress)
+    return trace_with(ExactTracer, scene, samples, sampler, seed, progress, supersampling)

@@ -17,7 +17,7 @@ class Reference:
     - `position`: (h, w, 3), of the surface, world units; 0 where there is none.
     - `normal`: (h, w, 3), geometric unit normal of the side that the camera sees; 0 where there is none.
     - `face`: (h, w), index into the mesh's faces; -1 where there is none.
-    - `samples`: shadow rays a pixel; 0 if the visibility was not traced but given.
+    - `samples`: shadow rays a pixel, of all its camera rays together; 0 if the visibility was not traced but given.
     - `standard_error`: (h, w), estimated standard error of `visibility`. Half the difference of the two halves of a
       pixel's samples: one draw, so read it through its mean square over a region rather than pixel by pixel. That is
       right for stratified samples and up to 1.7 times too high for Sobol's, whose halves complement each other. 0 for a

@@ -18,12 +18,21 @@ Sampler = Literal["sobol", "stratified"]
 MAX_SAMPLES = 1 << 16
 """More samples than this gain nothing in float32."""
 
+MAX_SUPERSAMPLING = 8
+"""More camera rays along a pixel's side than this, 64 a pixel, change no figure that is worth its memory."""
+
 _ALL = slice(None)
 
 
-def check_sampling(samples: int, sampler: str) -> None:
-    """**Raises** `ValueError` unless `samples` is an integer in [1, 65536] and `sampler` is known."""
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 1 <= samples <= MAX_SAMPLES:
+def check_sampling(samples: int, sampler: str, supersampling: int = 1) -> None:
+    """**Raises** `ValueError` unless `samples` and `supersampling` are integers in range and `sampler` is known."""
+    whole = lambda number: isinstance(number, int | np.integer) and not isinstance(number, bool)
+    if not whole(supersampling) or not 1 <= supersampling <= MAX_SUPERSAMPLING:
+        raise ValueError(
+            f"supersampling is {supersampling!r}; expected an integer from 1 to {MAX_SUPERSAMPLING}, the camera rays "
+            "along a pixel's side (4 gives 16 a pixel)"
+        )
+    if not whole(samples) or not 1 <= samples <= MAX_SAMPLES:
         raise ValueError(
             f"samples is {samples!r}; expected an integer from 1 to {MAX_SAMPLES}, the shadow rays of each pixel "
             "(64 is usual, 1024 shows no noise)"

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import normalize, safe_norm, with_gradient_of
+from .._misc import normalize
 from .._types import Resolution
 from ..geometry import AbstractLight, Edges, Mesh
 from ..raster import count_crossings, grid_crossings, light_sides, silhouettes_by_adjacency
@@ -31,10 +31,6 @@ NO_SILHOUETTE = -1
 _EVERYWHERE = -1e6
 # As a share of a side; several times the rasterizer's sub-pixel.
 _NEAR_CORNER = 1 / 64
-# The sine of the least angle between an edge and a grid line for which the derivative of their crossing is taken as it
-# is; edges shorter than the least length, in texels, count as that long.
-_LEAST_STEEPNESS = 0.01
-_LEAST_LENGTH = 1e-6
 # The sine of the least angle by which an outline turns within a texel.
 _LEAST_TURN = 1e-3
 
@@ -173,6 +169,7 @@ class _Sides(eqx.Module):
         one begins that holds its last; of several the outermost. The number of crossings stands for none.
     - `place`, `depth`: (c + 1,), of each crossing: how far along its side, in [0, 1], and its window depth.
     - `way`: (c + 1, 2), the edge's direction there, of unit length, with the caster to its left; 0 for none.
+    - `motion`: (c + 1, 2), zeros, with the derivative of the edge's point there.
     """
 
     end: Int[Array, " n"]
@@ -180,6 +177,7 @@ class _Sides(eqx.Module):
     place: Float[Array, " c"]
     depth: Float[Array, " c"]
     way: Float[Array, "c 2"]
+    motion: Float[Array, "c 2"]
 
 
 def find_silhouettes(
@@ -223,15 +221,15 @@ def _cross(outline: Outline, corners: Float[Array, " k"], grid: _Grid, room: int
     upright = found.axis == 0
     across = lambda point: jnp.where(upright, point[:, 0], point[:, 1])
     along = lambda point: jnp.where(upright, point[:, 1], point[:, 0])
-    way = across(end) - across(start)
-    # A crossing moves along its side as its edge moves. That of an edge that runs almost along the line would race
-    # along it, and be gone at once: its derivative is held back.
-    steepness = jnp.abs(lax.stop_gradient(way)) / jnp.maximum(safe_norm(lax.stop_gradient(end - start)), _LEAST_LENGTH)
-    share = (found.line - across(start)) / jnp.where(way == 0, 1, way)
-    share = with_gradient_of(share * jnp.minimum(steepness / _LEAST_STEEPNESS, 1), share)
-    position = along(start) + share * (along(end) - along(start))
+    way = lax.stop_gradient(across(end) - across(start))
+    share = lax.stop_gradient(found.line - across(start)) / jnp.where(way == 0, 1, way)
     edge_depth = z[:, 0] + share * (z[:, 1] - z[:, 0])
-    own = jnp.floor(lax.stop_gradient(position)).astype(jnp.int32)
+    # What is followed is the edge's point there, which leaves the side: the crossing itself would race along the side
+    # if the edge runs almost along it, and a line through two points is the same wherever along it they are.
+    point = start + share[:, None] * (end - start)
+    motion = point - lax.stop_gradient(point)
+    position = lax.stop_gradient(along(point))
+    own = jnp.floor(position).astype(jnp.int32)
     place = position - own
     on_map = (found.segment >= 0) & (found.line >= 0) & (found.line <= jnp.where(upright, grid.width, grid.height))
     line, layer = jnp.where(on_map, found.line, 0), outline.layer[found.segment]
@@ -255,26 +253,27 @@ def _cross(outline: Outline, corners: Float[Array, " k"], grid: _Grid, room: int
         numbers = jnp.arange(first, first + room, dtype=jnp.int32)
         return jnp.full(grid.sides + 1, 2 * room, jnp.int32).at[wins].min(numbers)[:-1]
 
-    distance = lax.stop_gradient(place)
     # Samples are taken of vertices snapped to a grid: a crossing this near to a corner may belong to the next side.
-    step = jnp.where(distance < _NEAR_CORNER, -1, jnp.where(distance > 1 - _NEAR_CORNER, 1, 0))
+    step = jnp.where(place < _NEAR_CORNER, -1, jnp.where(place > 1 - _NEAR_CORNER, 1, 0))
     side, exists, row, column = on_side(own, on_map)
     next_side, _, _, _ = on_side(own + step, on_map & (step != 0))
     tables = []
     for wanted, sign in ((~begins, 1), (begins, -1)):
         # Of what is not wanted, the place is that of no side.
         chosen = lambda side, wanted=wanted: jnp.where(wanted, side, grid.sides)
-        here = outermost(chosen(side), sign * distance, 0)
-        beside = outermost(chosen(next_side), sign * (distance - step), room)
+        here = outermost(chosen(side), sign * place, 0)
+        beside = outermost(chosen(next_side), sign * (place - step), room)
         tables.append(jnp.where(here < room, here, beside))
     # Where samples say that there is a crossing and there is none, its place is the side's middle.
     way_there = normalize(end - start)
+    none = jnp.zeros((1, 2), place.dtype)
     sides = _Sides(
         end=tables[0],
         begin=tables[1],
         place=jnp.concatenate([place, place - step, jnp.full(1, 0.5, place.dtype)]),
         depth=jnp.concatenate([edge_depth, edge_depth, jnp.ones(1, place.dtype)]),
-        way=jnp.concatenate([way_there, way_there, jnp.zeros((1, 2), place.dtype)]),
+        way=jnp.concatenate([way_there, way_there, none]),
+        motion=jnp.concatenate([motion, motion, none]),
     )
     texels = []
     for back in (0, 1):
@@ -315,7 +314,7 @@ def _contour(
         how_far = lambda crossing, forward=forward: sides.place[crossing] if forward else 1 - sides.place[crossing]
         exists = lambda crossing: sides.depth[crossing] < threshold
         before, after = covered[k], covered[(k + 1) % 4]
-        in_order = lax.stop_gradient(how_far(begin) < how_far(end))
+        in_order = how_far(begin) < how_far(end)
         # A caster narrower than the side, between two corners that it misses.
         bar = ~before & ~after & exists(begin) & exists(end) & in_order
         is_end.append((before & ~after) | bar)
@@ -324,7 +323,9 @@ def _contour(
             s = jnp.where(exists(crossing), how_far(crossing), 0.5) - 0.5
             half = jnp.full_like(s, 0.5)
             place = jnp.stack([(s, -half), (half, s), (-s, half), (-half, -s)][k], axis=-1)
-            points.append(_Point(place, jnp.where(exists(crossing)[:, None], sides.way[crossing], 0)))
+            known = exists(crossing)[:, None]
+            of_edge = lambda values, known=known, crossing=crossing: jnp.where(known, values[crossing], 0)
+            points.append(_Point(place, of_edge(sides.way), of_edge(sides.motion)))
     stack = lambda points: jax.tree.map(lambda *each: jnp.stack(each), *points)
     is_end, is_begin, ends, begins = jnp.stack(is_end), jnp.stack(is_begin), stack(ends), stack(begins)
 
@@ -338,9 +339,8 @@ def _contour(
     # Of two casters that meet in a texel, whether they are one there; of one that misses all corners, it is.
     is_band = ~jnp.any(covered, axis=0) | (own < threshold)
     crosswise = has_two & is_band
-    from_first, from_second = at(ends, first), at(ends, second)
-    to_first = at(begins, jnp.where(crosswise, began(second), began(first)))
-    to_second = at(begins, jnp.where(crosswise, began(first), began(second)))
+    from_first, to_first = _together(at(ends, first), at(begins, jnp.where(crosswise, began(second), began(first))))
+    from_second, to_second = _together(at(ends, second), at(begins, jnp.where(crosswise, began(first), began(second))))
 
     bend = jnp.where(has_two, 0, _bend(from_first, to_first))
     one = _pick(bend != 0, _beside(from_first), _between(from_first, to_first))
@@ -353,16 +353,33 @@ def _contour(
 
     near = jnp.where(own < threshold, own, near)
     inner, outer = jnp.where(turned, far, near), jnp.where(turned, near, far)
-    known = lambda point: jnp.any(lax.stop_gradient(point.way) != 0, axis=-1)
-    follows = known(from_first) & known(to_first) & (~has_two | (known(from_second) & known(to_second)))
+    followed = lambda start, end: _is_of_edge(start) | _is_of_edge(end)
+    follows = followed(from_first, to_first) & (~has_two | followed(from_second, to_second))
+    one, two = (jax.tree.map(lambda v: jnp.where(follows, v, lax.stop_gradient(v)), plane) for plane in (one, two))
     return (one, two), inner, outer, follows, jnp.any(is_end, axis=0)
 
 
 class _Point(NamedTuple):
-    """Where the outline enters or leaves texels, (n, 2) from their centres, and its direction there, 0 if unknown."""
+    """Where the outline enters or leaves texels, (n, 2) from their centres.
+
+    Its direction there is 0 where no edge is known; `motion` is zero, with the derivative of the edge's point there.
+    """
 
     place: Float[Array, "*k n 2"]
     way: Float[Array, "*k n 2"]
+    motion: Float[Array, "*k n 2"]
+
+
+def _is_of_edge(point: _Point) -> Bool[Array, " n"]:
+    return jnp.any(lax.stop_gradient(point.way) != 0, axis=-1)
+
+
+def _together(start: _Point, end: _Point) -> tuple[_Point, _Point]:
+    """Both ends of an outline with their derivatives; one of no edge moves as the other does."""
+    moved = lambda point, other: point._replace(
+        place=point.place + jnp.where(_is_of_edge(point)[:, None], point.motion, other.motion)
+    )
+    return moved(start, end), moved(end, start)
 
 
 def _beside(point: _Point) -> HalfPlane:
@@ -373,7 +390,7 @@ def _beside(point: _Point) -> HalfPlane:
 
 def _between(start: _Point, end: _Point) -> HalfPlane:
     """What lies to the left of the straight way from one point to another."""
-    return _beside(_Point(start.place, normalize(end.place - start.place)))
+    return _beside(start._replace(way=normalize(end.place - start.place)))
 
 
 def _bend(start: _Point, end: _Point) -> Float[Array, " n"]:

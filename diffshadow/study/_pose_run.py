@@ -138,7 +138,7 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     if result.starts:
         losses = sorted(start.loss for start in result.starts)
         told = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
-        console.print(Text(f"RMSE of {len(losses)} starts after the coarse phases, best first: {told}"))
+        console.print(Text(f"RMSE of {len(losses)} starts after the coarse phases, blurred, best first: {told}"))
 
 
 def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:

@@ -92,14 +92,15 @@ def _reference(config: Config, scene: geometry.Scene, stages: Stages) -> referen
             return reference.reference_from_image(io.read_visibility(config.reference.path), scene)
         except ValueError as error:
             raise _error(config, ("reference", "path"), str(error)) from error
-    samples, sampler = config.reference.samples, config.reference.sampler
+    traced = config.reference
+    how = traced.samples, traced.sampler, config.seed
 
     def trace() -> dict[str, HostArray]:
-        show = lambda share: stages.show("tracing reference", f"{samples} rays a pixel", share)
-        traced = reference.trace_visibility(scene, samples, sampler, config.seed, progress=show)
-        return {field.name: np.asarray(getattr(traced, field.name)) for field in dataclasses.fields(traced)}
+        show = lambda share: stages.show("tracing reference", f"{traced.samples} rays a pixel", share)
+        found = reference.trace_visibility(scene, *how, progress=show, supersampling=traced.supersampling)
+        return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 
-    arrays = io.cached_arrays(reference.cache_key(scene, samples, sampler, config.seed), trace)
+    arrays = io.cached_arrays(reference.cache_key(scene, *how, traced.supersampling), trace)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
