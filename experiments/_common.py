@@ -144,10 +144,10 @@ def truth_of(settings: Config, casting: Casting) -> reference.Reference:
             return reference.reference_from_image(io.read_visibility(wanted.path), casting.scene)
         except ValueError as error:
             raise mistake(settings, "reference.path", str(error)) from error
-    sampling = {"samples": wanted.samples, "sampler": wanted.sampler, "seed": settings.seed}
-    sampling["supersampling"] = wanted.supersampling
-    traced = lambda: vars(reference.trace_visibility(casting.scene, *sampling))
-    arrays = io.cached_arrays(reference.cache_key(casting.scene, *sampling), traced)
+    how = wanted.samples, wanted.sampler, settings.seed
+    rays = wanted.supersampling
+    traced = lambda: vars(reference.trace_visibility(casting.scene, *how, supersampling=rays))
+    arrays = io.cached_arrays(reference.cache_key(casting.scene, *how, supersampling=rays), traced)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

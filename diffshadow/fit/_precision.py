@@ -21,8 +21,9 @@ class Precision(NamedTuple):
 
     With `r` the pixels' residuals and `J` their derivatives it is (JᵀJ)⁻¹ Jᵀ diag(r²) J (JᵀJ)⁻¹ (White, "A
     heteroskedasticity-consistent covariance matrix estimator", Econometrica 48, 1980): residuals and derivatives are
-    large at the same few pixels, those of the outlines. It takes pixels for independent, which neighbours on one
-    outline are only roughly.
+    large at the same few pixels, those of the outlines. Where differences count blurred, by B, it is
+    (JᵀB²J)⁻¹ JᵀB² diag(r²) B²J (JᵀB²J)⁻¹. It takes pixels for independent before they are blurred, which neighbours on
+    one outline are only roughly.
 
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; not a number for what is not determined.
@@ -46,9 +47,9 @@ def precision_of(
 
     **Arguments:**
 
-    - `triangle`: (p, p), the factor R of `J`, the Jacobian of the residuals with respect to each parameter's share of
-        the distance `span` (p,) between its bounds.
-    - `scatter`: (p, p), Jᵀ diag(r²) J.
+    - `triangle`: (p, p), the factor R of `BJ`, with `J` the Jacobian of the residuals with respect to each parameter's
+        share of the distance `span` (p,) between its bounds.
+    - `scatter`: (p, p), JᵀB² diag(r²) B²J.
     """
     used = [int(i) for i in np.flatnonzero(np.abs(triangle).max(axis=0) > 0)]
     kept = tuple(names[i] for i in used)

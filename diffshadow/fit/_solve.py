@@ -184,8 +184,8 @@ class _Solution(NamedTuple):
     """The end of a phase, as arrays.
 
     Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
-    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` is the
-    Jacobian's factor R, and `scatter` its square with each pixel weighted by its squared residual.
+    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` and
+    `scatter` are what `precision_of` takes.
     """
 
     value: Float[Array, " a"]
