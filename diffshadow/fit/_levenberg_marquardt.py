@@ -20,14 +20,10 @@ _RIDGE = 1e-6
 
 
 class _State(eqx.Module):
-    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by.
-
-    `gain` is what an undamped step from the last accepted place is foretold to gain, as a share of the loss.
-    """
+    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by."""
 
     step_size: Array
     shrink: Array
-    gain: Array
 
 
 class NielsenDamping(optx.AbstractSearch):
@@ -42,7 +38,7 @@ class NielsenDamping(optx.AbstractSearch):
     noise: float = 0.0
 
     def init(self, y: Array, f_info_struct: Any) -> _State:
-        return _State(jnp.ones((), y.dtype), jnp.full((), _SHRINK, y.dtype), jnp.ones((), y.dtype))
+        return _State(jnp.ones((), y.dtype), jnp.full((), _SHRINK, y.dtype))
 
     def step(
         self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: _State
@@ -53,18 +49,18 @@ class NielsenDamping(optx.AbstractSearch):
         accept = first_step | ((foretold > 0) & (came_true > 0))
         share = came_true / jnp.where(foretold > 0, foretold, 1)
         longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * share - 1) ** 3)
-        jacobian = f_eval_info.jac.as_matrix()
-        steepest = jnp.max(jnp.sum(jacobian**2, axis=0))
+        steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
         first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
         size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
-        gain = jnp.where(accept, _gain(jacobian, f_eval_info.residual), state.gain)
-        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SHRINK, 2 * state.shrink), gain)
+        return size, accept, optx.RESULTS.successful, _State(size, jnp.where(accept, _SHRINK, 2 * state.shrink))
 
 
 def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[Array, ""]:
-    """By which share a sum of squares falls at most, if it is linear: the squared cosine of the angle between residual
-    and tangents, which is zero where the fit is best (Bates & Watts, "A relative offset orthogonality convergence
-    criterion for nonlinear least squares", Technometrics 23, 1981)."""
+    """By which share a sum of squares falls at most, if residuals are linear.
+
+    That is the squared cosine of the angle between residual and tangents, zero where the fit is best (Bates & Watts, "A
+    relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics 23, 1981).
+    """
     length = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
     unit = jacobian / jnp.where(length > 0, length, 1)
     along = jnp.matmul(unit.T, residual, precision="highest")
@@ -103,5 +99,6 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         accepted = state.num_steps_since_acceptance == 0
         done = done | (jnp.all(short) & ~accepted)
         if self.noise > 0:
-            done = done | (accepted & (state.search_state.gain < _LEAST_GAIN))
+            here = state.f_info
+            done = done | (accepted & ~state.first_step & (_gain(here.jac.as_matrix(), here.residual) < _LEAST_GAIN))
         return done, result

@@ -34,9 +34,10 @@ from ._residuals import AnyProblem, Joint, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
 from ._starts import starts_within
 
+_Images = tuple[Float[Array, "..."], ...]
+
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
-_Images = tuple[Float[Array, "..."], ...]
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
 # How often a phase may be given more room to draw before its error is passed on.
 _ENLARGEMENTS = 6

@@ -26,8 +26,8 @@ def cache_key(
     """
     check_sampling(samples, sampler, supersampling)
     light = scene.light
-    sampling = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
-    sampling = (*sampling, int(supersampling))
+    of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
+    sampling = (*of_light, int(supersampling))
     mesh = (np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces))
     return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(light))
 

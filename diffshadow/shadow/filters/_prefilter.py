@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float, concrete, sums_along
 from ..._types import DepthMap, Resolution, Scalar, TexelMap, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -117,17 +117,8 @@ class Blur(eqx.Module):
         """`values` blurred, `margin` texels wider on each side; `beyond` is what lies round them."""
         around = [(0, 0)] * (values.ndim - 2) + [(self.reach + self.margin,) * 2] * 2
         wide = jnp.pad(values, around, constant_values=beyond)
-        return self._along(self._along(wide, values.ndim - 1), values.ndim - 2)
-
-    def _along(self, values: Array, axis: int) -> Array:
-        # Written out, the sum runs in one pass over memory. A running total would be no faster below 60 texels or so,
-        # and loses digits to cancellation that variances cannot spare.
-        count, shares = 2 * self.reach + 1, self.shares
-        size = values.shape[axis] - count + 1
-        return sum(
-            (shares[k] * lax.slice_in_dim(values, k, k + size, axis=axis) for k in range(count)),
-            start=jnp.zeros((), values.dtype),
-        )
+        shares = self.shares
+        return sums_along(sums_along(wide, shares, values.ndim - 1), shares, values.ndim - 2)
 
 
 def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
