@@ -89,7 +89,7 @@ def _sun(by) -> DirectionalLight:
 
 def _spot(by) -> SpotLight:
     direction = jnp.array([-0.12, -1.0, -0.07]) + jnp.stack([by[3], jnp.zeros_like(by[3]), by[4]])
-    return SpotLight(jnp.asarray(PLACE, by.dtype) + by[:3], direction, 12.0, 1.0, 6.0)
+    return SpotLight(jnp.asarray(PLACE, by.dtype) + by[:3], direction, 14.0, 1.0, 6.0)
 
 
 def _point(by) -> PointLight:
@@ -138,7 +138,7 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
     counted = np.arange(rows * 256).reshape(rows, 256) < len(near)
     chosen = np.resize(near, (rows, 256))
     surface = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[chosen], everywhere)
-    technique, rest = _technique(PercentageCloser(1.0)), (rough == 1).sum()
+    technique, rest = _technique(Bilinear()), (rough == 1).sum()
 
     def ours(by):
         lit = jnp.where(counted, technique.visibility(draw(by), surface), 0)
@@ -178,6 +178,28 @@ def test_cut_area_is_that_of_the_clipped_polygon(seed, float64):
     for k, value in enumerate(values):
         change = lambda h, k=k, value=value: area_of([*values[:k], value + h, *values[k + 1 :]])
         np.testing.assert_allclose(gradient[k], (change(1e-6) - change(-1e-6)) / 2e-6, atol=1e-5)
+
+
+def test_half_planes_that_end_on_a_side_of_the_rectangle():
+    part = Rectangle(-0.5, 0.25, -0.125, 0.5)
+    corners = [(part.left, part.below), (part.right, part.below), (part.right, part.above), (part.left, part.above)]
+    on_sides = [(sign, 0, sign * side) for sign in (1, -1) for side in part[:2]]
+    on_sides += [(0, sign, sign * side) for sign in (1, -1) for side in part[2:]]
+    pairs = np.array([(one, other) for one in on_sides for other in [*on_sides, (0.6, 0.8, 0.125)]])
+    areas = cut_area(part, *(HalfPlane(*jnp.asarray(pairs[:, k].T, jnp.float32)) for k in (0, 1)))
+    for area, pair in zip(areas, pairs, strict=True):
+        polygon = corners
+        for x, y, offset in pair:
+            polygon = _clip(polygon, np.array([x, y]), offset)
+        assert area == pytest.approx(_shoelace(polygon), abs=1e-7), pair
+
+
+def test_one_half_plane_twice():
+    plane = HalfPlane(*map(jnp.float32, (0.6, 0.8, 0.0)))
+    turned = HalfPlane(*(-value for value in plane))
+    # A line through the middle halves a texel.
+    assert cut_area(Rectangle(-0.5, 0.5, -0.5, 0.5), plane, plane) == pytest.approx(0.5, abs=1e-7)
+    assert cut_area(Rectangle(-0.5, 0.5, -0.5, 0.5), plane, turned) == pytest.approx(0, abs=1e-7)
 
 
 def _clip(polygon, normal, offset):
@@ -263,7 +285,7 @@ def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light():
     ball = library_mesh("sphere", subdivisions=2, radius=0.03)
     places = [(x, 0.04, z) for x in (-0.3, -0.1, 0.1, 0.3) for z in (-0.25, -0.07, 0.12, 0.33)]
     mesh = merge([_moved(ball, place) for place in places])
-    texel = 2 * 4 * np.tan(np.radians(12)) / resolution
+    texel = 2 * 4 * np.tan(np.radians(14)) / resolution
     most = height / (4 - height) / texel
     edges, surface, technique = Edges.of(mesh), _ground(160, (-0.4, 0.4, -0.4, 0.4)), _technique(Bilinear())
     surface = jax.tree.map(lambda a: a.astype(jnp.float32) if a.dtype == np.float64 else a, surface)

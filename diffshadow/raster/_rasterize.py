@@ -16,8 +16,9 @@ from ._bins import WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
-# Counting begins with this much room for what must be cut into parts, which is enough for most scenes.
-_ROOM_TO_COUNT = Capacity(clipped=64, large=256, candidates=1 << 16)
+# The least room in which what must be cut into parts is counted, which is enough for most scenes.
+_ROOM_FOR_PARTS = Capacity(large=256, candidates=1 << 16)
+_ROOM_TO_CLIP = Capacity(clipped=64)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 
@@ -41,15 +42,18 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
     clip = clip.astype(jnp.float32).reshape(-1, *clip.shape[-2:])
-    # What is clipped, and what is large, must have room before its parts can be counted. One view after another, so
-    # that any number of them share what is compiled.
-    room = _ROOM_TO_COUNT
+    # What is clipped, and what is large, must have room before its parts can be counted. Scenes with nothing of the
+    # kind are spared most of the compiling. One view after another, so that any number of them share what is compiled.
+    room = Capacity()
     while True:
         counted = [_count(view, faces, resolution, cull, room) for view in clip]
         needed = reduce(Capacity.grown_to, (each.capacity() for each in counted))
-        if room == room.grown_to(needed._replace(windows=room.windows, blocks=room.blocks)):
+        # Of windows and blocks there is no room to be made: what is compiled does not depend on how many there are.
+        parts = needed._replace(windows=room.windows, blocks=room.blocks)
+        if room == room.grown_to(parts):
             return needed
-        room = room.grown_to(needed)
+        room = room.grown_to(parts).grown_to(_ROOM_FOR_PARTS)
+        room = room.grown_to(_ROOM_TO_CLIP) if parts.clipped else room
 
 
 def rasterize(
