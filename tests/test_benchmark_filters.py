@@ -15,6 +15,7 @@ COMPARISONS = {"filter", "visibility", "whole"}
 JACOBIAN = "random disk, nearest, soft"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_benchmark_times_the_same_visibility_on_both_sides(tmp_path):
     file = tmp_path / "out.json"

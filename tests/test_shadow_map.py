@@ -169,6 +169,7 @@ def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side
     np.testing.assert_allclose(middle[inner], 0.5, atol=5e-3)
 
 
+@pytest.mark.exhaustive
 def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
     mesh, light = floor_and_card(), sun(floor_and_card())
     surface = draw_surface(mesh, floor_camera(1.5, (64, 64)))

@@ -278,6 +278,7 @@ def test_poses_move_shadows(caster, light, float64):
     np.testing.assert_allclose(gradient, truth, atol=0.03 * np.abs(truth).max())
 
 
+@pytest.mark.exhaustive
 def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light():
     # Balls of a few texels, with several edges in each texel, at most `height` above the ground that they shadow. A
     # light at a distance of 4 that moves by 1 moves their shadows by so many texels, and no visibility changes faster.

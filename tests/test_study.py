@@ -382,7 +382,11 @@ def test_render_of_several_lights_tells_them_apart():
             {"shadow_map.png", "debug_depth.png", "debug_blockers.png", "debug_pattern.png"},
             marks=pytest.mark.exhaustive,
         ),
-        (("filter={type: nearest}", "shadow_map.layer=midpoint"), {"shadow_map.png", "debug_depth.png"}),
+        pytest.param(
+            ("filter={type: nearest}", "shadow_map.layer=midpoint"),
+            {"shadow_map.png", "debug_depth.png"},
+            marks=pytest.mark.exhaustive,
+        ),
     ],
     ids=["volumes", "projective", "pcss", "midpoint"],
 )
@@ -455,9 +459,10 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
             "{filter.radius: {lower: 0, upper: 4}, filter.positive_exponent: {lower: 5, upper: 42}}",
             marks=pytest.mark.exhaustive,
         ),
-        (
+        pytest.param(
             "bias={slope: 1, slope_most: 3}",
             "{bias.slope: {lower: 0, upper: 4}, bias.slope_most: {lower: 0.1, upper: 9}}",
+            marks=pytest.mark.exhaustive,
         ),
         ("bias={plane: {type: receiver_plane}}", "{bias.plane.fudge: {lower: 0, upper: 4}}"),
     ],
