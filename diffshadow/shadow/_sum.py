@@ -116,8 +116,8 @@ class _AbstractTerms(eqx.Module):
         """What sites get at a step."""
 
     @abc.abstractmethod
-    def add_up(self, function: Callable[[Sites, Any], Any], padded: PaddedMap, sites: Sites, like: Any, steps: Any):
-        """The sum of `function(sites, step)`, arrays `like` those, over all steps."""
+    def add_up(self, function: Callable[[Sites, Any], Any], padded: PaddedMap, sites: Sites, steps: Any) -> Any:
+        """The sum of `function(sites, step)`, arrays for the sites, over all steps."""
 
 
 class _Plain(_AbstractTerms):
@@ -126,7 +126,8 @@ class _Plain(_AbstractTerms):
     def term(self, padded, compare, sites, step):
         return self.kernel.footprint(sites, step).lit(padded, compare, sites)
 
-    def add_up(self, function, padded, sites, like, steps):
+    def add_up(self, function, padded, sites, steps):
+        like = jax.eval_shape(function, sites, jax.tree.map(itemgetter(0), steps))
         with_derivatives = len(jax.tree.leaves(like)) > 1
         cost = self.kernel.cost * (_COST_OF_DERIVATIVES if with_derivatives else 1)
         count = jax.tree.leaves(steps)[0].shape[0]
@@ -142,15 +143,16 @@ class _Plain(_AbstractTerms):
             # Else all steps would read from memory what one of them could work out.
             return add(total, *lax.optimization_barrier((sites, some))), None
 
-        total, loops = jax.tree.map(jnp.zeros_like, like), count // at_once
+        total, loops = jax.tree.map(_zeros, like), count // at_once
         if loops > 1:
             head = jax.tree.map(lambda s: s[: loops * at_once].reshape(loops, at_once, *s.shape[1:]), steps)
             total, _ = lax.scan(step, total, head)
             steps = jax.tree.map(lambda s: s[loops * at_once :], steps)
         # Else every step would work out for itself where the look-ups are.
         total = add(total, lax.optimization_barrier(sites), steps)
-        # Else XLA runs through the pixels as whoever reads the sum lays them out, and no longer vectorizes.
-        return lax.optimization_barrier(total)
+        # Else XLA runs through the pixels as whoever reads the sum lays them out, and no longer vectorizes. One by one,
+        # since derivatives need the sum before they are there themselves.
+        return jax.tree.map(lax.optimization_barrier, total)
 
 
 class _Corrections(_AbstractTerms):
@@ -170,7 +172,7 @@ class _Corrections(_AbstractTerms):
         motion = here.x - sites.x, here.y - sites.y
         return self.kernel.footprint(here, step).correction(padded, compare, here, number, motion)
 
-    def add_up(self, function, padded, sites, like, steps):
+    def add_up(self, function, padded, sites, steps):
         shape = sites.depth.shape
         flat = lambda a: a.reshape(-1)
         # A step's number, or its table, which gets a row for each step of all sites.
@@ -180,14 +182,17 @@ class _Corrections(_AbstractTerms):
         sites, steps = sites.map(flat), jax.tree.map(wide, steps)
         found, texels = self._find(padded, sites, steps)
 
+        def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
+            number = row // texels
+            at_step = lambda s: s[number] if s.ndim == 1 else s[number, pixel]
+            here = sites.map(lambda a: a.at[pixel].get(mode="promise_in_bounds"))
+            return function(here, (jax.tree.map(at_step, steps), row % texels))
+
         @jax.checkpoint
         def add(total: Any, first: Int[Array, ""]) -> Any:
             exists = first + jnp.arange(_TEXELS_A_STEP, dtype=jnp.int32) < found.count
             row, pixel = lax.optimization_barrier(found.locate(first, _TEXELS_A_STEP))
-            number = row // texels
-            at_step = lambda s: s[number] if s.ndim == 1 else s[number, pixel]
-            here = sites.map(lambda a: a.at[pixel].get(mode="promise_in_bounds"))
-            values = function(here, (jax.tree.map(at_step, steps), row % texels))
+            values = values_at(row, pixel)
             put = lambda total, values: total.at[pixel].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
             return jax.tree.map(put, total, values)
 
@@ -195,7 +200,8 @@ class _Corrections(_AbstractTerms):
             return lax.cond(first < found.count, add, lambda total, _: total, total, first), None
 
         most = jax.tree.leaves(steps)[0].shape[0] * texels * sites.depth.size
-        total = jax.tree.map(lambda a: jnp.zeros_like(flat(a)), like)
+        all_pixels = jnp.zeros(sites.depth.size, jnp.int32)
+        total = jax.tree.map(_zeros, jax.eval_shape(values_at, all_pixels, all_pixels))
         total, _ = lax.scan(step, total, jnp.arange(0, most, _TEXELS_A_STEP, dtype=jnp.int32))
         return jax.tree.map(lambda a: a.reshape(shape), total)
 
@@ -224,7 +230,7 @@ def _sum(
 ) -> Any:
     """The sum of all terms, where it is `wanted`, and 0 elsewhere."""
     one = lambda sites, step: terms.term(padded, compare, sites, step)
-    some = lambda sites: terms.add_up(one, padded, sites, sites.depth, steps)
+    some = lambda sites: terms.add_up(one, padded, sites, steps)
     return some(sites) if wanted is None else _where_wanted(some, sites, wanted)
 
 
@@ -234,32 +240,28 @@ _total: Any = eqx.filter_custom_jvp(_sum)
 @_total.def_jvp
 def _total_jvp(primals, tangents):
     """Each term gives its derivatives by all of a site's numbers at once, in reverse mode, and they are summed as the
-    terms are: a Jacobian then costs the same for any number of parameters."""
+    terms are: a Jacobian then costs the same for any number of parameters. What changes with the map or the compare
+    cannot be summed up per site, and is added up beside."""
     terms, padded, compare, sites, steps, wanted = primals
     _, d_padded, d_compare, d_sites, _, _ = tangents
     # A radius of all has a derivative at each site.
     sites = eqx.tree_at(lambda s: s.radius, sites, jnp.broadcast_to(sites.radius, sites.depth.shape))
     moves = jax.tree.map(lambda d: d is not None, d_sites, is_leaf=_is_none)
+    if not _sees_depths(compare, sites):
+        d_padded = _without_depths(d_padded)
 
     def one(sites: Sites, step: Any) -> Any:
         moving, still = eqx.partition(sites, moves)
         value, pull = jax.vjp(lambda moving: terms.term(padded, compare, eqx.combine(moving, still), step), moving)
-        return value, pull(jnp.ones_like(value))[0]
+        beside = lambda padded, compare: terms.term(padded, compare, sites, step)
+        change = eqx.filter_jvp(beside, (padded, compare), (d_padded, d_compare))[1]
+        return value, pull(jnp.ones_like(value))[0], change
 
-    some = lambda sites: terms.add_up(one, padded, sites, (sites.depth, eqx.filter(sites, moves)), steps)
-    value, slopes = some(sites) if wanted is None else _where_wanted(some, sites, wanted)
-    tangent = jnp.zeros_like(value)
+    some = lambda sites: terms.add_up(one, padded, sites, steps)
+    value, slopes, change = some(sites) if wanted is None else _where_wanted(some, sites, wanted)
+    tangent = jnp.zeros_like(value) if change is None else change
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_sites), strict=True):
         tangent = tangent + slope * d
-    if not _sees_depths(compare, sites):
-        d_padded = _without_depths(d_padded)
-    # A map or a compare that itself changes cannot be summed up per site.
-    for_map = lambda padded: _sum(terms, padded, compare, sites, steps, wanted)
-    for_compare = lambda compare: _sum(terms, padded, compare, sites, steps, wanted)
-    for function, primal, d in ((for_map, padded, d_padded), (for_compare, compare, d_compare)):
-        if any(leaf is not None for leaf in jax.tree.leaves(d)):
-            change = eqx.filter_jvp(function, (primal,), (d,))[1]
-            tangent = tangent if change is None else tangent + change
     return value, tangent
 
 
@@ -302,11 +304,16 @@ def _where_wanted(function: Callable[[Sites], Any], sites: Sites, wanted: Bool[A
         return function(sites.map(lambda a: a.reshape(runs, q).at[held].get(mode="promise_in_bounds")))
 
     like = jax.eval_shape(some, queue[0])
-    none = lambda own: jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), like)
+    none = lambda own: jax.tree.map(_zeros, like)
     step = lambda at: lax.cond(at[0] * a_step < most, some, none, at[1])
     values = lax.map(step, (jnp.arange(room // a_step, dtype=jnp.int32), queue))
-    put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].set(values, mode="drop").reshape(wanted.shape)
+    # No run is put twice; what is added up, unlike what is set, has a transpose.
+    put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(wanted.shape)
     return jax.tree.map(lambda values: jnp.where(wanted, put(values), 0), values)
+
+
+def _zeros(like: jax.ShapeDtypeStruct) -> Array:
+    return jnp.zeros(like.shape, like.dtype)
 
 
 def _is_none(x: Any) -> bool:
