@@ -526,7 +526,7 @@ def test_readme_finds_the_sun_where_it_says(readme, capsys):
     for block in readme:
         exec(block, names)
     found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
-    assert found == pytest.approx({"lights.0.azimuth": -59.9, "lights.0.elevation": 50.3}, abs=0.2)
+    assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
 
 
 # Runs the command, and tells the most memory it held; the kernel's figure for children would count a forked parent's.
