@@ -18,7 +18,7 @@ from ._windows import Windows, candidates, count, windows, write_depth, write_de
 
 # The least room in which what must be cut into parts is counted, which is enough for most scenes.
 _ROOM_FOR_PARTS = Capacity(large=256, candidates=1 << 16)
-_ROOM_TO_CLIP = Capacity(clipped=64)
+_ROOM_TO_CLIP = _ROOM_FOR_PARTS._replace(clipped=64)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 
@@ -52,8 +52,7 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
         parts = needed._replace(windows=room.windows, blocks=room.blocks)
         if room == room.grown_to(parts):
             return needed
-        room = room.grown_to(parts).grown_to(_ROOM_FOR_PARTS)
-        room = room.grown_to(_ROOM_TO_CLIP) if parts.clipped else room
+        room = room.grown_to(parts).grown_to(_ROOM_TO_CLIP if parts.clipped else _ROOM_FOR_PARTS)
 
 
 def rasterize(
