@@ -306,7 +306,7 @@ def _contour(
     threshold = lax.stop_gradient(jnp.minimum(near, far) + far) / 2
     covered = z < threshold
 
-    ends, begins, is_end, is_begin = [], [], [], []
+    ends, begins, is_end, is_begin, drawn = [], [], [], [], []
     for k in range(4):
         # The upper and the left side are walked backwards.
         forward = k < 2
@@ -319,7 +319,8 @@ def _contour(
         bar = ~before & ~after & exists(begin) & exists(end) & in_order
         is_end.append((before & ~after) | bar)
         is_begin.append((~before & after) | bar)
-        for points, crossing in ((ends, end), (begins, begin)):
+        for points, crossing, used in ((ends, end, is_end[-1]), (begins, begin, is_begin[-1])):
+            drawn.append(jnp.where(used & exists(crossing), sides.depth[crossing], 0))
             s = jnp.where(exists(crossing), how_far(crossing), 0.5) - 0.5
             half = jnp.full_like(s, 0.5)
             place = jnp.stack([(s, -half), (half, s), (-s, half), (-half, -s)][k], axis=-1)
@@ -351,7 +352,9 @@ def _contour(
     nothing = jnp.zeros_like(near)
     two = _pick(has_two | (bend != 0), two, HalfPlane(nothing, nothing, nothing + _EVERYWHERE))
 
-    near = jnp.where(own < threshold, own, near)
+    # A caster that misses the centre is as deep as its outline at most: with less, it would shadow itself.
+    deepest = jnp.max(jnp.stack(drawn), axis=0)
+    near = jnp.where(own < threshold, own, jnp.where(deepest > 0, deepest, near))
     inner, outer = jnp.where(turned, far, near), jnp.where(turned, near, far)
     followed = lambda start, end: _is_of_edge(start) | _is_of_edge(end)
     follows = followed(from_first, to_first) & (~has_two | followed(from_second, to_second))
