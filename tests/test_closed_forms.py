@@ -93,7 +93,7 @@ def test_least_acne_free_slope_bias_does_not_depend_on_the_angle(azimuth, exact)
 
 PLANES = [(0, 0), (20, 25), (45, 110), (60, 160), (75, 45), (80, 200), (85, 0), (85, 30), (85, 290)]
 """Angles between normal and light's axis, and azimuths, degrees."""
-ROOM = Capacity(clipped=4, windows=(4,) * 5, large=8, candidates=512, blocks=256)
+ROOM = Capacity(clipped=4, windows=(0, 0, 0, 0, 8), large=8, candidates=512, blocks=256)
 TURNED = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation, so that no number on the way is whole."""
 OVERHEAD = {

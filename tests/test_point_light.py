@@ -18,7 +18,7 @@ from diffshadow.shadow import Bilinear, Nearest, PercentageCloser, RandomDisk, S
 AXES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
 PLACE = (0.3, -0.2, 0.1)
 # Room for any of these scenes, so that those of one size share one compiled rasterizer.
-CAPACITY = Capacity(clipped=16, windows=(32, 32, 32, 32, 32), large=32, candidates=1024, blocks=1024)
+CAPACITY = Capacity(clipped=16, windows=(0, 0, 0, 0, 128), large=32, candidates=1024, blocks=1024)
 
 
 def directions(n=500):

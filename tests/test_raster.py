@@ -23,9 +23,10 @@ seeds = st.integers(0, 2**32 - 1)
 
 @functools.cache
 def room(resolution=RESOLUTION):
-    """Room for any soup, with plenty to spare."""
+    """Room for any soup, with plenty to spare, and windows of every size."""
     clips = np.stack([soup(np.random.default_rng(k), COUNT, resolution)[0] for k in range(100)])
-    return scaled(plan(jnp.asarray(clips), jnp.asarray(FACES), resolution), 4)
+    planned = scaled(plan(jnp.asarray(clips), jnp.asarray(FACES), resolution), 4)
+    return planned._replace(windows=(sum(planned.windows),) * 5)
 
 
 def scaled(capacity, factor):
@@ -273,8 +274,6 @@ def test_nothing_is_seen_where_no_face_is():
 
 def capacity_cases():
     """A triangle that needs room of one kind: the kind's name, and the corners in pixels and their `w`."""
-    for k, side in enumerate((2, 4, 8, 16, 32)):
-        yield f"windows[{k}] ({side} x {side} pixels)", [[0, 0], [side - 0.1, 0], [0, side - 0.1]], [1, 1, 1]
     yield "large", [[0, 0], [40, 0], [0, 40]], [1, 1, 1]
     # Away from the corner behind the eye, it reaches to infinity.
     yield "clipped", [[20, 20], [40, 20], [30, 5]], [1, 1, -1]
@@ -292,11 +291,39 @@ def test_a_capacity_that_is_too_small_is_named(name, corners, w):
     assert "plan(" in str(caught.value)
 
 
+def window_triangles(*sides):
+    """Triangles whose pixel boxes are as wide."""
+    corners = np.concatenate([[[0, 0], [side - 0.1, 0], [0, side - 0.1]] for side in sides])
+    clip = from_window(corners, np.full(len(corners), 0.5), np.ones(len(corners)), (64, 64))
+    return jnp.asarray(clip, jnp.float32), jnp.arange(len(corners)).reshape(-1, 3)
+
+
+def test_a_size_class_that_is_too_small_is_named():
+    sides = [2, 4, 8, 16, 32]
+    drawn = lambda *sides: rasterize(*window_triangles(*sides), (64, 64), capacity=Capacity(windows=(1,) * 5)).face
+    assert set(np.unique(drawn(*sides))) == {NO_FACE, 0, 1, 2, 3, 4}
+    for k, side in enumerate(sides):
+        others = sides[:k] + sides[k + 1 :]
+        with pytest.raises(Exception, match=rf"windows\[{k}\] \({side} x {side} pixels\) of 1 is too small"):
+            drawn(side, side, *others[1:]).block_until_ready()
+
+
+def test_few_triangles_share_the_windows_of_larger_ones():
+    clip, faces = window_triangles(2, 2, 8, 32)
+    shared = plan(clip, faces, (64, 64))
+    assert shared == Capacity(windows=(0, 0, 0, 0, 16))
+    assert plan(*window_triangles(*[2] * 40, 32), (64, 64)) == Capacity(windows=(64, 0, 0, 0, 16))
+    apart = rasterize(clip, faces, (64, 64), capacity=Capacity(windows=(2, 0, 1, 0, 1)))
+    together = rasterize(clip, faces, (64, 64), capacity=shared)
+    np.testing.assert_array_equal(together.face, apart.face)
+    np.testing.assert_array_equal(together.depth, apart.depth)
+
+
 def test_too_few_blocks_are_named_also_under_jit():
     clip = jnp.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], jnp.float32)
     faces = jnp.array([[0, 1, 2]])
     needed = plan(clip, faces, (64, 64))
-    assert needed == Capacity(large=1, candidates=16, blocks=16)
+    assert needed == Capacity(large=16, candidates=16, blocks=16)
     for kind, room in (("blocks", 8), ("blocks", 0), ("candidates", 8)):
         short = needed._replace(**{kind: room})
         with pytest.raises(Exception, match=f"{kind} of {room} is too small"):
@@ -314,7 +341,8 @@ def test_a_capacity_must_be_given_under_a_trace():
 def test_capacities_grow_to_hold_either_scene():
     a = Capacity(clipped=4, windows=(0, 8, 0, 2, 1))
     b = Capacity(windows=(2, 4, 0, 4, 1), large=8, candidates=128, blocks=64)
-    both = Capacity(clipped=4, windows=(2, 8, 0, 4, 1), large=8, candidates=128, blocks=64)
+    # Small triangles of the first stand among its 8 of up to 4 pixels: all of them may be as small as that.
+    both = Capacity(clipped=4, windows=(8, 8, 0, 4, 1), large=8, candidates=128, blocks=64)
     assert a.grown_to(b) == b.grown_to(a) == both
     assert a.grown_to(a) == a
 

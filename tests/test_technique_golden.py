@@ -55,8 +55,8 @@ ROUNDING = 2e-5
 """In texels: of the sum of a position and a tap's offset, which each side forms in its own unit."""
 EDGE_ON = 1e-6
 """Of the cosine to the light; its sign may be either."""
-# For every view, so that maps share what is compiled.
-ROOM = Capacity(windows=(1024,) * len(Capacity().windows), large=64, candidates=1024, blocks=1024)
+# For every view, so that maps share what is compiled, in one size of windows.
+ROOM = Capacity(windows=(0, 0, 0, 0, 1024), large=64, candidates=1024, blocks=1024)
 SCENE = golden_scene()
 FACTORS = [(light, factor) for light in golden_lights() for factor in golden_light(light).factors]
 # One compare of each map is enough for the whole column; of exact ties, both.

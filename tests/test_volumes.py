@@ -38,7 +38,7 @@ REAL_MESHES = Path(__file__).parents[2] / "shared" / "meshes"
 RESOLUTION = (48, 64)
 # Alike for all scenes, so that little is compiled.
 VERTICES, FACES, EDGES = 250, 340, 520
-ROOM = Capacity(clipped=1024, windows=(512,) * 5, large=1024, candidates=16384, blocks=8192)
+ROOM = Capacity(clipped=1024, windows=(0, 0, 0, 0, 2048), large=1024, candidates=16384, blocks=8192)
 ROOMS = VolumeCapacity(ROOM, ROOM)
 # How far from a shadow's edge, in pixels, every count must be right.
 BAR = 1e-3
@@ -355,7 +355,7 @@ def test_weights_and_windings_add_up():
 # Against OpenGL
 
 STENCIL = [stencil_case(name) for name in stencil_names()]
-STENCIL_ROOM = Capacity(clipped=1024, windows=(1024,) * 5, large=1024, candidates=32768, blocks=16384)
+STENCIL_ROOM = Capacity(clipped=1024, windows=(0, 0, 0, 0, 4096), large=1024, candidates=32768, blocks=16384)
 # A difference is explained by a depth this close to that of a wall, or by an outline this near, in pixels.
 TIED, NEAR_OUTLINE = 4e-6, 1 / 256
 

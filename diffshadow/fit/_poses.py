@@ -32,8 +32,6 @@ _FINER_MAP = 2
 # What poses elsewhere within the bounds may need beyond the greatest need that was seen.
 _HEADROOM = 2
 _MORE_SILHOUETTES = 4
-# Room for classes of triangles that no pose that was tried has any of.
-_LEAST_ROOM = 16
 
 
 class MapSettings(NamedTuple):
@@ -65,8 +63,8 @@ class Room(NamedTuple):
         return Room(from_light, silhouettes, self.from_camera.grown_to(other.from_camera))
 
     def doubled(self) -> "Room":
-        """Twice the room, and at least a little of every kind."""
-        return Room(_roomy(self.from_light), max(2 * self.silhouettes, _LEAST_ROOM), _roomy(self.from_camera))
+        """Twice the room."""
+        return Room(_roomy(self.from_light), 2 * self.silhouettes, _roomy(self.from_camera))
 
     def coarser(self) -> "Room":
         """Room for the same in coarser images."""
@@ -250,7 +248,7 @@ def coarser(capacity: Capacity) -> Capacity:
     total, windows = capacity.large, []
     for needed in reversed(capacity.windows):
         total += needed
-        windows.append(round_up_to_power_of_two(total))
+        windows.append(round_up_to_power_of_two(total) if needed else 0)
     return capacity._replace(windows=tuple(reversed(windows)))
 
 
@@ -258,7 +256,7 @@ def _roomy(capacity: Capacity) -> Capacity:
     more = lambda needed: _HEADROOM * needed
     return Capacity(
         clipped=more(capacity.clipped),
-        windows=tuple(max(more(needed), _LEAST_ROOM) for needed in capacity.windows),
+        windows=tuple(map(more, capacity.windows)),
         large=more(capacity.large),
         candidates=more(capacity.candidates),
         blocks=more(capacity.blocks),

@@ -31,13 +31,18 @@ BLOCK = 16
 """Side, in pixels, of the blocks that those are cut into."""
 
 _NOTHING = -1
+# What small numbers are rounded up to: room to spare costs little there.
+_ROOMS = (0, 16, 64, 256, 1024, 4096)
+# In the windows of a larger class, so many pixels are looked at in less time than a loop of their own takes to compile.
+_FEW_PIXELS = 1 << 14
 
 
 class Capacity(NamedTuple):
     """How many triangles of each kind a compiled rasterizer has room for; each 0 or a power of two.
 
     - `clipped`: triangles that cross the near plane or leave the guard band.
-    - `windows`: triangles of each size class.
+    - `windows`: triangles of each size class. A class with no room passes its triangles on to the next that has some:
+        each class takes time to compile, so a few small triangles had better share a larger window.
     - `large`: triangles too big for a window; `candidates`, the blocks that their boxes touch; and `blocks`, those
         among them that the triangles themselves may touch.
 
@@ -51,15 +56,24 @@ class Capacity(NamedTuple):
     blocks: int = 0
 
     def grown_to(self, other: "Capacity") -> "Capacity":
-        """The least capacity that holds what either holds."""
-        windows = tuple(max(a, b) for a, b in zip(self.windows, other.windows, strict=True))
+        """The least capacity that surely holds what either holds."""
+        room = {k: max(self._room_from(k), other._room_from(k)) for k in {*self.classes, *other.classes}}
         return Capacity(
             clipped=max(self.clipped, other.clipped),
-            windows=windows,
+            windows=tuple(room.get(k, 0) for k in range(LARGE)),
             large=max(self.large, other.large),
             candidates=max(self.candidates, other.candidates),
             blocks=max(self.blocks, other.blocks),
         )
+
+    @property
+    def classes(self) -> tuple[int, ...]:
+        """The size classes that there is room for."""
+        return tuple(k for k, room in enumerate(self.windows) if room)
+
+    def _room_from(self, size_class: int) -> int:
+        """Room for triangles of a size class, be it in a larger window."""
+        return next((room for room in self.windows[size_class:] if room), self.large)
 
 
 class Counts(eqx.Module):
@@ -72,14 +86,19 @@ class Counts(eqx.Module):
     blocks: Int[Array, ""]
 
     def capacity(self) -> Capacity:
-        """Each count rounded up to a power of two."""
-        return Capacity(
-            clipped=round_up_to_power_of_two(int(self.clipped)),
-            windows=tuple(round_up_to_power_of_two(int(n)) for n in self.windows),
-            large=round_up_to_power_of_two(int(self.large)),
-            candidates=round_up_to_power_of_two(int(self.candidates)),
-            blocks=round_up_to_power_of_two(int(self.blocks)),
-        )
+        """Each count rounded up, so that like scenes share what is compiled; a few small triangles share the windows
+        of larger ones."""
+        windows = [int(n) for n in self.windows]
+        for k in range(LARGE - 1):
+            larger = next((j for j in range(k + 1, LARGE) if windows[j]), LARGE - 1)
+            if windows[k] * WINDOWS[larger] ** 2 <= _FEW_PIXELS:
+                windows[k], windows[larger] = 0, windows[k] + windows[larger]
+        large, candidates, blocks = (_rounded_up(int(n)) for n in (self.large, self.candidates, self.blocks))
+        return Capacity(_rounded_up(int(self.clipped)), tuple(map(_rounded_up, windows)), large, candidates, blocks)
+
+
+def _rounded_up(number: int) -> int:
+    return next((room for room in _ROOMS if number <= room), round_up_to_power_of_two(number))
 
 
 class Corners(NamedTuple):
@@ -152,9 +171,9 @@ def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], reso
 
 
 def bin_triangles(
-    clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, clip_capacity: int
+    clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, clip_capacity: int, classes: Sequence[int]
 ) -> Triangles:
-    """Every triangle and its size class."""
+    """Every triangle and its size class, which is one of `classes`, or `LARGE`."""
     visible, clipped = _sides(clip, faces, resolution)
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
     x, y, z = lax.optimization_barrier(to_window(clip, resolution))
@@ -168,7 +187,7 @@ def bin_triangles(
         source = jnp.concatenate([source, jnp.repeat(chosen, FAN)])
         drawn = jnp.concatenate([drawn, jnp.repeat(chosen >= 0, FAN)])
     fixed_x, fixed_y = lax.optimization_barrier((snap(x), snap(y)))
-    size_class = lax.optimization_barrier(_classify(fixed_x, fixed_y, faces, drawn, resolution, cull))
+    size_class = lax.optimization_barrier(_classify(fixed_x, fixed_y, faces, drawn, resolution, cull, classes))
     ranks = rank_in_class(size_class, LARGE + 1)
     return Triangles(x, y, z, faces, source, size_class, ranks, jnp.sum(clipped))
 
@@ -185,7 +204,13 @@ def _sides(clip: ClipVertices, faces: Faces, resolution: Resolution) -> tuple[Bo
 
 
 def _classify(
-    x: Int[Array, " v"], y: Int[Array, " v"], faces: Faces, drawn: Array, resolution: Resolution, cull: Cull
+    x: Int[Array, " v"],
+    y: Int[Array, " v"],
+    faces: Faces,
+    drawn: Array,
+    resolution: Resolution,
+    cull: Cull,
+    classes: Sequence[int],
 ) -> Int[Array, " f"]:
     xs, ys = ([values[faces[:, k]] for k in range(3)] for values in (x, y))
     area = signed_area(xs, ys)
@@ -193,5 +218,7 @@ def _classify(
     box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1
     kept = drawn & facing & (box.left <= box.right) & (box.bottom <= box.top)
-    size_class = sum((size > side).astype(jnp.int32) for side in WINDOWS)
+    size_class = jnp.full_like(size, LARGE)
+    for k in sorted(classes, reverse=True):
+        size_class = jnp.where(size <= WINDOWS[k], k, size_class)
     return jnp.where(kept, size_class, _NOTHING)

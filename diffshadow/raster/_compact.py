@@ -53,6 +53,8 @@ def members(classes: Int[Array, " n"], ranks: Ranks, rooms: Sequence[int]) -> In
     total = sum(rooms)
     place = jnp.full_like(ranks.rank, total)
     for k, room in enumerate(rooms):
+        if not room:
+            continue
         place = jnp.where((classes == k) & (ranks.rank < room), sum(rooms[:k]) + ranks.rank, place)
     indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
     # Elements that have no place go to a slot that is cut off, so that no index is ever out of bounds.

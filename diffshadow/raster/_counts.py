@@ -95,7 +95,7 @@ def _triangles(clip: ClipVertices, faces: Faces, weights: Int[Array, " f"]) -> t
 def _count_fragments(clip, faces, weights, depth, when, capacity) -> Int[Array, "h w"]:
     resolution = depth.shape
     clip, faces = _triangles(clip.astype(depth.dtype), faces, weights)
-    triangles = bin_triangles(clip, faces, resolution, "none", capacity.clipped)
+    triangles = bin_triangles(clip, faces, resolution, "none", capacity.clipped, capacity.classes)
     found = candidates(triangles, resolution, capacity)
     counts = count(triangles, found)
     signed = (weights[triangles.source] * _facing(triangles)).astype(jnp.int32)

@@ -1,18 +1,18 @@
 """The rasterizer: which triangle each pixel sees."""
 
-from functools import reduce
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
 from .._types import ClipVertices, Faces, Resolution
-from ._bins import WINDOWS, Capacity, Counts, Cull, bin_triangles
+from ._bins import LARGE, WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
@@ -37,7 +37,8 @@ class Fragments(eqx.Module):
 
 
 def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, cull: Cull = "none") -> Capacity:
-    """The capacity that drawing these triangles needs, each number rounded up to a power of two.
+    """The capacity that drawing these triangles needs, each number rounded up, so that like scenes share what is
+    compiled.
 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
@@ -47,7 +48,7 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
     room = Capacity()
     while True:
         counted = [_count(view, faces, resolution, cull, room) for view in clip]
-        needed = reduce(Capacity.grown_to, (each.capacity() for each in counted))
+        needed = jax.tree.map(lambda *each: np.max(np.stack(each), axis=0), *counted).capacity()
         # Of windows and blocks there is no room to be made: what is compiled does not depend on how many there are.
         parts = needed._replace(windows=room.windows, blocks=room.blocks)
         if room == room.grown_to(parts):
@@ -126,7 +127,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
 
 @eqx.filter_jit
 def _count(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Counts:
-    triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
+    triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, range(LARGE))
     return count(triangles, candidates(triangles, resolution, capacity))
 
 
@@ -135,7 +136,7 @@ def _rasterize(
     clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face
 ) -> Fragments | Float[Array, "*b h w"]:
     def prepare(clip: Array) -> tuple[Windows, Counts]:
-        triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped)
+        triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, capacity.classes)
         found = candidates(triangles, resolution, capacity)
         return windows(triangles, found, resolution, capacity, test, polygon_offset), count(triangles, found)
 

@@ -139,7 +139,7 @@ class MapCapacity(NamedTuple):
 def plan_shadow_map(
     mesh: Mesh, light: AbstractLight, resolution: Resolution, *, cull: Cull = "none", edges: Edges | None = None
 ) -> MapCapacity:
-    """The capacity that drawing this map needs, each number rounded up to a power of two.
+    """The capacity that drawing this map needs, each number rounded up.
 
     **Arguments:** as for `draw_shadow_map`; not for use inside `jax.jit`.
     """
