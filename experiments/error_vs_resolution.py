@@ -46,10 +46,15 @@ WIDE = "bias={constant: 0.5, slope: 2.5}"
 """For kernels of several texels."""
 PLANE = "bias={plane: {type: receiver_plane, deepening: 0}}"
 """For kernels so wide that only the receiver's plane keeps their taps from acne."""
+EDGES = "bias={constant: 1, plane: {type: receiver_plane, deepening: 0}}"
+"""For outlines within texels, which have no texels of slope to spare."""
 NO_FIT = "fit.parameters={bias.constant: {lower: 0, upper: 10}}"
 """In place of what a configuration fits, which may be no setting of the technique."""
 TECHNIQUES = {
     "nearest": Technique("nearest", ("filter={type: nearest}", PLAIN)),
+    "silhouettes": Technique(
+        "nearest, with silhouettes", ("filter={type: nearest}", "shadow_map.silhouettes=true", EDGES)
+    ),
     "bilinear": Technique("bilinear", ("filter={type: bilinear}", PLAIN)),
     "box": Technique("box, 2.5 texels", ("filter={type: pcf, radius: 2.5}", WIDE)),
     "disk": Technique(

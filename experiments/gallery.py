@@ -62,6 +62,15 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row("Nearest", (), "constant and slope bias"),
         Row("Bilinear", ("filter={type: bilinear}",), "four compares, blended"),
         Row("Small map", ("shadow_map.resolution=[256, 256]",), "the same with a sixteenth of the texels"),
+        Row(
+            "Silhouette map",
+            (
+                "shadow_map.resolution=[256, 256]",
+                "shadow_map.silhouettes=true",
+                "bias={constant: 1, plane: {type: receiver_plane, deepening: 0}}",
+            ),
+            "as small, with outlines within texels",
+        ),
         Row("16-bit depths", ("shadow_map.depth_format=unorm16",), "fixed-point depths of 16 bits"),
         Row(
             "Polygon offset",

@@ -287,6 +287,16 @@ BROKEN = {
         "3: technique.type: projects shadows on meshes that cast none, and all of scene.meshes cast; expected one that "
         "does not; set casts: false for those that receive",
     ),
+    "silhouettes of back faces": (
+        "shadow_map: {silhouettes: true, cull: front}\n",
+        "2: shadow_map.cull: is front with silhouettes; expected none; remove it, or set shadow_map.silhouettes to "
+        "false",
+    ),
+    "a light to fit beneath midpoints": (
+        "shadow_map: {layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
+        "2: shadow_map.layer: is midpoint in a fit of lights or meshes, with silhouettes; expected nearest; remove it, "
+        "or set shadow_map.silhouettes to false",
+    ),
     "polygon offset of one number": (
         "shadow_map: {polygon_offset: 2}\n",
         "2: shadow_map.polygon_offset: is 2; expected two numbers [factor, units]; write a list such as [1.1, 4]",
@@ -678,6 +688,15 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
 )
 def test_filter_wider_than_a_point_light_s_guard_is_told(text, expected):
     assert fault(POINT + text).startswith(f"file.yaml:{expected}")
+
+
+def test_a_light_that_is_fitted_frames_the_scene():
+    scene = "scene: {meshes: [{path: builtin:box}], light: {frame: casters}}\n"
+    assert fault(f"{scene}fit: {{parameters: {{scene.light.azimuth: {{lower: 0, upper: 90}}}}}}\n") == (
+        "file.yaml:1: scene.light.frame: is casters in a fit of lights or meshes, whose shadows may leave what they "
+        "cast at the start; expected scene; remove it"
+    )
+    assert parse_config(scene, source="file.yaml").scene.light.frame == "casters"
 
 
 def test_filter_within_a_point_light_s_guard_is_fine():

@@ -271,6 +271,14 @@ def test_lights_are_those_of_the_config():
     assert float(panel.outer_angle) == 30
 
 
+def test_a_directional_light_frames_what_casts_where_it_is_told_to():
+    ground = "scene.meshes=[{path: builtin:box}, {path: builtin:plane, options: {size: 9}, casts: false}]"
+    wide = build(ground, "scene.light={}").light
+    narrow = build(ground, "scene.light={frame: casters}").light
+    assert (np.asarray(narrow.extent) < 0.3 * np.asarray(wide.extent)).all()
+    assert float(narrow.far - narrow.near) == pytest.approx(float(wide.far - wide.near))
+
+
 def test_point_light_inside_the_scene_is_fine():
     light = build("scene.light={type: point, position: [0, 0.3, 0], near: 50, far: 60}").light
     assert float(light.near) == 50

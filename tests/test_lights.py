@@ -44,6 +44,16 @@ def test_directional_light_around_holds_all_points_tightly(scale, direction):
     np.testing.assert_allclose(low, -high, atol=1e-4)
 
 
+def test_directional_light_around_casters_reaches_on_to_the_receivers():
+    casters, receivers = cloud(1.0), cloud(4.0)
+    direction = jnp.array([0.3, -1.0, 0.2])
+    light = DirectionalLight.around(direction, casters, receivers=receivers)
+    np.testing.assert_array_equal(light.extent, DirectionalLight.around(direction, casters).extent)
+    np.testing.assert_allclose(np.abs(divided(light.view().clip(casters))[:, :2]).max(axis=0), 1, atol=0.03)
+    depth = divided(light.view().clip(receivers))[:, 2]
+    np.testing.assert_allclose([depth.min(), depth.max()], [-1, 1], atol=0.03)
+
+
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("position", [(3, 5, 4), (0.3, 6, -0.2), (-20, 1, 0), (1.8, 1.2, 2.2)])
 def test_spot_light_around_holds_all_points_tightly(scale, position):

@@ -88,7 +88,8 @@ def build_casting(config: Config) -> Casting:
     whole = geometry.merge(meshes)
     casts = [mesh.casts for mesh in config.scene.meshes]
     _check_closed(config, meshes)
-    stage = stage_of(whole, meshes[0])
+    casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
+    stage = stage_of(whole, casters, meshes[0])
     with _blame(config, ("scene", "camera")):
         camera = build_camera(config.scene.camera, stage)
     lights = []
@@ -98,7 +99,7 @@ def build_casting(config: Config) -> Casting:
     receivers = [mesh for mesh, does in zip(meshes, casts, strict=True) if not does]
     return Casting(
         geometry.Scene(whole, camera, lights),
-        geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does]),
+        casters,
         geometry.merge(receivers) if receivers else None,
         jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
         tuple(meshes),
@@ -171,7 +172,7 @@ def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
     with _blame(config, ("fit", "anneal")):
         built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
     arrangement = None
-    if any(is_pose(name) for name in config.fit.parameters):
+    if config.moves:
         casting = build_casting(config) if casting is None else casting
         arrangement = build_arrangement(config, casting)
     parameters, truth, units = [], {}, fit_units(config)

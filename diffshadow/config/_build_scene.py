@@ -37,9 +37,11 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
 
 
 class Stage(NamedTuple):
-    """What cameras and lights are placed by: all points (n, 3), and the first mesh's middle and radius."""
+    """What cameras and lights are placed by: all points (n, 3), those of what casts (m, 3), and the first mesh's middle
+    and radius."""
 
     points: Float[HostArray, "n 3"]
+    casters: Float[HostArray, "m 3"]
     middle: Float[HostArray, "3"]
     radius: float
 
@@ -48,11 +50,12 @@ class Stage(NamedTuple):
         return geometry.orbit_eye(jnp.asarray(self.middle), distance * self.radius, azimuth, elevation)
 
 
-def stage_of(whole: geometry.Mesh, first: geometry.Mesh) -> Stage:
-    corners = np.asarray(first.vertices)[np.unique(first.faces)]
+def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh) -> Stage:
+    used = lambda mesh: np.asarray(mesh.vertices)[np.unique(mesh.faces)]
+    corners = used(first)
     middle = np.asarray(first.bounds).mean(axis=0)
     radius = float(np.linalg.norm(corners - middle, axis=-1).max())
-    return Stage(np.asarray(whole.vertices)[np.unique(whole.faces)], middle, radius)
+    return Stage(used(whole), used(casters), middle, radius)
 
 
 # Compiled as one, since a mesh's first dozens of single operations would take longer than all the rest.
@@ -155,7 +158,10 @@ def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.Direc
         assert config.azimuth is not None
         assert config.elevation is not None
         direction = -geometry.orbit_eye(jnp.zeros(3), 1.0, config.azimuth, config.elevation)
-    return geometry.DirectionalLight.around(direction, jnp.asarray(stage.points), config.angular_radius)
+    points, around = jnp.asarray(stage.points), geometry.DirectionalLight.around
+    if config.frame == "scene":
+        return around(direction, points, config.angular_radius)
+    return around(direction, jnp.asarray(stage.casters), config.angular_radius, receivers=points)
 
 
 def _vector(value: tuple[float, float, float] | None) -> Vec3 | None:

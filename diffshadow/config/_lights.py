@@ -52,6 +52,9 @@ class DirectionalLightConfig(Section):
         lt=90,
         description="half the angle under which the light is seen, in degrees; 0 is a hard light",
     )
+    frame: Literal["scene", "casters"] = Field(
+        default="scene", description="what the map is just wide enough for; pixels beside casters then do not count"
+    )
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:

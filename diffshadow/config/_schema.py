@@ -11,7 +11,7 @@ from ._biases import BiasConfig
 from ._errors import KeyPath, Place, dotted
 from ._filters import FilterConfig, RandomDiskConfig
 from ._fitted import outside, parameter_faults, start_of
-from ._lights import PointLightConfig
+from ._lights import DirectionalLightConfig, PointLightConfig
 from ._poses import is_pose
 from ._scene import SceneConfig
 from ._section import Conflict, Form, Section, Texels, Unit, as_list, by_type, fault, is_number, look, ordered
@@ -151,9 +151,6 @@ class FitConfig(Section):
     multistart: Annotated[int, Unit("starts")] = Field(
         default=1, ge=1, le=1024, description="starts that are tried: the initial values, and others over the bounds"
     )
-    silhouettes: bool = Field(
-        default=True, description="of lights and meshes: whether derivatives see the shadow's outline move"
-    )
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -218,12 +215,36 @@ class Config(Section):
     def faults(self) -> Iterator[Conflict]:
         if isinstance(self.technique, ShadowMappingConfig):
             yield from self._beyond_guards()
+            yield from self._silhouettes_of_others()
         if isinstance(self.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in self.scene.meshes):
             said = "projects shadows on meshes that cast none, and all of scene.meshes cast"
             yield ("technique", "type"), fault(said, "one that does not", "set casts: false for those that receive")
+        for key, light in self.scene.each_light.items():
+            if isinstance(light, DirectionalLightConfig) and light.frame == "casters" and self.moves:
+                said = "is casters in a fit of lights or meshes, whose shadows may leave what they cast at the start"
+                yield ("scene", *key, "frame"), fault(said, "scene", "remove it")
         if isinstance(self.reference, ImageReferenceConfig) and len(self.scene.each_light) > 1:
             said = f"is one image, for {len(self.scene.each_light)} lights"
             yield ("reference", "type"), fault(said, "one light, or a traced reference", "set it to traced")
+
+    @property
+    def moves(self) -> bool:
+        """Whether its fit moves lights or meshes."""
+        return any(is_pose(name) for name in self.fit.parameters)
+
+    @property
+    def has_silhouettes(self) -> bool:
+        """Whether the maps of its fit hold silhouettes."""
+        return self.moves if self.shadow_map.silhouettes is None else self.shadow_map.silhouettes
+
+    def _silhouettes_of_others(self) -> Iterator[Conflict]:
+        """Faults of a map with silhouettes that does not hold the nearest of all faces."""
+        section = self.shadow_map
+        for key, value, plain in (("layer", section.layer, "nearest"), ("cull", section.cull, "none")):
+            if self.has_silhouettes and value != plain:
+                why = "with silhouettes" if section.silhouettes else "in a fit of lights or meshes, with silhouettes"
+                mend = "remove it, or set shadow_map.silhouettes to false"
+                yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)
 
     def _beyond_guards(self) -> Iterator[Conflict]:
         """Faults of a filter that reads further than the faces of a point light's map go."""

@@ -58,6 +58,10 @@ class ShadowMapConfig(Section):
     layer: Literal["nearest", "midpoint", "second"] = Field(
         default="nearest", description="which surface is stored, the midpoint being that of the nearest two"
     )
+    silhouettes: bool | None = Field(
+        default=None,
+        description="whether texels hold where in them casters end; default: in fits that move lights or meshes",
+    )
 
 
 class HardCompareConfig(Section):

@@ -47,7 +47,7 @@ def problems_of(config: Config, plan: FitPlan, casting: Casting, drawn: Sequence
     """A problem for each light."""
     assert plan.arrangement is not None
     moves = any(p.where.startswith("meshes.") for p in plan.parameters)
-    settings = fit.MapSettings(**config.shadow_map.model_dump(), silhouettes=config.fit.silhouettes)
+    settings = fit.MapSettings(**{**config.shadow_map.model_dump(), "silhouettes": config.has_silhouettes})
     return [
         fit.PoseProblem(
             arrangement=plan.arrangement,
@@ -167,8 +167,8 @@ def _cause(config: Config, name: str) -> str:
         mesh = config.scene.meshes[int(name.split(".")[2])]
         if not mesh.casts:
             return "since its mesh does not cast: set casts: true"
-    if not config.fit.silhouettes:
-        return "since outlines are not differentiated: set fit.silhouettes to true"
+    if not config.has_silhouettes:
+        return "since outlines are not differentiated: remove shadow_map.silhouettes"
     if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
         return "since nearest look-ups do not see outlines move: choose a filter with bilinear ones"
     if "meshes" in name:

@@ -31,7 +31,10 @@ def draw_from_light(config: Config, technique: Technique, casting: Casting) -> F
 
 def draw_map(config: Config, casting: Casting) -> shadow.ShadowMap:
     """The shadow map of the scene's only light."""
-    return shadow.draw_shadow_map(casting.casters, casting.scene.light, **config.shadow_map.model_dump())
+    settings = config.shadow_map
+    edges = geometry.Edges.of(casting.casters) if settings.silhouettes else None
+    how = settings.model_dump(exclude={"silhouettes"})
+    return shadow.draw_shadow_map(casting.casters, casting.scene.light, **how, edges=edges)
 
 
 def covered(

@@ -47,13 +47,28 @@ class DirectionalLight(AbstractLight):
             raise ValueError(f"the directional light's angular_radius is {radius}; expected degrees in [0, 90)")
 
     @classmethod
-    def around(cls, direction: Vec3, points: Float[Array, "n 3"], angular_radius: float = 0.0) -> "DirectionalLight":
-        """The light along `direction` whose shadow map holds `points` (n, 3), tightly."""
+    def around(
+        cls,
+        direction: Vec3,
+        points: Float[Array, "n 3"],
+        angular_radius: float = 0.0,
+        *,
+        receivers: Float[Array, "m 3"] | None = None,
+    ) -> "DirectionalLight":
+        """The light along `direction` whose shadow map holds `points` (n, 3), tightly.
+
+        With `receivers` (m, 3) its box goes on until it has passed them too, but gets no wider: where `points` are what
+        casts shadows, no texel is spent on what only receives them.
+        """
         direction = as_float(direction)
         check_direction("the directional light", direction)
         rows = frame(direction, as_float(UP))
-        local = jnp.matmul(points, rows.T, precision="highest")
+        seen = lambda points: jnp.matmul(points, rows.T, precision="highest")
+        local = seen(points)
         low, high = local.min(axis=0), local.max(axis=0)
+        if receivers is not None:
+            along = seen(receivers)[:, 2]
+            low, high = low.at[2].min(along.min()), high.at[2].max(along.max())
         size = jnp.maximum(high - low, FLAT * jnp.max(high - low)) * (1 + 2 * MARGIN)
         return cls(
             direction=direction,
