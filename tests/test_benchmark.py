@@ -13,7 +13,7 @@ SCRIPT = Path(__file__).parent.parent / "experiments" / "benchmark_raster.py"
 MEASURES = {"plan", "rasterize", "rasterize_counting", "attributes", "gradient"}
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_benchmark_reports_times_and_memory_without_opengl(tmp_path):
     file = tmp_path / "out.json"
     options = ("--triangles", "100", "--sizes", "64", "--repeats", "2", "--no-opengl", "--json", str(file))

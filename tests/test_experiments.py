@@ -152,7 +152,11 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
     [
         ("bias_landscape", ["tiny.yaml", "--size", "1"], "--size: is 1; expected 2 or more"),
         ("bias_landscape", ["tiny.yaml", "fit.parameters={bias.constant: {lower: 0, upper: 9}}"], "filter.radius"),
-        ("error_vs_resolution", ["tiny.yaml", "--only", "nearest,pfc"], "expected some of nearest,bilinear,box"),
+        (
+            "error_vs_resolution",
+            ["tiny.yaml", "--only", "nearest,pfc"],
+            "expected some of nearest,silhouettes,bilinear",
+        ),
         ("error_vs_resolution", ["tiny.yaml", "--sizes", "64,big"], "expected whole numbers"),
         ("soft_width", ["tiny.yaml", "--least", "3", "--most", "2"], "less than most, 2.0"),
         ("shootout", ["missing.yaml"], "there is no such file"),
@@ -175,7 +179,7 @@ def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, argument
     assert not Path("runs").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_light_is_recovered_from_its_shadow():
     recover = importlib.import_module("recover_light").main
     # Odd sides cannot be made coarser, which spares a program.
@@ -188,7 +192,7 @@ def test_light_is_recovered_from_its_shadow():
 def test_gallery_shows_each_technique(monkeypatch):
     gallery = importlib.import_module("gallery")
     (name, rows), *_ = gallery.SECTIONS.items()
-    shown = [row for row in rows if row.name in ("Nearest", "Bilinear")]
+    shown = [row for row in rows if row.name in ("Nearest", "Silhouette map")]
     monkeypatch.setattr(gallery, "SECTIONS", {name: shown})
     Path("scene.yaml").write_text(SCENE)
     gallery.main(Path("scene.yaml"), page=Path("gallery.md"), repeats=1)

@@ -404,6 +404,7 @@ def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels
     np.testing.assert_allclose(list(result.fitted.values()), 0.1875, atol=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_without_its_outline_the_minimal_plane_stalls():
     one = minimal_plane(CAMERAS["orthographic"](64), 32, silhouettes=False)
     result = pull(one, Solver("levenberg_marquardt", 60, 1e-6, 1e-7))
