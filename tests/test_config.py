@@ -491,6 +491,16 @@ def test_missing_mesh_file_names_the_nearest(tmp_path):
     )
 
 
+def test_settings_are_read_without_the_files_that_they_name(tmp_path):
+    file = tmp_path / "c.yaml"
+    file.write_text("scene: {meshes: [path: gone.obj]}\nreference: {type: image, path: gone.npy}\n")
+    with pytest.raises(ConfigError, match="there is no file"):
+        load_config(file)
+    config = load_config(file, files=False)
+    assert config.scene.meshes[0].path == str(tmp_path / "gone.obj")
+    assert parse_config(dump_resolved(config), files=False) == config
+
+
 def test_forgotten_builtin_is_suggested():
     assert "did you mean 'builtin:torus_knot'?" in fault("scene: {meshes: [path: torus_knot]}")
 

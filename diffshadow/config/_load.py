@@ -28,7 +28,7 @@ class Draft(NamedTuple):
     problems: list[Problem]
 
 
-def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Config:
+def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = (), *, files: bool = True) -> Config:
     """The configuration in the YAML file `path`, with `overrides`.
 
     **Arguments:**
@@ -36,12 +36,13 @@ def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> 
     - `path`: the file; relative paths inside it are relative to its folder.
     - `overrides`: `key=value` each, the key dotted (`scene.meshes.0.path`), the value YAML. Relative paths inside
         them are relative to the current folder.
+    - `files`: whether the input files that it names must exist. A report on a finished run needs only the settings.
 
     **Returns:** the configuration, with all paths absolute but `output`.
 
     **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
     """
-    return _single(checked(load_draft(path, overrides)))
+    return _single(checked(load_draft(path, overrides), files=files))
 
 
 def parse_config(
@@ -51,6 +52,7 @@ def parse_config(
     source: str = "configuration",
     folder: str | os.PathLike[str] = ".",
     name: str = "unnamed",
+    files: bool = True,
 ) -> Config:
     """The configuration in YAML `text`, with `overrides`; as `load_config`.
 
@@ -59,10 +61,11 @@ def parse_config(
     - `source`: what errors call the text.
     - `folder`: what relative paths in the text are relative to.
     - `name`: of the run, where the text gives none.
+    - `files`: as for `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
-    return _single(checked(parse_draft(text, overrides, source=source, folder=folder, name=name)))
+    return _single(checked(parse_draft(text, overrides, source=source, folder=folder, name=name), files=files))
 
 
 def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
@@ -98,13 +101,18 @@ def parse_draft(
     return Draft(data, Origin(source, places), Path(folder), problems)
 
 
-def checked(draft: Draft) -> Config:
+def checked(draft: Draft, *, files: bool = True) -> Config:
     """The configuration that `draft` stands for, whose data this completes.
+
+    **Arguments:**
+
+    - `files`: whether the input files that it names must exist.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
     data, origin = draft.data, draft.origin
-    problems = [*draft.problems, *_resolve_files(data, origin, draft.folder)]
+    missing = _resolve_files(data, origin, draft.folder)
+    problems = [*draft.problems, *(missing if files else ())]
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
