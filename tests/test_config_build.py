@@ -107,8 +107,12 @@ scene:
     with pytest.raises(ConfigError) as caught:
         build(text=text)
     first, second = (str(problem) for problem in caught.value.problems)
-    assert first.startswith("configuration:3: scene.meshes.0: box has no option 'sise'")
-    assert second.startswith("configuration:5: scene.meshes.1: plane: size is -3")
+    assert first == (
+        "configuration:4: scene.meshes.0.options.sise: is no option of box; expected size; did you mean 'size'?"
+    )
+    assert second == (
+        "configuration:6: scene.meshes.1.options.size: is -3; expected world units from 1e-06 to 1e+09; change it"
+    )
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ FAULTS = {
     ),
     "value that does not fit": (
         "\n  grid:\n    filter.radius: [1,\n      -2]",
-        "t.yaml:15: filter.radius: is -2; expected a number at least 0, in texels",
+        "t.yaml:15: filter.radius: is -2; expected a number at least 0 and at most 8192, in texels",
         "(first in the run with filter.radius = -2, seed = 0)",
     ),
     "lengths": (

@@ -29,7 +29,7 @@ class QuasiRandomAxisConfig(Section):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(data, "lower", "upper")
+        yield from ordered(cls, data, "lower", "upper")
         lower = data.get("lower")
         if data.get("log") is True and is_number(lower) and lower <= 0:
             yield ("lower",), fault(f"is {lower} on a logarithmic scale", "a number greater than 0", "raise it")

@@ -14,18 +14,21 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from ._errors import ConfigError, KeyPath, Place, Problem, show
-from ._filters import RandomDiskConfig
+from ._errors import ConfigError, KeyPath, Origin, Place, Problem, show
+from ._filters import MOST_TAPS, RandomDiskConfig
 from ._load import Draft, checked, load_draft
 from ._overrides import apply_overrides
 from ._problems import problems_of
-from ._schema import Config, ImageReferenceConfig, Origin
+from ._reference import ImageReferenceConfig
+from ._schema import Config
 from ._sweep import LABEL, QuasiRandomConfig, SweepConfig
 from ._technique import ShadowMappingConfig
 
 # Part of every id: to be raised when a run of the same configuration gives other numbers.
 _FORMAT = 1
 _ID_DIGITS = 16
+# Sixteen times as many as those of a run.
+_MOST_LIMIT_TAPS = 16 * MOST_TAPS
 
 
 class SweepRun(NamedTuple):
@@ -82,7 +85,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     for values, written in _combined(settings, draft._replace(data=base)):
         count += 1
         try:
-            config = checked(written)
+            config = checked(written, fitting=settings.run == "fit")
             _check_limit(config, settings, draft.origin)
         except ConfigError as error:
             for problem in error.problems:
@@ -204,13 +207,20 @@ def _written(draft: Draft, choice: _Choice) -> Draft:
 
 
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
-    suits = isinstance(config.filter, RandomDiskConfig) and isinstance(config.technique, ShadowMappingConfig)
-    if settings.limit_samples is None or suits:
+    if settings.limit_samples is None:
         return
-    message = (
-        f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; expected "
-        "shadow_map with random_disk, which has a limit; remove it, or such runs"
-    )
+    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, ShadowMappingConfig):
+        message = (
+            f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; "
+            "expected shadow_map with random_disk, which has a limit; remove it, or such runs"
+        )
+    elif (taps := settings.limit_samples * config.filter.pattern_size**2) > _MOST_LIMIT_TAPS:
+        message = (
+            f"is {settings.limit_samples}, and with filter.pattern_size {config.filter.pattern_size} there are "
+            f"{taps:,} taps of a tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
+        )
+    else:
+        return
     raise ConfigError([Problem(origin.place(("sweep", "limit_samples")), "sweep.limit_samples", message)])
 
 

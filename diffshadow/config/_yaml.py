@@ -140,7 +140,7 @@ class _Reader:
         text = node.value
         if not isinstance(node, yaml.ScalarNode) or node.style is not None:
             return text
-        if _INTEGER.fullmatch(text) and len(text) > _LONGEST_INTEGER:
+        if len(text) > _LONGEST_INTEGER and any(form.fullmatch(text) for form in (_INTEGER, _OCTAL, _HEXADECIMAL)):
             self.report(node, path, f"is an integer of {len(text)} digits; expected a smaller one; check the number")
             return None
         return plain_scalar(text)
