@@ -17,6 +17,7 @@ from ._dump import fit_units as fit_units
 from ._errors import ConfigError as ConfigError
 from ._errors import Place as Place
 from ._errors import Problem as Problem
+from ._errors import printable as printable
 from ._filters import BilinearConfig as BilinearConfig
 from ._filters import CastanoConfig as CastanoConfig
 from ._filters import ExponentialConfig as ExponentialConfig

@@ -78,8 +78,8 @@ class ConfigError(ValueError):
 
 
 def dotted(path: Sequence[str | int]) -> str:
-    """`path` as it is written in an override: `scene.meshes.0.path`."""
-    return ".".join(str(step) for step in path)
+    """`path` as it is written in an override: `scene.meshes.0.path`. An empty key shows as two quotes."""
+    return ".".join(str(step) or "''" for step in path)
 
 
 def printable(text: str) -> str:

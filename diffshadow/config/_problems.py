@@ -11,6 +11,8 @@ from ._keys import ROOT, Found, Slot, all_keys, follow, keys_of
 from ._section import FAULT, Conflict, fault, look, type_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
+# Beyond, floats skip whole numbers.
+_MOST_COUNTED = 2**53
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
@@ -76,7 +78,7 @@ def _remedy(value: Any, slot: Slot) -> str:
         return f"write {_SWITCHES[str(value).lower()]}"
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
         return "write it without quotes, with a point for decimals and no other signs between the digits"
-    if slot.kind is int and isinstance(value, float) and value.is_integer():
+    if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MOST_COUNTED:
         return f"write {int(value)}"
     if slot.kind is str:
         return "put it in quotes" if isinstance(value, int | float) else "write text"

@@ -76,7 +76,9 @@ def cache_folder() -> Path:
     """The folder for cached results, from the environment; it may not exist yet."""
     chosen = os.environ.get("DIFFSHADOW_CACHE")
     if chosen:
-        return Path(chosen).expanduser()
+        # Of nobody else's home folder, which may be the root of the file system.
+        home = chosen == "~" or chosen.startswith("~/")
+        return Path(chosen).expanduser() if home else Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "diffshadow"
 

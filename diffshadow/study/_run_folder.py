@@ -14,17 +14,31 @@ from ..config import Config, ConfigError, Problem
 RESULT = "result.json"
 
 
+# What `write_whole` adds to a folder's name: a dot, and a token with its dash and the ending of an older run.
+_TOKEN_BYTES = 6
+_OLD = "-old"
+_ADDED = len(f".-{'0' * 2 * _TOKEN_BYTES}{_OLD}")
+# The longest name of a file in a run's folder, of any light, while it is written.
+_LONGEST_FILE = 80
+
+
 def folder_of(config: Config, suffix: str = "") -> Path:
     """Where the run of `config` is to be written: `<output>/<name><suffix>`.
 
     **Raises** `ConfigError` if it cannot be written there, or something lies there that is no run.
     """
-    output, folder = Path(config.output).expanduser(), Path(config.output).expanduser() / f"{config.name}{suffix}"
+    output = config.output_folder
+    folder = output / f"{config.name}{suffix}"
+    _check_length(config, folder)
     try:
         io.check_writable(output)
+        taken = os.path.lexists(folder) and not _is_run(folder)
     except io.FileError as error:
         raise _error(config, "output", str(error)) from error
-    if os.path.lexists(folder) and not _is_run(folder):
+    except OSError as error:
+        said = f"{folder} cannot be read ({error.strerror}); expected a run's folder, or none; move it, or change name"
+        raise _error(config, "name", said) from error
+    if taken:
         raise _error(
             config,
             "name",
@@ -32,6 +46,21 @@ def folder_of(config: Config, suffix: str = "") -> Path:
             "name or output",
         )
     return folder
+
+
+def _check_length(config: Config, folder: Path) -> None:
+    """**Raises** `ConfigError` if the file system takes no names or paths as long as those of the run in `folder`."""
+    absolute = Path(os.path.abspath(folder))
+    there = next(level for level in absolute.parents if os.path.isdir(level))
+    longest, path = len(os.fsencode(absolute.name)) + _ADDED, len(os.fsencode(absolute)) + _ADDED + _LONGEST_FILE
+    for key, what, length, limit in (
+        ("name", "names of folders", longest, "PC_NAME_MAX"),
+        ("output", "paths of files", path, "PC_PATH_MAX"),
+    ):
+        most = os.pathconf(there, limit)
+        # Negative where there is no limit.
+        if 0 <= most < length:
+            raise _error(config, key, f"makes {what} of {length} bytes; expected at most {most} in {there}; shorten it")
 
 
 def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
@@ -42,8 +71,8 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     """
     made = [level for level in folder.parents if not level.exists()]
     folder.parent.mkdir(parents=True, exist_ok=True)
-    token = secrets.token_hex(6)
-    draft, old = (folder.with_name(f".{folder.name}-{token}{end}") for end in ("", "-old"))
+    token = secrets.token_hex(_TOKEN_BYTES)
+    draft, old = (folder.with_name(f".{folder.name}-{token}{end}") for end in ("", _OLD))
     try:
         draft.mkdir()
         write(draft)

@@ -92,7 +92,7 @@ def missing_runs(sweep: Sweep, folder: Path) -> list[SweepRun]:
 
 def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None:
     """What `run_sweep` would do: the axes, and the first of the runs that are missing. Writes nothing."""
-    folder = Path(sweep.runs[0].config.output).expanduser() / f"{sweep.name}{SUFFIX}"
+    folder = sweep.runs[0].config.output_folder / f"{sweep.name}{SUFFIX}"
     missing = missing_runs(sweep, folder)
     axes = Table("axis", "values", "", title=Text(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
@@ -225,7 +225,9 @@ def _write_record(folder: Path, sweep: Sweep, outcomes: Mapping[str, Outcome]) -
         "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
     }
     with io.atomic_path(folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
 
 def _print(console: Console, sweep: Sweep, outcomes: Mapping[str, Outcome], curves: Sequence[Curve]) -> None:
