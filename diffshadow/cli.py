@@ -4,15 +4,18 @@ It imports as little as it can: a mistake in a configuration is told in a fracti
 """
 
 import contextlib
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -20,6 +23,11 @@ from .config import Config, ConfigError, describe, load_config, load_sweep
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: done; a mistake in what was asked for; stopped by Ctrl-C."""
+
+# Seconds after which Ctrl-C that had no effect is repeated.
+_INSISTENCE = 0.2
+# Runs that are checked in a tenth of a second.
+_RUNS_A_MOMENT = 100
 
 _HELP = """
 Fits the settings of shadow maps to ray-traced truth, by gradient.
@@ -152,7 +160,8 @@ def sweep(
     """
     _at_least("--workers", workers, 0)
     _at_least("--limit", limit, 1)
-    plan = load_sweep(config, overrides)
+    with _checking() as progress:
+        plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
     _keep_compiled_programs()
     from . import study
 
@@ -218,12 +227,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     errors = Console(stderr=True, highlight=False)
     try:
-        app(
-            sys.argv[1:] if arguments is None else list(arguments),
-            exit_on_error=False,
-            print_error=False,
-            error_console=errors,
-        )
+        with _insistent_interrupts():
+            app(
+                sys.argv[1:] if arguments is None else list(arguments),
+                exit_on_error=False,
+                print_error=False,
+                error_console=errors,
+            )
     except CycloptsError as error:
         _tell(errors, f"{_sentence(error)}; see diffshadow --help")
         sys.exit(USER_ERROR)
@@ -236,6 +246,42 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _tell(errors, str(error))
         sys.exit(USER_ERROR)
     sys.exit(SUCCESS)
+
+
+@contextlib.contextmanager
+def _insistent_interrupts() -> Iterator[None]:
+    """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
+
+    Python raises it wherever the main thread is. In a callback of the garbage collector it is dropped with a message,
+    and by a library's native code that has called Python, such as Pydantic's, without one.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        signal.setitimer(signal.ITIMER_REAL, _INSISTENCE)
+        # What is done because of the first must come to its end.
+        error = sys.exception()
+        while error is not None:
+            if isinstance(error, KeyboardInterrupt):
+                return
+            error = error.__context__
+        raise KeyboardInterrupt
+
+    def report(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            others(unraisable)
+
+    others, sys.unraisablehook = sys.unraisablehook, report
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = others
 
 
 def _build_everything(config: Config) -> int:
@@ -253,6 +299,32 @@ def _build_everything(config: Config) -> int:
 def _at_least(option: str, value: int | None, least: int) -> None:
     if value is not None and value < least:
         raise ValueError(f"{option} is {value}; expected a whole number at least {least}, or nothing: leave it out")
+
+
+@contextlib.contextmanager
+def _checking() -> Iterator[Callable[[int, int], None]]:
+    """A bar for the runs of a sweep that have been checked. It shows only if they are many, and somebody watches."""
+    console = _console()
+    bar = Progress(
+        TextColumn("checking runs"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    task = bar.add_task("")
+
+    def progress(done: int, total: int) -> None:
+        if done % _RUNS_A_MOMENT == 0:
+            bar.start()
+            bar.update(task, completed=done, total=total)
+
+    try:
+        yield progress
+    finally:
+        bar.stop()
 
 
 def _keep_compiled_programs() -> None:
