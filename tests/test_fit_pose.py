@@ -349,6 +349,9 @@ def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypat
     ]
     result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
     assert result.enlargements >= 1
+    # What overflowed is not remembered as a step.
+    phase_zero = [step.step for step in result.history]
+    assert phase_zero == list(range(len(phase_zero)))
     # Nothing shows which way a light without a cone shines.
     assert result.flat == [AZIMUTH]
     assert result.fitted[paths[0]] == pytest.approx(truth[0], abs=0.02)

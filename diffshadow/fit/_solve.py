@@ -21,16 +21,16 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._misc import as_float
+from ..raster import Overflow
 from ..shadow import ShadowMapping
 from ._adam import Adam
 from ._arrangement import Arrangement
-from ._history import Report, Reporter, Step
+from ._history import Report, Reporter, Step, report_overflow
 from ._levenberg_marquardt import LevenbergMarquardt
 from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
-from ._poses import is_overflow
 from ._precision import Precision, precision_of
-from ._residuals import AnyProblem, Joint, check_problem
+from ._residuals import AnyProblem, Joint, any_of, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
 from ._starts import starts_within
 
@@ -39,10 +39,12 @@ _Images = tuple[Float[Array, "..."], ...]
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
-# How often a phase may be given more room to draw before its error is passed on.
+# How often a phase may be given a larger capacity to draw.
 _ENLARGEMENTS = 6
-# Of so many of the last evaluations it is counted how much room they take.
-_RECENT = 32
+_NEVER_ENOUGH = (
+    f"the capacity to draw is too small after {_ENLARGEMENTS} enlargements; expected it to settle: narrow the bounds "
+    "of what moves"
+)
 # By which share the loss of poses jumps as they move a little, and pixels go from lit to shadowed and back.
 _NOISE_OF_POSES = 0.25
 # Mean square errors are not told from 0 below this.
@@ -93,8 +95,8 @@ class FitResult(NamedTuple):
     - `arrangement`: where lights or meshes were fitted, all that was.
     - `precision`: how well the values are determined; none if no phase ended where that can be told.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
-    - `enlargements`: how often a phase ran out of room to draw, and was given more.
-    - `problems`: those that were fitted, with room to draw what the bounds allow.
+    - `enlargements`: how often a phase was repeated with a larger capacity to draw.
+    - `problems`: those that were fitted, with the capacity to draw what the bounds allow.
     """
 
     technique: ShadowMapping
@@ -141,7 +143,8 @@ def fit(
     - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
         by the hard compare, after all phases but those of the last level, is gone on with.
     - `seed`: of the starts.
-    - `on_step`: called with every evaluation of the loss, while the fit runs.
+    - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
+        repeated with a larger capacity.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
@@ -280,7 +283,7 @@ class _Run:
         # Errors of any size look alike to the solver, so that its tolerances mean the same for all.
         scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
-        solution = self._drawing(number, _run_phase, lambda phase: self._arguments(phase, free, scale))
+        solution = self._drawn_by_phase(number, free, scale)
         if bool(jnp.all(jnp.isfinite(solution.value))):
             free = free.at[active].set(solution.value)
         self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
@@ -305,31 +308,42 @@ class _Run:
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of what counts of the differences, and of all of them."""
-        loss, hard_loss = self._drawing(None, _losses, lambda _: (self.judge, self.paths, values))
+        loss, hard_loss = self._drawn_by_judge(values)
         finite = lambda loss: float(loss) if np.isfinite(loss) else np.inf
         return finite(loss), finite(hard_loss)
 
-    def _drawing(self, number: int | None, function: Any, arguments: Callable[[Any], tuple[Any, ...]]) -> Any:
-        """What the program of a phase, or the judge's, returns; it gets more room to draw where it runs out of it."""
-        for attempt in range(_ENLARGEMENTS + 1):
-            phase = None if number is None else self.phases[number]
-            key = None if phase is None else phase.program
-            try:
-                found = self._program(key, function, arguments(phase))(*arguments(phase))
-                jax.effects_barrier()
-                return jax.block_until_ready(found)
-            except RuntimeError as error:
-                if not is_overflow(error) or attempt == _ENLARGEMENTS:
-                    raise
-            self.enlargements += 1
-            self._programs.pop(key, None)
-            seen = as_float([step.values for step in self.history[-_RECENT:]] or [self.bounds.lower.tolist()])
-            if phase is None:
-                self.judge = enlarged(self.judge, self.paths, seen)
-            else:
-                assert number is not None
-                self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.paths, seen))
-        raise AssertionError
+    def _drawn_by_phase(self, number: int, free: Float[Array, " p"], scale: float) -> _Solution:
+        """What the program of a phase returns, repeated with a larger capacity until nothing is missing."""
+        for _ in range(_ENLARGEMENTS + 1):
+            phase = self.phases[number]
+            found = self._returned(phase.program, _run_phase, self._arguments(phase, free, scale))
+            if not self.reporter.overflowed:
+                return found
+            places = list(dict.fromkeys(self.reporter.overflowed))
+            self._forget(phase.program)
+            self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.paths, as_float(places)))
+            self.reporter.again()
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _drawn_by_judge(self, values: Float[Array, " p"]) -> tuple[Array, Array]:
+        """What the judge's program returns, likewise."""
+        for _ in range(_ENLARGEMENTS + 1):
+            loss, hard_loss, overflow = self._returned(None, _losses, (self.judge, self.paths, values))
+            if not overflow:
+                return loss, hard_loss
+            self._forget(None)
+            self.judge = enlarged(self.judge, self.paths, values[None])
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _returned(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
+        found = self._program(key, function, arguments)(*arguments)
+        jax.effects_barrier()
+        return jax.block_until_ready(found)
+
+    def _forget(self, key: Any) -> None:
+        """Drops a program whose capacity is too small."""
+        self.enlargements += 1
+        self._programs.pop(key, None)
 
     def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
         """The compiled program of the phases that `key` tells; `None` is the judge's."""
@@ -349,7 +363,9 @@ def _phase(
         problem, bounds, scale = args
         share = bounds.share(y)
         fixed = jax.lax.stop_gradient(share)
-        differences, slopes = _with_slopes(problem, names, bounds, fixed)
+        differences, slopes, overflow = _with_slopes(problem, names, bounds, fixed)
+        if problem.moves:
+            report_overflow(token, overflow, y)
         slopes = jax.vmap(problem.compared)(slopes)
         change = jnp.matmul(_columns(slopes), share - fixed, precision="highest")
         return scale * (_flat(problem.compared(differences)) + change), (differences, slopes)
@@ -381,14 +397,19 @@ def _phase(
 
 def _with_slopes(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, share: Float[Array, " p"]
-) -> tuple[_Images, _Images]:
+) -> tuple[_Images, _Images, Overflow]:
     """All differences where the parameters have gone so far (p,) between their bounds, and their derivatives by each.
 
-    **Returns:** images (h, w), and stacks of them (p, h, w).
+    **Returns:** images (h, w), stacks of them (p, h, w), and whether a capacity was too small to draw them.
     """
-    differences = lambda share: problem.differences(with_values(problem.subject, names, bounds.at(share)))
+
+    def differences(share: Array) -> tuple[_Images, Overflow]:
+        overflows: list[Overflow] = []
+        found = problem.differences(with_values(problem.subject, names, bounds.at(share)), overflows)
+        return found, any_of(overflows)
+
     # Few parameters, many pixels: forward.
-    pushed = jax.vmap(lambda way: jax.jvp(differences, (share,), (way,)), out_axes=(None, 0))
+    pushed = jax.vmap(lambda way: jax.jvp(differences, (share,), (way,), has_aux=True), out_axes=(None, 0, None))
     return pushed(jnp.eye(share.shape[0], dtype=share.dtype))
 
 
