@@ -5,7 +5,7 @@ geometrically, each phase starting from the last. Where lights or meshes move, p
 fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the soft
 one, in the end. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
 the best of them is the result, so a fit never ends worse than it began. Of poses it sees blurred differences, as the
-phases do.
+phases do, and takes the last of those that differ by less than the loss jumps.
 """
 
 import time
@@ -29,6 +29,7 @@ from ._history import Report, Reporter, Step, report_overflow
 from ._levenberg_marquardt import LevenbergMarquardt
 from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
+from ._poses import PoseProblem
 from ._precision import Precision, precision_of
 from ._residuals import AnyProblem, Joint, any_of, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
@@ -88,12 +89,13 @@ class FitResult(NamedTuple):
 
     - `technique`: the fitted technique, with the hard compare.
     - `initial`, `fitted`: values by name.
-    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best.
+    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best. Of
+        poses, whose loss jumps as they move, the last that is not worse by more than that.
     - `history`: every evaluation, in order.
     - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: where lights or meshes were fitted, all that was.
-    - `precision`: how well the values are determined; none if no phase ended where that can be told.
+    - `precision`: how well the values are determined; none if the start was best.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
     - `enlargements`: how often a phase was repeated with a larger capacity to draw.
     - `problems`: those that were fitted, with the capacity to draw what the bounds allow.
@@ -163,7 +165,7 @@ def fit(
     run = _Run(parameters, hard(joint), phases_of(joint, paths, anneal, levels), solver, on_step)
     with run.reporter:
         path, tried = run.through(spread)
-    best = int(np.argmin(path.losses))
+    best = path.chosen(_NOISE_OF_POSES if joint.moves else 0.0)
     fitted = path.values[best]
     subject = with_values(run.judge.subject, paths, as_float(fitted))
     return FitResult(
@@ -177,7 +179,7 @@ def fit(
         seconds_compiling=run.seconds_compiling,
         seconds_running=time.perf_counter() - began - run.seconds_compiling,
         arrangement=subject if isinstance(subject, Arrangement) else None,
-        precision=run.precision(path),
+        precision=run.precision(path, best - 1),
         starts=tried,
         enlargements=run.enlargements,
         problems=run.judge.problems,
@@ -188,27 +190,39 @@ class _Solution(NamedTuple):
     """The end of a phase, as arrays.
 
     Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
-    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` and
-    `scatter` are what `precision_of` takes.
+    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `differences` and
+    `slopes` are images, before they are compared, of each problem: (h, w), and (a, h, w).
     """
 
     value: Float[Array, " a"]
     gradient: Float[Array, " a"]
     slope: Float[Array, " a"]
-    triangle: Float[Array, "a a"]
-    scatter: Float[Array, "a a"]
+    differences: _Images
+    slopes: _Images
     steps: Array
     result: optx.RESULTS
 
 
 class _Path(NamedTuple):
-    """Where a start has come to: the free values at the start and after each phase, and the judge's losses there."""
+    """Where a start has come to: the free values at the start and after each phase, and the judge's losses there.
+
+    `ends` holds the phases so far and their solutions.
+    """
 
     free: list[Float[Array, " p"]]
     values: list[tuple[float, ...]]
     losses: list[float]
     outcomes: list[Outcome]
-    last: tuple[Phase, _Solution] | None
+    ends: list[tuple[Phase, _Solution]]
+
+    def chosen(self, noise: float) -> int:
+        """The index of the best values: the last whose loss exceeds the least by no more than this share of it.
+
+        Losses within the noise tell nothing; what tells then is that the phase has no slope left at its end.
+        """
+        if not noise:
+            return int(np.argmin(self.losses))
+        return int(np.flatnonzero(np.asarray(self.losses) <= (1 + noise) * min(self.losses))[-1])
 
 
 class _Run:
@@ -247,15 +261,17 @@ class _Run:
         self.reporter.start = best
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
-    def precision(self, path: _Path) -> Precision | None:
-        """How well the last phase determines what it fitted."""
-        if path.last is None:
+    def precision(self, path: _Path, chosen: int) -> Precision | None:
+        """How well the chosen phase determines what it fitted; none if the start was better than all phases."""
+        if chosen < 0:
             return None
-        phase, solution = path.last
+        phase, solution = path.ends[chosen]
         active = np.asarray(phase.active)
         span = np.asarray(self.bounds.upper - self.bounds.lower)[active]
         names = [self.names[i] for i in phase.active]
-        return precision_of(names, np.asarray(solution.triangle), np.asarray(solution.scatter), span)
+        blurs = [p.blur if isinstance(p, PoseProblem) else 0.0 for p in phase.joint.problems]
+        on_host = lambda images: [np.asarray(image) for image in images]
+        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), blurs, span)
 
     def flat(self, path: _Path) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
@@ -269,7 +285,7 @@ class _Run:
                 "the visibility or the reference is not finite at the initial values; expected numbers: check "
                 "the mesh, the light and the reference"
             )
-        return _Path([self.bounds.to_free(initial)], [tuple(initial.tolist())], [loss], [], None)
+        return _Path([self.bounds.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
 
     def _along(self, numbers: Sequence[int], path: _Path) -> _Path:
         for number in numbers:
@@ -295,7 +311,7 @@ class _Run:
             [*path.values, outcome.values],
             [*path.losses, loss],
             [*path.outcomes, outcome],
-            (self.phases[number], solution),
+            [*path.ends, (self.phases[number], solution)],
         )
 
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
@@ -366,8 +382,7 @@ def _phase(
         differences, slopes, overflow = _with_slopes(problem, names, bounds, fixed)
         if problem.moves:
             report_overflow(token, overflow, y)
-        slopes = jax.vmap(problem.compared)(slopes)
-        change = jnp.matmul(_columns(slopes), share - fixed, precision="highest")
+        change = jnp.matmul(_columns(jax.vmap(problem.compared)(slopes)), share - fixed, precision="highest")
         return scale * (_flat(problem.compared(differences)) + change), (differences, slopes)
 
     solution = optx.least_squares(
@@ -381,15 +396,13 @@ def _phase(
         throw=False,
     )
     differences, slopes = solution.state.aux
-    end, jacobian = _flat(problem.compared(differences)), _columns(slopes)
-    # Pixels are independent before they are blurred, and each counts for all that it is spread over.
-    pulled = _flat(differences)[:, None] * _columns(jax.vmap(problem.compared)(slopes))
+    end, jacobian = _flat(problem.compared(differences)), _columns(jax.vmap(problem.compared)(slopes))
     return _Solution(
         value=solution.value,
         gradient=2 * jnp.matmul(end, jacobian, precision="highest"),
         slope=jnp.sqrt(jnp.sum(jacobian**2, axis=0)),
-        triangle=jnp.linalg.qr(jacobian, mode="r"),
-        scatter=jnp.matmul(pulled.T, pulled, precision="highest"),
+        differences=differences,
+        slopes=slopes,
         steps=solution.stats["num_steps"],
         result=solution.result,
     )
