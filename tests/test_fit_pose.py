@@ -218,16 +218,25 @@ def test_precision_is_the_scatter_of_repeated_regressions():
     noise, span = 0.3 * np.abs(slopes[0]), np.array([2.0, 1.0, 10.0])
     residuals = noise * rng.normal(size=(20_000, 20, 20))
     fits = _regressions(residuals, slopes, 0)
-    found = precision_of("abc", [noise], [slopes], [0.0], span)
-    np.testing.assert_allclose(list(found.deviations.values()), fits.std(axis=0) * span, rtol=0.03)
-    np.testing.assert_allclose(found.correlations, np.corrcoef(fits.T), atol=0.03)
-    assert found.undetermined == []
-    # From the residuals of one regression, as well as 400 of them can tell.
-    told = precision_of("abc", [residuals[0]], [slopes], [0.0], span)
-    np.testing.assert_allclose(list(told.deviations.values()), fits.std(axis=0) * span, rtol=0.2)
-    # Two images of the same tell twice as much.
-    both = precision_of("abc", [noise, noise], [slopes, slopes], [0.0, 0.0], span)
-    np.testing.assert_allclose(list(both.deviations.values()), np.divide(list(found.deviations.values()), 2**0.5))
+    left = residuals[:400] - np.einsum("np,phw->nhw", fits[:400], slopes)
+    told = [precision_of("abc", [each], [slopes], [0.0], span) for each in left]
+    deviations = np.array([list(each.deviations.values()) for each in told])
+    np.testing.assert_allclose(np.sqrt(np.mean(deviations**2, axis=0)), fits.std(axis=0) * span, rtol=0.04)
+    np.testing.assert_allclose(np.mean([each.correlations for each in told], axis=0), np.corrcoef(fits.T), atol=0.04)
+    assert told[0].undetermined == []
+    # From one of them, as well as 400 pixels can tell.
+    np.testing.assert_allclose(deviations[0], fits.std(axis=0) * span, rtol=0.2)
+    # Two images of the same kind tell twice as much.
+    both = precision_of("abc", [left[0], left[0]], [slopes, slopes], [0.0, 0.0], span)
+    np.testing.assert_allclose(list(both.deviations.values()), deviations[0] / 2**0.5)
+
+
+def test_precision_counts_the_step_that_a_fit_has_left():
+    rng = np.random.default_rng(3)
+    slopes, left = rng.normal(size=(2, 20, 20)), np.array([0.3, -0.2])
+    residual = 1e-6 * rng.normal(size=(20, 20)) + np.einsum("p,phw->hw", left, slopes)
+    told = precision_of("ab", [residual], [slopes], [0.0], np.ones(2))
+    assert min(told.deviations["a"] / 0.3, told.deviations["b"] / 0.2) > 1
 
 
 def test_precision_covers_the_truth_where_neighbouring_residuals_are_correlated(monkeypatch):

@@ -37,6 +37,9 @@ class Precision(NamedTuple):
     draws. L is twice the blur's standard deviation, which covers a texel. With L = 1, without blur, it is that of
     White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
+    Where pixels jump from lit to shadowed as poses move, a fit ends near the least squares rather than there. The
+    square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: it is what one draw tells of how far off that is.
+
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; not a number for what is not determined.
     - `correlations`: (p, p), in [-1, 1].
@@ -74,6 +77,7 @@ def precision_of(
         return Precision((), {}, [], [])
     blurred = [np.stack([_blurred(slope[i], blur) for i in used]) for _, slope, blur in images]
     columns = np.concatenate([each.reshape(len(used), -1) for each in blurred], axis=1).T
+    residual = np.concatenate([_blurred(difference, blur).ravel() for difference, _, blur in images])
     scatter = sum(
         _covariance_of_sum(difference * np.stack([_blurred(each, blur) for each in slope]), blur)
         for (difference, _, blur), slope in zip(images, blurred, strict=True)
@@ -82,7 +86,8 @@ def precision_of(
     # Along the ways that the image tells best to worst, whose effects are independent. Where nothing is left to doubt,
     # the fit is exact and so are its values.
     inverse = 1 / np.maximum(effect, 1e-100) ** 2
-    along = inverse[:, None] * (ways @ scatter @ ways.T) * inverse
+    left = inverse * (ways @ (columns.T @ residual))
+    along = inverse[:, None] * (ways @ scatter @ ways.T) * inverse + np.outer(left, left)
     lost = (effect < _LEAST_EFFECT * effect[0]) | (np.sqrt(np.maximum(np.diag(along), 0)) > _MOST_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
