@@ -38,7 +38,7 @@ class Precision(NamedTuple):
     White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
     Where pixels jump from lit to shadowed as poses move, a fit ends near the least squares rather than there. The
-    square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: it is what one draw tells of how far off that is.
+    square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: one draw's estimate of how far off that is.
 
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; not a number for what is not determined.

@@ -31,6 +31,7 @@ from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
 from ._poses import PoseProblem
 from ._precision import Precision, precision_of
+from ._programs import compiled
 from ._residuals import AnyProblem, Joint, any_of, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
 from ._starts import starts_within
@@ -365,7 +366,7 @@ class _Run:
         """The compiled program of the phases that `key` tells; `None` is the judge's."""
         if key not in self._programs:
             started = time.perf_counter()
-            self._programs[key] = function.lower(*arguments).compile()
+            self._programs[key] = compiled(function, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return self._programs[key]
 
