@@ -143,9 +143,7 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ro
     ]
     if room is None:
         # Twice what is needed about here, so that few of the other draws need more, which compiles again.
-        places = np.array(
-            [[p.lower for p in parameters], [p.initial for p in parameters], [p.upper for p in parameters]]
-        )
+        places = np.array([(p.lower, p.initial, p.upper) for p in parameters]).T
         room = problem.planned([p.where for p in parameters], jnp.asarray(places, jnp.float32)).room.doubled()
     result = fit.fit(
         dataclasses.replace(problem, room=room), parameters, solver=plan.solver, anneal=plan.anneal, levels=plan.levels
