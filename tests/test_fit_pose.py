@@ -30,7 +30,9 @@ from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
 from diffshadow.fit._parameters import bounds_of
 from diffshadow.fit._poses import Room
 from diffshadow.fit._precision import precision_of
+from diffshadow.fit._programs import compiled
 from diffshadow.fit._settings import levels_of
+from diffshadow.fit._solve import _Path
 from diffshadow.fit._starts import starts_within
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, PointLight, SpotLight, merge
 from diffshadow.raster import draw_surface
@@ -269,6 +271,23 @@ def test_what_an_image_cannot_tell_apart_is_named():
     told = precision_of("abcd", [np.full((20, 20), 0.01)], [slopes], [0.0], np.ones(4))
     assert told.names == ("a", "b", "c")
     assert told.undetermined == [("b", "c")]
+
+
+def test_of_losses_within_the_noise_the_last_phase_is_chosen():
+    path = lambda *losses: _Path([], [], list(losses), [], [])
+    # Where pixels jump, a start may have a lower loss than the place that the slopes lead to.
+    assert path(1.0, 1.2).chosen(0.25) == 1
+    assert path(1.0, 1.2, 1.3).chosen(0.25) == 1
+    assert path(1.0, 1.2).chosen(0.0) == 0
+
+
+def test_fits_of_other_numbers_share_a_program():
+    scaled = eqx.filter_jit(lambda x, by: x * by)
+    one = compiled(scaled, (jnp.ones(3), 2.0))
+    assert compiled(scaled, (jnp.zeros(3), 2.0)) is one
+    np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
+    assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
+    assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
 
 
 def test_adam_finds_the_bottom_of_a_valley():
