@@ -85,17 +85,16 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
         drawn = poses.with_cones(config, drawn)
         problems = poses.problems_of(config, plan, casting, drawn)
     stages.show("compiling")
-    with poses.quiet_callbacks():
-        result = fit.fit(
-            problems,
-            plan.parameters,
-            solver=plan.solver,
-            anneal=plan.anneal,
-            levels=plan.levels,
-            starts=plan.starts,
-            seed=config.seed,
-            on_step=_watch(stages, plan),
-        )
+    result = fit.fit(
+        problems,
+        plan.parameters,
+        solver=plan.solver,
+        anneal=plan.anneal,
+        levels=plan.levels,
+        starts=plan.starts,
+        seed=config.seed,
+        on_step=_watch(stages, plan),
+    )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
