@@ -94,7 +94,7 @@ def call(arguments: Sequence[str]) -> Outcome:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, old)
         # A busy machine makes the clock run on; threads make the processor's time run ahead.
-        seconds = min(time.monotonic() - clock, time.process_time() - cpu) - sum(_compiling)
+        seconds = min(time.monotonic() - clock - sum(_compiling), time.process_time() - cpu)
         for stream in (out, err):
             stream.flush()
             stream.seek(0)
