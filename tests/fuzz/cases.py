@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import mutate
 import numpy as np
+import words
 from mutate import SCHEMA
 
 from diffshadow.config._load import load_draft
@@ -79,7 +80,7 @@ def _data(path: Path) -> dict[str, Any]:
     for mesh in data["scene"]["meshes"]:
         name = mesh["path"].removeprefix("builtin:")
         fewer = {"torus_knot": {"segments": 24, "sides": 4}, "torus": {"segments": 12, "sides": 6}}
-        fewer |= dict.fromkeys(("sphere", "blob"), {"subdivisions": 1})
+        fewer |= {key: {"subdivisions": 1} for key in ("sphere", "blob")}
         mesh["options"] = {**mesh.get("options", {}), **fewer.get(name, {})}
     data["scene"]["camera"]["resolution"] = TINY["scene.camera.resolution"]
     data.setdefault("shadow_map", {})["resolution"] = TINY["shadow_map.resolution"]
@@ -99,8 +100,7 @@ def _config(rng: Random) -> dict[str, Any]:
 
 def _validated(rng: Random, kind: str, text: str | bytes, *overrides: str) -> Drawn:
     """A configuration that is validated; of those that pass, a few are also rendered."""
-    odd_name = rng.choice(["a b.yaml", "a:1: b.yaml", "é.yaml", "two\nlines.yaml", "\x1b[1mx.yaml", "\udcff.yaml", "-x.yaml"])
-    name = odd_name if rng.random() < 0.02 else "case.yaml"
+    name = rng.choice(words.FILES) if rng.random() < 0.02 else "case.yaml"
     given = [f"./{name}" if name.startswith("-") else name, *overrides]
     commands = [["validate", *given]]
     if rng.random() < 0.02:
@@ -147,7 +147,7 @@ def _override(rng: Random, data: dict[str, Any]) -> str:
     if rng.random() < 0.2:
         key = mutate.misspelt(rng, key)
     if rng.random() < 0.1:
-        key = rng.choice(["", ".", "a..b", "scene.meshes.9.path", "scene.meshes.-1", "scene.meshes.x.y", "seed.x", "fit.parameters."])
+        key = rng.choice(words.KEYS)
     value = mutate.valid(rng, schema, str(path[-1])) if schema and rng.random() < 0.5 else mutate.odd(rng)
     # A process gets no NUL among its arguments.
     return rng.choice([f"{key}={mutate.inline(value)}"] * 8 + [key, f"{key}:1", f" {key} = 2 "]).replace("\0", "\\0")
@@ -176,7 +176,7 @@ def _technique(rng: Random, turn: int) -> Drawn:
         data["technique"] = {"type": "shadow_map"}
     lights = mutate.plain(SCHEMA["$defs"]["SceneConfig"]["properties"]["light"]["anyOf"][0])["oneOf"]
     light = mutate.plain(rng.choice(lights))["properties"]["type"]["const"]
-    data["scene"]["light"] = {"type": light, **({"angular_radius": rng.choice([0, 1])} if light == "directional" else {})}
+    data["scene"]["light"] = {"type": light}
     if rng.random() < 0.3:
         data["shadow_map"] |= mutate.section(rng, SCHEMA["$defs"]["ShadowMapConfig"], wild=0)
         data["shadow_map"]["resolution"] = [16, 16]
@@ -189,11 +189,8 @@ def _technique(rng: Random, turn: int) -> Drawn:
 
 def _arguments(rng: Random) -> Drawn:
     """Command lines that somebody mistyped."""
-    words = ["fit", "render", "validate", "sweep", "report", "compare", "case.yaml", "nowhere.yaml", ".", "runs", "seed=1", "=", "=3"]
-    words += ["--help", "--version", "--debug", "--dry-run", "--workers", "--limit", "-1", "0", "x", "1e9", "--dpi", "--figures", "svg"]
-    words += ["--figures=bmp", "--output", "/dev/null/x", "--", "-", "", " ", "\x1b[1m", "a\nb", "\udcff", "x" * 5000, "[bold]", "\x85"]
     first = rng.choice(["validate", "validate", "report", "compare", "fit", "render"])
-    arguments = [first, *(rng.choice(words) for _ in range(rng.choice([0, 1, 1, 2, 3])))]
+    arguments = [first, *(rng.choice(words.ARGUMENTS) for _ in range(rng.choice([0, 1, 1, 2, 3])))]
     # What would draw does so in vain: the file is wrong.
     return "arguments", {"case.yaml": b"seed: -1\n"}, [arguments]
 
@@ -230,10 +227,10 @@ def _damage_arrays(rng: Random, file: Path) -> None:
         arrays = dict(kept)
     name = rng.choice(list(arrays))
     array = arrays.pop(name)
-    flat = array.astype(object)
-    changed = [None, array[:1], array[None], array.astype(str), array.astype(complex), array.astype(np.int8), flat, array[:0]]
-    changed += [np.full(array.shape, np.nan), np.full(array.shape, 1e30), array.astype(float) - 1, array.T[:, :3], np.array(3)]
-    if (new := rng.choice(changed)) is not None:
+    shapes = [None, array[:1], array[None], array[:0], array.T[:, :3], np.array(3)]
+    kinds = [array.astype(kind) for kind in (str, complex, np.int8, object)]
+    values = [np.full(array.shape, np.nan), np.full(array.shape, 1e30), array.astype(float) - 1]
+    if (new := rng.choice(shapes + kinds + values)) is not None:
         arrays[name] = new
     np.savez(file, **arrays)
     if rng.random() < 0.3:

@@ -12,52 +12,13 @@ from collections.abc import Callable, Iterator
 from random import Random
 from typing import Any
 
+import words
+
 from diffshadow.config import Config
 from diffshadow.geometry import LIBRARY
 
 SCHEMA = Config.model_json_schema()
 Path = tuple[str | int, ...]
-
-
-class Verbatim(str):
-    """Text that is written to a YAML file as it is."""
-
-
-ODD_TEXT = (
-    *("", " ", "~", "null", "yes", "1e-3", "0x10", "nan", "a: b", "# a", "'", '"', "é", "日本", "😀", "\ufeff", "x" * 300),
-    *("\x1b[31mred\x1b[0m", "two\nlines", "\0", "a\0b", "\x85", "\u2028", "\ud800", "\u202e", "\x7f", "\r", "\t", "\ufffe"),
-    *("..", "/", "~nobody/x", "$HOME", "/dev/null", "/proc/self/mem", "%s %d {x} {0}", "[bold]x[/bold]", "scene.light"),
-)
-ODD_NUMBERS = (
-    *(0, -1, 1, 2, 3, -0.0, 0.5, 7, 1e-320, 1e-30, 1e-6, 65.5, 4096, 3000, 8193, 65537, 2**31, 2**32, 2**53 + 1, 2**63),
-    *(2**64, 10**25, -(10**25), 10**39, -1e-300, 1e16, 1e30, 3.5e38, 1e39, 1e154, 1e308, -1e308),
-    *(math.inf, -math.inf, math.nan),
-)
-ODD_YAML = (
-    *("&a [*a]", "&b {x: *b}", "*nowhere", "&c 1", "!!python/object/apply:os.getcwd []", "!mine 3", "!!int '3'", "!!str 3"),
-    *("!!set {a, b}", "!!binary aGk=", "!!float nan", "|\n  folded\n", ">-\n  text", "? [a, b]", "@x", "`x`", "%x", "!", "&", "*"),
-    *("{<<: {type: pcf}}", "{[1, 2]: 3}", "{1: 2}", "{null: 1}", "{.nan: 1}", "{true: 1, True: 2}", "{? a}", "[,]", "[1, 2", "}"),
-    *("0o17", "0xFFFFFFFFFFFFFFFFFFFFFFF", "1_000", "1:30", "2026-01-01", "+.inf", ".NaN", "-.5e+400", "9" * 39, "9" * 5000),
-    *('"\\x1b]0;title\\a"', '"\\0"', '"\\ud83d"', '"\\N"', '"\\L"', "'it''s'", "[" * 600, "{a: " * 400 + "1" + "}" * 400),
-)
-NAMES = {
-    "name": ["run", "a b", "a.b", "é", "-x", "x" * 240],
-    "output": ["runs", "runs/deep", ".", "runs/../runs"],
-    "path": [f"builtin:{name}" for name in LIBRARY],
-    "x": ["filter.radius", "bias.constant", "seed", "label"],
-    "y": ["rmse", "mae", "ssim", "rmse_to_limit"],
-    "lines": ["filter.radius", "label"],
-    "panels": ["filter.samples"],
-    "parameters": [
-        *("bias.constant", "bias.slope", "bias.normal_offset", "bias.plane.fudge", "bias.slope_least", "filter.radius"),
-        *("filter.light_size", "filter.exponent", "scene.light.azimuth", "scene.light.position.x", "scene.light.radius"),
-        *("scene.light.angular_radius", "scene.meshes.0.translate.y", "scene.meshes.0.turn.z", "scene.lights.0.elevation"),
-        "scene.meshes.0.vertices.0.x",
-    ],
-    "grid": ["filter.radius", "bias.constant", "filter.samples", "scene.light.elevation", "filter.type", "shadow_map.cull"],
-}
-NAMES |= {"zip": NAMES["grid"], "axes": NAMES["grid"], "list": NAMES["grid"]}
-"""Words that suit a key, where the schema says only that it is text."""
 
 
 def plain(schema: dict[str, Any]) -> dict[str, Any]:
@@ -84,7 +45,7 @@ def valid(rng: Random, schema: dict[str, Any], key: str = "", wild: float = 0.1)
         case "integer" | "number":
             return number(rng, schema, wild)
         case "string":
-            return rng.choice(NAMES.get(key, ["word"]))
+            return rng.choice(words.BY_KEY.get(key, ["word"]))
         case "array":
             entries = schema.get("prefixItems") or [schema["items"]] * rng.choice([1, 1, 2, 3])
             return [valid(rng, entry, key, wild) for entry in entries]
@@ -92,9 +53,9 @@ def valid(rng: Random, schema: dict[str, Any], key: str = "", wild: float = 0.1)
             return section(rng, schema, wild)
         case "object":
             inner = schema.get("additionalProperties")
-            words = NAMES.get(key, ["size", "segments", "radius"])
+            names = words.BY_KEY.get(key, ["size", "segments", "radius"])
             inner = inner if isinstance(inner, dict) else {}
-            return {rng.choice(words): valid(rng, inner, "", wild) for _ in range(rng.choice([0, 1, 1, 2]))}
+            return {rng.choice(names): valid(rng, inner, "", wild) for _ in range(rng.choice([0, 1, 1, 2]))}
     return rng.choice([0, 1, 2.5, "pcf", True])
 
 
@@ -179,12 +140,12 @@ def odd(rng: Random) -> Any:
     """A value that hardly any key takes."""
     return rng.choice(
         [
-            lambda: rng.choice(ODD_TEXT),
-            lambda: rng.choice(ODD_NUMBERS),
-            lambda: rng.choice(ODD_NUMBERS),
-            lambda: Verbatim(rng.choice(ODD_YAML)),
-            lambda: rng.choice([None, True, False, [], {}, [[]], {"type": "pcf"}, {"type": None}, {"": 1}, [1] * 500]),
-            lambda: [rng.choice(ODD_NUMBERS) for _ in range(rng.choice([1, 2, 3, 4]))],
+            lambda: rng.choice(words.TEXT),
+            lambda: rng.choice(words.NUMBERS),
+            lambda: rng.choice(words.NUMBERS),
+            lambda: words.Verbatim(rng.choice(words.YAML)),
+            lambda: rng.choice(words.OTHERS),
+            lambda: [rng.choice(words.NUMBERS) for _ in range(rng.choice([1, 2, 3, 4]))],
         ]
     )()
 
@@ -198,7 +159,7 @@ def misspelt(rng: Random, word: str) -> str:
             word[:i] + rng.choice(string.ascii_letters + "._- ") + word[i:],
             word.upper(),
             word + "s",
-            rng.choice(ODD_TEXT),
+            rng.choice(words.TEXT),
             rng.choice([key for one in SCHEMA["$defs"].values() for key in one.get("properties", {"type": {}})]),
         ]
     )
@@ -227,14 +188,14 @@ def spoil(rng: Random, data: dict[str, Any], of: dict[str, Any] = SCHEMA) -> Non
             holder.extend([twice] * rng.choice([1, 1, 2, 40]))
         else:
             # The same key to a reader of YAML, and another to a dict.
-            holder[Verbatim(json.dumps(key))] = twice
+            holder[words.Verbatim(json.dumps(key))] = twice
 
     def replace_oddly() -> None:
         holder[key] = odd(rng)
 
     def step_outside() -> None:
         low, high = limits(schema)
-        ends = [low - 1, low, low - 1e-9, high + 1, high + 1e-9, high, *ODD_NUMBERS]
+        ends = [low - 1, low, low - 1e-9, high + 1, high + 1e-9, high, *words.NUMBERS]
         holder[key] = rng.choice([end for end in ends if not math.isinf(end)]) if schema else odd(rng)
 
     def replace_validly() -> None:
@@ -262,15 +223,11 @@ def garble(rng: Random, text: bytes) -> bytes:
     """Changes one thing in the text of a file, whatever it means."""
     lines = text.split(b"\n")
     i, at = rng.randrange(len(lines)), rng.randrange(len(text) + 1)
-    bits = [b"\t", b"\xff", b"\xc3", b"\x80", b"\x00", b"\x1b[2J", b"\x85", b"\xc2\x85", b"\xe2\x80\xa8", b"\xef\xbb\xbf"]
-    bits += [b"\xed\xa0\x80", b"\r", b"\r\n", b"---\n", b"\n...\n", b"%YAML 1.1\n---\n", b":", b"- ", b"{", b"]", b"'", b'"']
-    bits += [b"&a ", b"*a ", b"!!x ", b"#", b"\n", b"? ", b"|", b">", b"<<: ", b",", b" ", b"[" * 2000, b"\xc2\xa0", b"~"]
     same = lambda: [*lines[:i], lines[i], *lines[i:]]
-    bomb = b"".join(b"x%d: &x%d [%s]\n" % (n, n, b", ".join([b"*x%d" % (n - 1)] * 9 if n else [b"1"])) for n in range(9))
     return rng.choice(
         [
-            lambda: text[:at] + rng.choice(bits) + text[at:],
-            lambda: text[:at] + rng.choice(bits) + text[at:],
+            lambda: text[:at] + rng.choice(words.BYTES) + text[at:],
+            lambda: text[:at] + rng.choice(words.BYTES) + text[at:],
             lambda: text[:at] + text[at + rng.choice([1, 1, 2, 30]) :],
             lambda: text[:at],
             lambda: text[:at] + bytes([rng.randrange(256)]) + text[at + 1 :],
@@ -278,9 +235,9 @@ def garble(rng: Random, text: bytes) -> bytes:
             lambda: b"\n".join([*lines[:i], *lines[i + 1 :]]),
             lambda: b"\n".join([*lines[:i], rng.choice([b" ", b"\t", b"   "]) + lines[i], *lines[i + 1 :]]),
             lambda: b"\n".join([*lines[:i], lines[i].lstrip(), *lines[i + 1 :]]),
-            lambda: text + rng.choice([text, bomb, b"\n---\na: 1\n", b"? ", b"\xfe\xff", b"seed: 1\n"]),
+            lambda: text + rng.choice([text, *words.ENDS]),
             lambda: text.decode("utf-8", "replace").encode(rng.choice(["utf-16", "utf-16-le", "utf-8-sig", "utf-32"])),
-            lambda: rng.choice([b"", b"\n", b"[]", b"3", b"text", b"~", b"- a", b"{}", b"\xff\xfe", b"\0", b"scene", b"[" * 5000]),
+            lambda: rng.choice(words.WHOLE),
         ]
     )()
 
@@ -298,19 +255,19 @@ def write(value: Any, indent: int = 0) -> str:
 
 def _below(value: Any, indent: int) -> str:
     text = write(value, indent + 1)
-    whole = isinstance(value, dict | list) and "\n" in text or isinstance(value, dict) and value
+    whole = isinstance(value, dict | list) and ("\n" in text or isinstance(value, dict)) and value
     return f"\n{text}" if whole else f" {text.strip(' ')}"
 
 
 def _key(key: Any) -> str:
     simple = isinstance(key, str) and key and all(c in string.ascii_letters + string.digits + "_." for c in key)
-    return key if simple or isinstance(key, Verbatim) else json.dumps(key)
+    return key if simple or isinstance(key, words.Verbatim) else json.dumps(key)
 
 
 def inline(value: Any) -> str:
     """`value` on one line."""
     match value:
-        case Verbatim():
+        case words.Verbatim():
             return value
         case dict():
             return f"{{{', '.join(f'{_key(key)}: {inline(inner)}' for key, inner in value.items())}}}"

@@ -1,14 +1,13 @@
 """Runs random cases through the command's own entry, in this process, and says how they should not have ended.
 
-    make fuzz N=10000 SEED=0          many cases, in two processes; one that hangs or dies is started again
-    make fuzz SEED=0 CASE=17          one of them once more, with all that it prints
+make fuzz N=10000 SEED=0          many cases, in two processes; one that hangs or dies is started again
+make fuzz SEED=0 CASE=17          one of them once more, with all that it prints
 """
 
 import argparse
 import contextlib
 import io
 import json
-import math
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -23,7 +22,7 @@ import traceback
 import unicodedata
 import warnings
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,7 +43,7 @@ _MEMORY = 12 << 30
 _CHUNK = 250
 
 # What follows the place in a message about no key: the file is no YAML, or overrides are none.
-_NO_KEY = ("is not YAML: ", "holds ", "is no KEY=VALUE; ", "sections or lists are nested ")
+_NO_KEY = ("is not YAML: ", "holds ", "has the key ", "is no KEY=VALUE; ", "sections or lists are nested ")
 _PLACE = re.compile(r"(?s:.*?\.yaml(?:'|\")?):\d+: |override .*?['\"]: ")
 _RANGES = {"ssim": (-1.0, 1.0)}
 
@@ -54,12 +53,13 @@ class Overtime(BaseException):
 
 
 class Outcome(NamedTuple):
-    """How a command ended: its exit code, or how it crashed, what it printed, and seconds but for compiling."""
+    """How a command ended: by its exit code or a crash; what it printed; warnings; seconds but for compiling."""
 
     code: Any
     crash: str
     out: str
     err: str
+    warned: list[str]
     seconds: float
 
 
@@ -88,7 +88,7 @@ def call(arguments: Sequence[str]) -> Outcome:
             code = ended.code
         except Overtime:
             crash = f"stopped at {_where(sys.exc_info()[2])}"
-        except BaseException as error:  # noqa: BLE001
+        except BaseException as error:
             crash = f"{type(error).__name__}: {error} at {_where(error.__traceback__)}"
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
@@ -98,15 +98,18 @@ def call(arguments: Sequence[str]) -> Outcome:
         for stream in (out, err):
             stream.flush()
             stream.seek(0)
-        said = err.read() + "".join(f"{warning.category.__name__}: {warning.message}\n" for warning in warned)
-        return Outcome(code, crash, out.read(), said, seconds)
+        remarks = [f"{each.category.__name__}: {each.message} at {each.filename}:{each.lineno}" for each in warned]
+        return Outcome(code, crash, out.read(), err.read(), remarks, seconds)
 
 
 @contextlib.contextmanager
 def _streams() -> Iterator[tuple[Any, Any]]:
     """Files in the places of stdout and stderr; also what libraries in C write to stderr."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        texts = io.TextIOWrapper(out, "utf-8", newline=""), io.TextIOWrapper(err, "utf-8", "backslashreplace", newline="")
+        texts = (
+            io.TextIOWrapper(out, "utf-8", newline=""),
+            io.TextIOWrapper(err, "utf-8", "backslashreplace", newline=""),
+        )
         kept = os.dup(2)
         os.dup2(err.fileno(), 2)
         try:
@@ -125,6 +128,7 @@ def _where(trace: Any) -> str:
 
 def faults_of(case: Case, arguments: Sequence[str], ended: Outcome) -> Iterator[str]:
     """What is wrong with how a command of `case` ended."""
+    yield from ended.warned
     if ended.crash:
         yield ended.crash
         return
@@ -149,11 +153,11 @@ def faults_of(case: Case, arguments: Sequence[str], ended: Outcome) -> Iterator[
             yield f"{len(lines)} lines: {ended.err}"
         return
     for line in lines:
-        if fault := _wrong_with(line):
+        if fault := wrong_with_line(line):
             yield f"{fault}: {line}"
 
 
-def _wrong_with(line: str) -> str:
+def wrong_with_line(line: str) -> str:
     """What a problem's line lacks."""
     place = _PLACE.match(line)
     if place is None:
@@ -162,7 +166,7 @@ def _wrong_with(line: str) -> str:
     if said.startswith(_NO_KEY):
         return ""
     key, colon, message = said.partition(": ")
-    if not colon or ";" in key.replace("; ", ";") and "expected" in key:
+    if not colon or "; expected" in key:
         return "no key"
     return "" if "expected" in message else "not said what was expected"
 
@@ -190,8 +194,11 @@ def _errors(value: Any) -> Iterator[tuple[str, Any]]:
             yield from _errors(inner)
 
 
-def run_case(case: Case) -> list[str]:
-    """Runs `case` in the current folder, which holds a finished run in `TEMPLATE` and nothing else. **Returns** faults."""
+def run_case(case: Case, told: Callable[[Outcome], None] = lambda ended: None) -> list[str]:
+    """Runs `case` in the current folder, which holds nothing but `TEMPLATE`; tells `told` of each command's end.
+
+    **Returns** the faults.
+    """
     with contextlib.ExitStack() as after:
         after.callback(_clear)
         for name, data in case.files.items():
@@ -202,10 +209,11 @@ def run_case(case: Case) -> list[str]:
         before = _all_files()
         for i, arguments in enumerate(case.commands):
             ended = call(arguments)
+            told(ended)
             faults = [*faults_of(case, arguments, ended)]
             if i and ended.code == 2 and not faults:
                 faults = [f"{case.commands[i - 1][0]} passed it: {ended.err}"]
-            if ended.code == 0 and arguments[0] in ("render", "fit"):
+            if ended.code == 0 and arguments[0] in ("render", "fit") and case.kind != "arguments":
                 faults += wrong_with_run(Path(ended.out.splitlines()[-1]))
             elif arguments[0] in ("validate", "sweep") and i == 0 and _all_files() != before:
                 faults.append(f"wrote {_all_files() - before}")
@@ -350,15 +358,9 @@ def _alone(case: Case, cache: str) -> list[str]:
     os.environ |= {"DIFFSHADOW_CACHE": cache, "COLUMNS": "100"}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         make_template()
-        real = globals()["call"]
-
-        def shown(arguments: Sequence[str]) -> Outcome:
-            ended = real(arguments)
-            print(f"--- exit {ended.code} after {ended.seconds:.2f} s {ended.crash}\n{ended.out}{ended.err}", flush=True)
-            return ended
-
-        globals()["call"] = shown
-        return run_case(case)
+        return run_case(
+            case, lambda ended: print(f"--- {ended.code} {ended.crash}\n{ended.out}{ended.err}", flush=True)
+        )
 
 
 if __name__ == "__main__":
