@@ -17,7 +17,7 @@ from diffshadow.config._load import load_draft
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TEMPLATE, RUN = "template", "runs/damaged"
 """Folders beside a case's files: of a finished run, and of a copy of it that the case may spoil."""
-DRAWN_EVERY = 40
+DRAWN_EVERY = 50
 """Of so many cases one draws a technique; the others end before, but for few."""
 
 TINY = {
@@ -42,6 +42,7 @@ BASE = {
     "fit": {"solver": {"max_steps": 1}, "anneal": {"phases": 1}},
 }
 """A scene that is small enough to be drawn in milliseconds."""
+_CASTER = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"
 
 
 Drawn = tuple[str, dict[str, bytes], list[list[str]]] | tuple[str, dict[str, bytes], list[list[str]], bool]
@@ -51,7 +52,7 @@ Drawn = tuple[str, dict[str, bytes], list[list[str]]] | tuple[str, dict[str, byt
 class Case(NamedTuple):
     """Files by name, which begin a folder of their own, and command lines to run there one after the other.
 
-    A command only follows if the one before ended well.
+    A command only follows if the one before ended well. The files are gone before a run is read again.
 
     - `damaged`: whether there is also a run in `RUN`, which `damage` has changed.
     """
@@ -165,7 +166,7 @@ def _sweep(rng: Random) -> Drawn:
 
 
 def _technique(rng: Random, turn: int) -> Drawn:
-    """Any filter, bias, compare, light and technique, drawn; every third with a fit, and read again."""
+    """Any filter, bias, compare, light and technique, drawn; every eighth with a fit, and read again."""
     data = copy.deepcopy(BASE)
     for key in ("technique", "filter", "bias", "compare", "shading"):
         among = mutate.plain(SCHEMA["properties"][key])
@@ -177,14 +178,18 @@ def _technique(rng: Random, turn: int) -> Drawn:
     lights = mutate.plain(SCHEMA["$defs"]["SceneConfig"]["properties"]["light"]["anyOf"][0])["oneOf"]
     light = mutate.plain(rng.choice(lights))["properties"]["type"]["const"]
     data["scene"]["light"] = {"type": light}
+    files = {}
+    if rng.random() < 0.3:
+        data["scene"]["meshes"][0]["path"] = "caster.obj"
+        files = {"caster.obj": _CASTER}
     if rng.random() < 0.3:
         data["shadow_map"] |= mutate.section(rng, SCHEMA["$defs"]["ShadowMapConfig"], wild=0)
         data["shadow_map"]["resolution"] = [16, 16]
-    verb = "fit" if turn % 3 == 2 and data["technique"]["type"] == "shadow_map" else "render"
+    verb = "fit" if turn % 8 == 7 and data["technique"]["type"] == "shadow_map" else "render"
     commands = [["validate", "case.yaml"], [verb, "case.yaml"]]
     folder = "runs/drawn" if verb == "fit" else "runs/drawn-render"
     commands += [["report", folder], ["compare", folder, TEMPLATE, "--output", "compare.html"]]
-    return "technique", {"case.yaml": _bytes(mutate.write(data))}, commands
+    return "technique", {"case.yaml": _bytes(mutate.write(data)), **files}, commands
 
 
 def _arguments(rng: Random) -> Drawn:

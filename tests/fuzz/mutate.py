@@ -77,9 +77,9 @@ def options_of(rng: Random, name: str) -> dict[str, Any]:
     options = {}
     for option, of in inspect.signature(LIBRARY[name]).parameters.items():
         if option in ("segments", "sides"):
-            options[option] = rng.choice([3, 8, 12])
+            options[option] = 8
         elif option == "subdivisions":
-            options[option] = rng.choice([0, 1])
+            options[option] = 1
         elif rng.random() < 0.2:
             options[option] = of.default if rng.random() < 0.5 else rng.choice([1, 0.5, 0.1])
     return options

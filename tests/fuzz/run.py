@@ -208,6 +208,9 @@ def run_case(case: Case, told: Callable[[Outcome], None] = lambda ended: None) -
             cases.damage(case, Path(RUN))
         before = _all_files()
         for i, arguments in enumerate(case.commands):
+            if i and arguments[0] in ("report", "compare"):
+                for name in case.files:
+                    Path(name).unlink(missing_ok=True)
             ended = call(arguments)
             told(ended)
             faults = [*faults_of(case, arguments, ended)]
