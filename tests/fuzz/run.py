@@ -34,8 +34,8 @@ from cases import RUN, TEMPLATE, Case
 
 from diffshadow.cli import main as command
 
-SECONDS = 5.0
-"""Longest that a case may take, besides compiling."""
+SECONDS, FIT_SECONDS = 5.0, 20.0
+"""Longest that a command may take besides compiling, and a fit, which traces several programs."""
 _GIVE_UP = {"render": 120, "fit": 240}
 """Seconds of the clock after which a command is stopped, where 20 are too few."""
 _HANGS = 300
@@ -134,7 +134,7 @@ def faults_of(case: Case, arguments: Sequence[str], ended: Outcome) -> Iterator[
         return
     if ended.code not in (0, 2):
         yield f"exit {ended.code}"
-    if ended.seconds > SECONDS:
+    if ended.seconds > (FIT_SECONDS if arguments[0] == "fit" else SECONDS):
         yield f"took {ended.seconds:.1f} s"
     for name, text in (("stdout", ended.out), ("stderr", ended.err)):
         raw = {f"U+{ord(c):04X}" for c in text if c != "\n" and unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp")}
@@ -302,10 +302,9 @@ class _Worker:
         return ended
 
 
-def fuzz(seed: int, count: int, first: int, workers: int, cache: str) -> dict[int, list[str]]:
-    """Runs the cases from `first` on. **Returns** the faults of those that have some."""
-    numbers = range(first, first + count)
-    chunks = [list(numbers[i : i + _CHUNK]) for i in range(0, count, _CHUNK)]
+def fuzz(seed: int, numbers: Sequence[int], workers: int, cache: str) -> dict[int, list[str]]:
+    """Runs the cases of `numbers`. **Returns** the faults of those that have some."""
+    chunks = [list(numbers[i : i + _CHUNK]) for i in range(0, len(numbers), _CHUNK)]
     found, done, running, began = {}, 0, [], time.monotonic()
     while chunks or running:
         while chunks and len(running) < workers:
@@ -335,17 +334,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--step", type=int, default=1, help=f"{cases.DRAWN_EVERY}: only those that draw techniques")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--case", type=int, help="only this one, with all that it prints")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
+    numbers = range(given.first, given.first + given.cases * given.step, given.step)
     with tempfile.TemporaryDirectory() as cache:
         if given.case is not None:
             case = cases.make(given.seed, given.case)
             print(show(case), flush=True)
             found = {given.case: _alone(case, cache)}
         else:
-            found = fuzz(given.seed, given.cases, given.first, given.workers, cache)
+            found = fuzz(given.seed, numbers, given.workers, cache)
     causes = defaultdict(list)
     for number, faults in found.items():
         for fault in faults:
