@@ -35,7 +35,6 @@ BASE = {
             {"path": "builtin:plane", "options": {"size": 3}, "casts": False},
         ],
         "camera": {"resolution": [12, 12], "orbit": {"distance": 4}},
-        "light": {"type": "directional", "angular_radius": 1.5},
     },
     "shadow_map": {"resolution": [16, 16]},
     "reference": {"type": "traced", "samples": 2},
@@ -176,8 +175,10 @@ def _technique(rng: Random, turn: int) -> Drawn:
     if rng.random() < 0.7:
         data["technique"] = {"type": "shadow_map"}
     lights = mutate.plain(SCHEMA["$defs"]["SceneConfig"]["properties"]["light"]["anyOf"][0])["oneOf"]
-    light = mutate.plain(rng.choice(lights))["properties"]["type"]["const"]
-    data["scene"]["light"] = {"type": light}
+    drawn = [mutate.valid(rng, light, wild=0) for light in rng.sample(lights, 2)]
+    # Most lights placed at random see nothing: two of three stand where they do by default.
+    drawn = [light if rng.random() < 0.3 else {"type": light["type"]} for light in drawn]
+    data["scene"] |= {"lights": drawn} if rng.random() < 0.15 else {"light": drawn[0]}
     files = {}
     if rng.random() < 0.3:
         data["scene"]["meshes"][0]["path"] = "caster.obj"

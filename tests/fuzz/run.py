@@ -34,8 +34,8 @@ from cases import RUN, TEMPLATE, Case
 
 from diffshadow.cli import main as command
 
-SECONDS, FIT_SECONDS = 5.0, 20.0
-"""Longest that a command may take besides compiling, and a fit, which traces several programs."""
+SECONDS, SECONDS_TO_DRAW = 5.0, {"render": 10.0, "fit": 20.0}
+"""Longest that a command may take besides compiling; those that draw also trace what they compile."""
 _GIVE_UP = {"render": 120, "fit": 240}
 """Seconds of the clock after which a command is stopped, where 20 are too few."""
 _HANGS = 300
@@ -134,7 +134,7 @@ def faults_of(case: Case, arguments: Sequence[str], ended: Outcome) -> Iterator[
         return
     if ended.code not in (0, 2):
         yield f"exit {ended.code}"
-    if ended.seconds > (FIT_SECONDS if arguments[0] == "fit" else SECONDS):
+    if ended.seconds > SECONDS_TO_DRAW.get(arguments[0], SECONDS):
         yield f"took {ended.seconds:.1f} s"
     for name, text in (("stdout", ended.out), ("stderr", ended.err)):
         raw = {f"U+{ord(c):04X}" for c in text if c != "\n" and unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp")}
