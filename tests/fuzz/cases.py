@@ -178,6 +178,8 @@ def _technique(rng: Random, turn: int) -> Drawn:
     drawn = [mutate.valid(rng, light, wild=0) for light in rng.sample(lights, 2)]
     # Most lights placed at random see nothing: two of three stand where they do by default.
     drawn = [light if rng.random() < 0.3 else {"type": light["type"]} for light in drawn]
+    # Capacity for all but the widest filters.
+    drawn = [{**light, "guard": 1} if light["type"] == "point" else light for light in drawn]
     data["scene"] |= {"lights": drawn} if rng.random() < 0.15 else {"light": drawn[0]}
     files = {}
     if rng.random() < 0.3:

@@ -103,7 +103,8 @@ def number(rng: Random, schema: dict[str, Any], wild: float = 0.1) -> int | floa
     if schema["type"] == "integer":
         return int(math.ceil(found) if found < high else math.floor(found))
     strict = found in (schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum"))
-    return math.nextafter(found, (1e-3 if found == low else low)) if strict else found
+    inside = 1 if found == low else -1
+    return (math.nextafter(found, inside * math.inf) if wild else found + inside * 1e-3) if strict else found
 
 
 def places(data: Any, schema: dict[str, Any], path: Path = ()) -> Iterator[tuple[Path, dict[str, Any]]]:
