@@ -39,8 +39,11 @@ SECONDS, SECONDS_TO_DRAW = 5.0, {"render": 10.0, "fit": 20.0}
 _GIVE_UP = {"render": 120, "fit": 240}
 """Seconds of the clock after which a command is stopped, where 20 are too few."""
 _HANGS = 300
+"""Seconds after which a process counts as hanging."""
 _MEMORY = 12 << 30
+"""Bytes that a process may map; what asks for more fails at once."""
 _CHUNK = 250
+"""Cases that a process runs: what is compiled stays in memory as long as the process lives."""
 
 # What follows the place in a message about no key: the file is no YAML, or overrides are none.
 _NO_KEY = ("is not YAML: ", "holds ", "has the key ", "is no KEY=VALUE; ", "sections or lists are nested ")
@@ -149,7 +152,7 @@ def faults_of(case: Case, arguments: Sequence[str], ended: Outcome) -> Iterator[
         return
     lines = ended.err.removeprefix("error: ").removesuffix("\n").split("\n")
     if case.kind in ("arguments", "folder") or (arguments[0] not in ("validate", "render", "fit", "sweep")):
-        if len(lines) > 1 and "expected" not in lines[1]:
+        if len(lines) > 1 and any(map(wrong_with_line, lines)):
             yield f"{len(lines)} lines: {ended.err}"
         return
     for line in lines:
@@ -253,18 +256,22 @@ def show(case: Case) -> str:
 
 def _work(seed: int, numbers: Sequence[int], cache: str, pipe: Any) -> None:
     """Runs the cases of `numbers` in a process of its own, and tells `pipe` of each as it begins and ends."""
-    os.environ |= {"DIFFSHADOW_CACHE": cache, "COLUMNS": "100"}
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        os.environ["HOME"] = folder
-        make_template()
+    with _apart(cache):
         pipe.send(None)
         for number in numbers:
             pipe.send((number, None))
             pipe.send((number, run_case(cases.make(seed, number))))
-        os.chdir("/")
+
+
+@contextlib.contextmanager
+def _apart(cache: str) -> Iterator[None]:
+    """A folder of its own for the process, with a finished run, and a limit on memory."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        os.environ |= {"DIFFSHADOW_CACHE": cache, "HOME": folder, "COLUMNS": "100"}
+        make_template()
+        yield
 
 
 class _Worker:
@@ -344,7 +351,9 @@ def main() -> None:
         if given.case is not None:
             case = cases.make(given.seed, given.case)
             print(show(case), flush=True)
-            found = {given.case: _alone(case, cache)}
+            told = lambda ended: print(f"--- exit {ended.code} {ended.crash}\n{ended.out}{ended.err}", flush=True)
+            with _apart(cache):
+                found = {given.case: run_case(case, told)}
         else:
             found = fuzz(given.seed, numbers, given.workers, cache)
     causes = defaultdict(list)
@@ -356,15 +365,6 @@ def main() -> None:
     wrong = sum(map(bool, found.values()))
     print(f"\n{wrong} of {1 if given.case is not None else given.cases} cases have faults")
     sys.exit(bool(wrong))
-
-
-def _alone(case: Case, cache: str) -> list[str]:
-    os.environ |= {"DIFFSHADOW_CACHE": cache, "COLUMNS": "100"}
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        make_template()
-        return run_case(
-            case, lambda ended: print(f"--- {ended.code} {ended.crash}\n{ended.out}{ended.err}", flush=True)
-        )
 
 
 if __name__ == "__main__":
