@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 CONFIG := configs/quickstart.yaml
 ARGS :=
+N := 10000
+SEED := 0
+CASE :=
 # Tried in this order: the pinned packages are tested on 3.12 first.
 PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
@@ -13,7 +16,7 @@ UV := uv
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit gallery test test-all lint types constraints clean
+.PHONY: help setup fit gallery test test-all fuzz lint types constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -32,6 +35,9 @@ test: $(STAMP) ## run the tests (ARGS="-k pcf")
 
 test-all: $(STAMP) ## run the exhaustive tests too, which takes minutes more
 	$(BIN)/python -m pytest -m '' $(ARGS)
+
+fuzz: $(STAMP) ## feed the command random input and say what it does badly (N=300 SEED=1; CASE=17 does one again)
+	$(BIN)/python tests/fuzz/run.py --cases $(N) --seed $(SEED) $(if $(CASE),--case $(CASE)) $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check .
