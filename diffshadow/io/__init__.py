@@ -9,6 +9,7 @@ from ._cache import cache_key as cache_key
 from ._cache import cached_arrays as cached_arrays
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError as FileError
+from ._errors import MeshWarning as MeshWarning
 from ._images import read_visibility as read_visibility
 from ._images import write_png as write_png
 from ._images import write_visibility as write_visibility
