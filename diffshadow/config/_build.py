@@ -4,6 +4,7 @@ Only this file of the room, and those that it imports for the purpose, load JAX:
 at once.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .. import fit, geometry, shading, shadow
+from .. import fit, geometry, io, shading, shadow
 from ._build_scene import build_camera, build_light, build_mesh, stage_of
 from ._build_technique import build_bias, build_compare, build_filter
 from ._dump import fit_units
@@ -58,6 +59,7 @@ class Casting(NamedTuple):
     - `receivers`: those that only receive, or none.
     - `casts`: (f,), which faces of the scene's mesh are the casters'.
     - `meshes`: those of the scene one by one, in the configuration's order.
+    - `remarks`: a sentence for each mesh file of which something was left out.
     """
 
     scene: geometry.Scene
@@ -65,6 +67,7 @@ class Casting(NamedTuple):
     receivers: geometry.Mesh | None
     casts: Bool[Array, " f"]
     meshes: tuple[geometry.Mesh, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -80,7 +83,8 @@ def build_casting(config: Config) -> Casting:
 
     **Raises** `ConfigError` as `build_scene`, and for an open mesh that casts where the map holds back faces only.
     """
-    meshes = _meshes_of(config)
+    with _mesh_warnings() as remarks:
+        meshes = _meshes_of(config)
     whole = geometry.merge(meshes)
     casts = [mesh.casts for mesh in config.scene.meshes]
     _check_closed(config, meshes)
@@ -99,7 +103,21 @@ def build_casting(config: Config) -> Casting:
         geometry.merge(receivers) if receivers else None,
         jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
         tuple(meshes),
+        tuple(remarks),
     )
+
+
+@contextmanager
+def _mesh_warnings() -> Iterator[list[str]]:
+    """What `io.load_mesh` warns of inside, once the block has ended."""
+    messages: list[str] = []
+    with warnings.catch_warnings(record=True, category=io.MeshWarning, action="always") as caught:
+        yield messages
+    for each in caught:
+        if issubclass(each.category, io.MeshWarning):
+            messages.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
 
 
 def _meshes_of(config: Config) -> list[geometry.Mesh]:

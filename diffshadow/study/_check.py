@@ -1,18 +1,20 @@
-"""What can be told of a run without doing it."""
+"""Checks of a run that need no ray."""
 
 from rich.console import Console
 
 from ..config import Config, build_fit, build_technique
+from . import _table as table
 from ._progress import Stages
 from ._render_run import SUFFIX
 from ._run_folder import folder_of
+from ._scene_remarks import scene_remarks
 from ._setup import load, see
 
 
 def check(config: Config, *, console: Console) -> int:
     """Does all that a render or a fit of `config` begins with, up to tracing rays, for its errors.
 
-    A fit is checked where the technique has one. Nothing is written.
+    A fit is checked where the technique has one. Remarks on the scene are printed. Nothing is written.
 
     **Returns** the number of triangles of the scene.
 
@@ -26,5 +28,6 @@ def check(config: Config, *, console: Console) -> int:
         technique = build_technique(config, fitting=False)
         if fits:
             build_fit(config, casting)
-        see(config, casting, technique, stages)
+        seen = see(config, casting, technique, stages)
+    table.print_lines(console, scene_remarks(config, seen.lit, seen.surface), warn=True)
     return casting.scene.mesh.faces.shape[0]

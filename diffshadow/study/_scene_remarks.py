@@ -1,4 +1,4 @@
-"""Remarks on meshes that a picture shows nothing of."""
+"""What a reader of a run's numbers should know of its scene: what was left out of files, and what shows nowhere."""
 
 from collections.abc import Iterator, Sequence
 
@@ -17,18 +17,25 @@ _ANOTHER_UNIT = 100.0
 _NO_AREA = 1e-6
 
 
-def idle_meshes(config: Config, casting: Casting, surface: Surface) -> Iterator[str]:
-    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture.
+def scene_remarks(config: Config, lit: Sequence[Casting], surface: Surface) -> list[str]:
+    """A sentence for each mesh whose file holds more than its triangles, or that contributes nothing to the picture.
 
     **Arguments:**
 
+    - `lit`: the scene under each light alone.
     - `surface`: the scene as its camera sees it.
     """
+    return [*lit[0].remarks, *_idle_meshes(config, lit, surface)]
+
+
+def _idle_meshes(config: Config, lit: Sequence[Casting], surface: Surface) -> Iterator[str]:
+    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture."""
+    casting = lit[0]
     number = np.repeat(np.arange(len(casting.meshes)), [mesh.faces.shape[0] for mesh in casting.meshes])
     face, mask = np.asarray(surface.face), np.asarray(surface.mask)
     visible = set(number[face[mask]].tolist())
     for i, section in enumerate(config.scene.meshes):
-        if i not in visible and not reference.hides_light(casting.scene, number == i):
+        if i not in visible and not any(reference.hides_light(each.scene, number == i) for each in lit):
             corners = [_corners(mesh) for mesh in casting.meshes]
             cause = _cause(corners.pop(i), corners, casting.scene.camera, is_sized=section.size is not None)
             yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the picture: {cause}"

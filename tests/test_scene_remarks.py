@@ -1,10 +1,10 @@
-"""Meshes that contribute nothing to a picture are named, with the likely cause."""
+"""Remarks on scenes: meshes that contribute nothing to the picture, and what was left out of mesh files."""
 
 import pytest
 
 from diffshadow.config import build_casting, parse_config
 from diffshadow.raster import draw_surface
-from diffshadow.study._contribution import idle_meshes
+from diffshadow.study._scene_remarks import scene_remarks
 
 SCENE = """
 scene:
@@ -21,7 +21,7 @@ COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
 def remarks(mesh, folder):
     config = parse_config(SCENE.format(mesh=mesh), folder=folder)
     casting = build_casting(config)
-    return list(idle_meshes(config, casting, draw_surface(casting.scene.mesh, casting.scene.camera)))
+    return scene_remarks(config, [casting], draw_surface(casting.scene.mesh, casting.scene.camera))
 
 
 @pytest.mark.parametrize(
@@ -53,3 +53,9 @@ def test_a_mesh_that_contributes_nothing_is_named_with_its_cause(mesh, cause, tm
 )
 def test_a_mesh_that_is_seen_or_whose_shadow_is_seen_gets_no_remark(mesh, tmp_path):
     assert remarks(mesh, tmp_path) == []
+
+
+def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):
+    (tmp_path / "cage.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nl 1 3\nl 2 4\n")
+    (remark,) = remarks("path: cage.obj, translate: [1, 0.2, 1]", tmp_path)
+    assert remark == f"the mesh file {tmp_path / 'cage.obj'} is loaded without its 2 lines"
