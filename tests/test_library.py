@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import tracemalloc
 
 import jax.numpy as jnp
 import numpy as np
@@ -232,6 +233,19 @@ def test_weld_keeps_apart_what_the_tolerance_keeps_apart():
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     assert len(weld(vertices, faces, 1e-5)[0]) == 6
     assert len(weld(vertices, faces, 1e-3)[0]) == 4
+
+
+def test_weld_of_a_part_far_below_the_tolerance_takes_no_memory_for_its_pairs():
+    grain = np.random.default_rng(0).uniform(size=(6000, 3))
+    vertices = np.concatenate([grain, [[1e8, 0, 0], [1e8, 1e8, 0], [1e8, 0, 1e8]]])
+    tracemalloc.start()
+    points, faces = weld(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(points, vertices[-3:])
+    np.testing.assert_array_equal(faces, [[0, 1, 2]])
+    # There are 18 million pairs.
+    assert most < 20e6
 
 
 def test_weld_drops_collapsed_faces_and_unused_vertices_and_keeps_the_order():

@@ -18,7 +18,7 @@ _PAIRS_PER_CHUNK = 1 << 21
 
 # Vertices of the average cell, a little smaller than the tolerance, beyond which one stands for all of its cell: parts
 # far smaller than a mesh's extent have millions of pairs within the tolerance.
-_MOST_IN_CELL = 2
+_MOST_IN_CELL = 4
 # Odd numbers whose sums of products differ for different cells, but for a chance of one in 2⁶⁴.
 _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2D])
 

@@ -1,29 +1,25 @@
-"""glTF 2.0 files, as JSON and as GLB: what trimesh would drop or misread in silence is mended or refused first.
+"""glTF 2.0 files, as JSON and as GLB.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 3.
 """
 
-import base64
-import json
-import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-from urllib.parse import unquote, unquote_to_bytes
 
+import DracoPy
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from .._types import HostArray
 from ._errors import MeshError, damaged
-from ._text import decode
+from ._gltf_data import Buffers, NoDataError, chunks, item, unread
+from ._gltf_schema import DRACO, Document, Node, Primitive, parse
+from ._polygons import Polygons, strip_triangles
 
-_MAGIC = b"glTF"
-_JSON, _BINARY = 0x4E4F534A, 0x004E4942
-_INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
-_UINT32 = 5125
-_FAN, _LIST = 6, 4
+_Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"]]
+
 # Modes of primitives that are no triangles: what to call them, and how many n vertices make.
 _OTHERS = {
     0: ("point", lambda n: n),
@@ -31,175 +27,149 @@ _OTHERS = {
     2: ("line", lambda n: n),
     3: ("line", lambda n: max(n - 1, 0)),
 }
-_DRACO = "KHR_draco_mesh_compression"
-# Extensions of looks alone, which do not say where triangles are.
-_OF_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp")
-_OF_LOOKS += ("EXT_texture_", "EXT_lights_", "MSFT_texture_", "MSFT_packing_")
+_LIST, _STRIP, _FAN = 4, 5, 6
+_INSTANCES = "EXT_mesh_gpu_instancing"
 
 
-class Prepared:
-    """A file's JSON and data, in which triangles are lists that trimesh reads as they are meant.
+def read_gltf(data: bytes, folder: Path) -> Polygons:
+    """The triangles of a file's scene, each mesh where its nodes put it, morphed by its weights; skins are not applied.
 
-    - `json`: the text; its buffers are data URIs.
-    - `left_out`: how many things of other kinds the file holds, by their names in the singular.
+    **Arguments:**
 
-    **Raises** `MeshError` if the file is damaged, or keeps its triangles in a way that cannot be read.
+    - `data`: what the file holds.
+    - `folder`: where it lies, with the files that it needs.
+
+    **Raises** `MeshError` if the file is damaged, or its triangles are kept in a way that cannot be read.
     """
-
-    def __init__(self, file: Path):
-        self._tree, binary = _parse(file.read_bytes())
-        _check_extensions(self._tree.get("extensionsRequired", ()))
-        # A GLB file's own data are its first buffer's.
-        self._buffers = [
-            _buffer(each, binary or b"" if i == 0 else b"", file.parent)
-            for i, each in enumerate(self._tree.get("buffers", []))
-        ]
-        self.left_out: Counter[str] = Counter()
-        for node in self._tree.get("nodes", []):
-            self.left_out["skin"] += "skin" in node
-            self.left_out["morphed node"] += any(node.get("weights", ()))
-            self.left_out["instanced node"] += "EXT_mesh_gpu_instancing" in node.get("extensions", {})
-        for mesh in self._tree.get("meshes", []):
-            self.left_out["morphed mesh"] += any(mesh.get("weights", ()))
-            # An empty mesh stays, since nodes go by their numbers.
-            mesh["primitives"] = list(self._prepared(mesh["primitives"]))
-
-    @property
-    def json(self) -> bytes:
-        uri = lambda data: "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-        buffers = [{"byteLength": len(data), "uri": uri(data)} for data in self._buffers]
-        return json.dumps({**self._tree, "buffers": buffers}).encode()
-
-    def _prepared(self, primitives: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-        for primitive in primitives:
-            mode = primitive.get("mode", _LIST)
-            corners = primitive.get("indices", primitive["attributes"].get("POSITION"))
-            if mode in _OTHERS:
-                name, count = _OTHERS[mode]
-                self.left_out[name] += count(0 if corners is None else self._accessor(corners)["count"])
+    text, binary = chunks(data)
+    document = parse(text)
+    buffers = Buffers(document, binary, folder)
+    vertices, faces, start = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    left_out: Counter[str] = Counter()
+    for node, to_world in _nodes(document):
+        if node.mesh is None:
+            continue
+        mesh = item(document.meshes, node.mesh, "mesh")
+        left_out["skin"] += node.skin is not None
+        left_out["instanced node"] += _INSTANCES in node.extensions
+        for primitive in mesh.primitives:
+            if primitive.mode in _OTHERS:
+                name, count = _OTHERS[primitive.mode]
+                left_out[name] += count(_count(primitive, buffers))
                 continue
-            self._check(primitive)
-            yield self._as_list(primitive) if mode == _FAN else primitive
-
-    def _check(self, primitive: dict[str, Any]) -> None:
-        """**Raises** `MeshError` if trimesh would read other numbers than are meant."""
-        if "POSITION" not in primitive["attributes"]:
-            raise damaged("a primitive has no positions")
-        extensions = primitive.get("extensions", {})
-        for index in (primitive["attributes"]["POSITION"], primitive.get("indices")):
-            if index is None:
-                continue
-            accessor = self._accessor(index)
-            if "sparse" in accessor:
-                raise MeshError("has sparse accessors, which cannot be read; export it without them")
-            if accessor.get("normalized"):
-                raise MeshError("has positions of normalized integers, which cannot be read; export them as floats")
-            if "bufferView" in accessor:
-                self._check_data(self._tree["bufferViews"][accessor["bufferView"]])
-            elif _DRACO not in extensions:
-                _check_extensions(extensions)
-                raise damaged("a primitive has an accessor without data")
-
-    def _check_data(self, view: dict[str, Any]) -> None:
-        """**Raises** `MeshError` if a view's data are missing, as they are where an extension alone has them."""
-        buffer, end = self._buffers[view["buffer"]], view.get("byteOffset", 0) + view["byteLength"]
-        if end > len(buffer):
-            _check_extensions(view.get("extensions", ()))
-            raise damaged(f"a buffer has {len(buffer)} bytes; expected {end}")
-
-    def _as_list(self, primitive: dict[str, Any]) -> dict[str, Any]:
-        """A fan as a list of triangles, section 3.7.2.1."""
-        corners = self._indices(primitive)
-        middle = np.broadcast_to(corners[:1], corners[2:].shape)
-        data = np.stack([corners[1:-1], corners[2:], middle], axis=-1).astype("<u4")
-        self._buffers.append(data.tobytes())
-        views, accessors = self._tree.setdefault("bufferViews", []), self._tree["accessors"]
-        views.append({"buffer": len(self._buffers) - 1, "byteLength": data.nbytes})
-        accessors.append({"bufferView": len(views) - 1, "componentType": _UINT32, "count": data.size, "type": "SCALAR"})
-        return {**primitive, "mode": _LIST, "indices": len(accessors) - 1}
-
-    def _indices(self, primitive: dict[str, Any]) -> Int[HostArray, "n"]:
-        if "indices" not in primitive:
-            return np.arange(self._accessor(primitive["attributes"]["POSITION"])["count"])
-        accessor = self._accessor(primitive["indices"])
-        if "bufferView" not in accessor:
-            raise MeshError("has a compressed fan of triangles, which cannot be read; export it as a list")
-        view = self._tree["bufferViews"][accessor["bufferView"]]
-        kind = np.dtype(_INDEX_TYPES[accessor["componentType"]])
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        return np.frombuffer(self._buffers[view["buffer"]], kind, accessor["count"], start).astype(np.int64)
-
-    def _accessor(self, index: int) -> dict[str, Any]:
-        return self._tree["accessors"][index]
+            weights = mesh.weights if node.weights is None else node.weights
+            points, triangles = _triangles(primitive, weights, buffers)
+            # A mirroring node turns the triangles inside out.
+            mirrored = np.linalg.det(to_world[:3, :3]) < 0
+            vertices.append(points @ to_world[:3, :3].T + to_world[:3, 3])
+            faces.append((triangles[:, ::-1] if mirrored else triangles) + start)
+            start += len(points)
+    corners = np.concatenate(faces)
+    return Polygons(np.concatenate(vertices), corners.reshape(-1), np.full(len(corners), 3), left_out)
 
 
-def _parse(data: bytes) -> tuple[dict[str, Any], bytes | None]:
-    """The JSON of a glTF or GLB file, and the buffer that a GLB file may hold."""
-    text, binary = _chunks(data) if data.startswith(_MAGIC) else (data, None)
-    try:
-        tree = json.loads(decode(text))
-    except (ValueError, RecursionError) as error:
-        raise damaged(f"it is no JSON ({error})") from error
-    if not isinstance(tree, dict):
-        raise damaged("its JSON is no object")
-    version = str(tree.get("asset", {}).get("version", "2.0"))
-    if version.partition(".")[0] != "2":
-        raise MeshError(f"is of glTF version {version[:20]}, which cannot be read; convert it to glTF 2.0")
-    return tree, binary
+def _nodes(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
+    """The nodes of the scene, each with its matrix to world space.
 
-
-def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
-    if len(data) < 12:
-        raise damaged("it ends within its header")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise MeshError(f"is of glTF version {version}, which cannot be read; convert it to glTF 2.0")
-    if length > len(data):
-        raise damaged(f"it has {len(data)} bytes; expected {length}")
-    found: dict[int, bytes] = {}
-    at = 12
-    while at + 8 <= length:
-        size, kind = struct.unpack_from("<II", data, at)
-        found.setdefault(kind, data[at + 8 : at + 8 + size])
-        at += 8 + size
-    if _JSON not in found:
-        raise damaged("it has no chunk of JSON")
-    return found[_JSON], found.get(_BINARY)
-
-
-def _buffer(buffer: dict[str, Any], binary: bytes, folder: Path) -> bytes:
-    """The buffer's data; those that an extension alone has are missing."""
-    uri = buffer.get("uri")
-    if uri is None:
-        return binary
-    if uri.startswith("data:"):
-        head, _, payload = uri.partition(",")
-        content = base64.b64decode(unquote(payload)) if head.endswith(";base64") else unquote_to_bytes(payload)
+    That is the scene which the file names, or its first one, or all of a file without scenes.
+    """
+    if document.scene is not None or document.scenes:
+        roots = item(document.scenes, document.scene or 0, "scene").nodes
     else:
-        content = _beside(uri, folder)
-    if len(content) < buffer["byteLength"]:
-        raise damaged(f"a buffer has {len(content)} bytes; expected {buffer['byteLength']}")
-    return content
+        children = {child for node in document.nodes for child in node.children}
+        roots = [i for i in range(len(document.nodes)) if i not in children]
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    while waiting:
+        index, parent = waiting.pop()
+        node = item(document.nodes, index, "node")
+        if index in seen:
+            raise damaged(f"its node {index} has two parents, or is its own ancestor")
+        seen.add(index)
+        to_world = parent @ _matrix(node, index)
+        yield node, to_world
+        waiting += [(child, to_world) for child in reversed(node.children)]
 
 
-def _beside(uri: str, folder: Path) -> bytes:
-    """The content of another file."""
-    if "://" in uri:
-        raise MeshError(f"keeps its data at {uri}; download them, and name that file instead")
-    # Some writers forget to quote special characters.
-    paths = [folder / unquote(uri), folder / uri]
-    path = next((path for path in paths if path.exists()), paths[0])
+def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
+    """From the node's space to its parent's: section 3.5.3."""
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T
+    matrix = np.eye(4)
     try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise MeshError(f"needs the file {path}, which does not exist; put it there") from None
-    except OSError as error:
-        raise MeshError(f"needs the file {path}, which cannot be read: {error.strerror}; check it") from error
+        matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
+    except ValueError as error:
+        raise damaged(f"its node {index} is rotated by {list(node.rotation)}, which is no rotation") from error
+    matrix[:3, 3] = node.translation
+    return matrix
 
 
-def _check_extensions(names: Iterable[str]) -> None:
-    """**Raises** `MeshError` if one of the extensions may say where triangles are, and cannot be read."""
-    known = (_DRACO, "KHR_mesh_quantization")
-    unread = [name for name in names if not name.startswith(_OF_LOOKS) and name not in known]
-    if unread:
-        raise MeshError(f"needs {', '.join(unread)[:160]}, which cannot be read; export it without")
+def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers) -> _Triangles:
+    """The vertices and triangles of a primitive: section 3.7.2.1 for their order."""
+    if "POSITION" not in primitive.attributes:
+        raise damaged("a primitive has no positions")
+    try:
+        points = buffers.values(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
+        triangles = _ordered(_indices(primitive, buffers), primitive.mode)
+    except NoDataError:
+        points, triangles = _decompressed(primitive, buffers)
+    if triangles.max(initial=-1) >= len(points):
+        raise damaged(f"a primitive names vertex {triangles.max()}, but has {len(points)}")
+    for weight, target in zip(weights, primitive.targets, strict=False):
+        if weight and "POSITION" in target:
+            points += weight * _moved(target["POSITION"], len(points), primitive, buffers)
+    return points, triangles
+
+
+def _ordered(indices: Int[HostArray, "n"], mode: int) -> Int[HostArray, "t 3"]:
+    if mode == _STRIP:
+        return strip_triangles(indices)
+    if mode == _FAN:
+        middle = np.broadcast_to(indices[:1], indices[2:].shape)
+        return np.stack([indices[1:-1], indices[2:], middle], axis=-1)
+    if len(indices) % 3:
+        raise damaged(f"a primitive of triangles has {len(indices)} corners; expected three for each")
+    return indices.reshape(-1, 3)
+
+
+def _decompressed(primitive: Primitive, buffers: Buffers) -> _Triangles:
+    """What KHR_draco_mesh_compression has in place of accessors."""
+    compressed = primitive.extensions.get(DRACO)
+    if compressed is None:
+        raise unread(primitive.extensions) or damaged("a primitive has an accessor without data")
+    view = compressed.get("bufferView") if isinstance(compressed, Mapping) else None
+    if not isinstance(view, int) or view < 0:
+        raise damaged(f"a primitive's {DRACO} has no bufferView")
+    try:
+        mesh = DracoPy.decode(bytes(buffers.view(view)))
+        return np.array(mesh.points, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+    except MeshError:
+        raise
+    except Exception as error:  # point clouds have no faces, and DracoPy's exceptions no base of their own
+        raise damaged(f"its compressed triangles cannot be decoded ({error})") from error
+
+
+def _moved(accessor: int, count: int, primitive: Primitive, buffers: Buffers) -> Float[HostArray, "v 3"]:
+    """Where a morph target moves the vertices."""
+    try:
+        moved = buffers.values(accessor, "VEC3")
+    except NoDataError:
+        raise unread(primitive.extensions) or damaged("a morph target has an accessor without data") from None
+    if len(moved) != count:
+        raise damaged(f"a morph target has {len(moved)} vertices; expected {count}")
+    return moved
+
+
+def _indices(primitive: Primitive, buffers: Buffers) -> Int[HostArray, "n"]:
+    if primitive.indices is None:
+        return np.arange(_count(primitive, buffers))
+    indices = buffers.values(primitive.indices, "SCALAR")[:, 0]
+    if indices.dtype.kind != "u":
+        raise damaged(f"a primitive's indices are of type {indices.dtype}; expected unsigned integers")
+    return indices.astype(np.int64)
+
+
+def _count(primitive: Primitive, buffers: Buffers) -> int:
+    """The number of a primitive's corners."""
+    accessor = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices
+    return 0 if accessor is None else buffers.count(accessor)

@@ -123,12 +123,11 @@ def _read_png(file: Path) -> HostArray:
 def _read_exr(file: Path) -> HostArray:
     try:
         with _silent(), OpenEXR.File(str(file), header_only=True) as exr:
-            # Headers are emptied as the file is closed.
-            windows = [part.header["dataWindow"] for part in exr.parts]
+            windows = [np.array(part.header["dataWindow"], np.int64) for part in exr.parts]
     except Exception as error:
         raise ValueError("its header is cut short or garbled") from error
-    for window in windows:
-        columns, rows = (int(high) - int(low) + 1 for low, high in zip(*window, strict=True))
+    for low, high in windows:
+        columns, rows = (high - low + 1).tolist()
         _check_size(file, rows, columns)
     try:
         with _silent(), OpenEXR.File(str(file), separate_channels=True) as exr:
