@@ -151,9 +151,8 @@ def twice(file: OddFile) -> OddFile:
 
 
 def draco_beside_plain(builder: Builder) -> None:
-    plain = {"attributes": {"POSITION": builder.accessor(CORNERS)}, "mode": 6}
     draco(builder)
-    builder.tree["accessors"][plain["attributes"]["POSITION"]]["bufferView"] = 0
+    plain = {"attributes": {"POSITION": builder.add(CORNERS)}, "mode": 6}
     builder.tree["meshes"][0]["primitives"].insert(0, plain)
 
 
