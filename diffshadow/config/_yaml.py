@@ -138,10 +138,7 @@ class _Reader:
 
     def scalar(self, node: yaml.Node, path: KeyPath) -> str | int | float | bool | None:
         text = node.value
-        try:
-            # Bytes of a file's name that are no UTF-8 stand as halves of characters; no file's name has others.
-            text.encode("utf-8", "surrogateescape")
-        except UnicodeEncodeError:
+        if any("\ud800" <= c <= "\udfff" for c in text):
             self.report(node, path, f"is {show(text)}, with half a character; expected whole ones; remove it")
             return None
         if not isinstance(node, yaml.ScalarNode) or node.style is not None:
