@@ -166,7 +166,7 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
-            what = f"is {holder['path']}, whose name is not UTF-8; expected a name of letters; rename the file or its folder"
+            what = f"is {holder['path']}, whose name is not UTF-8; expected one that is; rename the file or a folder"
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None:
