@@ -158,11 +158,12 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
         place = origin.place(path)
         # An override is written by someone who stands in the current folder.
         base = folder if place.line is not None else Path()
+        file = Path(holder["path"])
         try:
             file = Path(os.path.abspath(base / path_of(holder["path"])))
             holder["path"] = str(file)
             what = None if file.is_file() else _missing(file)
-            str(file).encode()
+            holder["path"].encode()
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
