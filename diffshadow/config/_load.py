@@ -124,7 +124,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
     problems = [*draft.problems, *(missing if files else ())]
-    # Of the data, whose numbers are told as they were written.
+    # From the data, so that messages quote numbers as they were written.
     of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
     try:
         config = Config.model_validate(data)

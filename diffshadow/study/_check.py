@@ -1,4 +1,4 @@
-"""What can be told of a run without doing it."""
+"""Checks a run without doing it."""
 
 from rich.console import Console
 
