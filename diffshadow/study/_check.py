@@ -1,4 +1,4 @@
-"""Checks a run without doing it."""
+"""Checks of a run that need no ray."""
 
 from rich.console import Console
 
