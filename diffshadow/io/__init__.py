@@ -1,5 +1,7 @@
 """Files: meshes and images in, images and cached results out."""
 
+from ._arrays import Layout as Layout
+from ._arrays import read_arrays as read_arrays
 from ._atomic import atomic_path as atomic_path
 from ._atomic import check_writable as check_writable
 from ._cache import cache_folder as cache_folder
