@@ -7,15 +7,18 @@ loaded.
 import contextlib
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -29,6 +32,10 @@ SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 _WORKERS_A_CORE = 4
 # From the coarsest figure that can be read to the finest that a page can show.
 _DPI = (10, 2400)
+# Seconds after which Ctrl-C that had no effect is repeated.
+_INSISTENCE = 0.2
+# Runs that are checked in a tenth of a second.
+_RUNS_A_MOMENT = 100
 
 _HELP = """
 Fits the settings of shadow maps to ray-traced truth, by gradient.
@@ -167,7 +174,8 @@ def sweep(
     """
     _check_count("--workers", workers, 0, _WORKERS_A_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
-    plan = load_sweep(config, overrides)
+    with _checking() as progress:
+        plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
     _keep_compiled_programs()
     from . import study
 
@@ -241,12 +249,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        app(
-            sys.argv[1:] if arguments is None else list(arguments),
-            exit_on_error=False,
-            print_error=False,
-            error_console=errors,
-        )
+        with _insistent_interrupts():
+            app(
+                sys.argv[1:] if arguments is None else list(arguments),
+                exit_on_error=False,
+                print_error=False,
+                error_console=errors,
+            )
     except CycloptsError as error:
         _tell(errors, [f"{_sentence(error)}; see diffshadow --help"])
         sys.exit(USER_ERROR)
@@ -261,10 +270,72 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(SUCCESS)
 
 
+@contextlib.contextmanager
+def _insistent_interrupts() -> Iterator[None]:
+    """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
+
+    Python raises it wherever the main thread is. In a callback of the garbage collector it is dropped with a message,
+    and by a library's native code that has called Python, such as Pydantic's, without one.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        signal.setitimer(signal.ITIMER_REAL, _INSISTENCE)
+        # What is done because of the first must come to its end.
+        error = sys.exception()
+        while error is not None:
+            if isinstance(error, KeyboardInterrupt):
+                return
+            error = error.__context__
+        raise KeyboardInterrupt
+
+    def report(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            others(unraisable)
+
+    others, sys.unraisablehook = sys.unraisablehook, report
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = others
+
+
 def _check_count(option: str, value: int | None, least: int, most: int | None = None) -> None:
     if value is not None and (value < least or (most is not None and value > most)):
         limits = f"at least {least}" + ("" if most is None else f" and at most {most}")
         raise ValueError(f"{option} is {value}; expected a whole number {limits}, or nothing: leave it out")
+
+
+@contextlib.contextmanager
+def _checking() -> Iterator[Callable[[int, int], None]]:
+    """A bar for the runs of a sweep that have been checked. It shows only if they are many, and somebody watches."""
+    console = _console()
+    bar = Progress(
+        TextColumn("checking runs"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    task = bar.add_task("")
+
+    def progress(done: int, total: int) -> None:
+        if done % _RUNS_A_MOMENT == 0:
+            bar.start()
+            bar.update(task, completed=done, total=total)
+
+    try:
+        yield progress
+    finally:
+        bar.stop()
 
 
 def _keep_compiled_programs() -> None:

@@ -67,6 +67,7 @@ from ._sweep import QuasiRandomConfig as QuasiRandomConfig
 from ._sweep import SweepConfig as SweepConfig
 from ._sweep_runs import Sweep as Sweep
 from ._sweep_runs import SweepRun as SweepRun
+from ._sweep_runs import SweepRuns as SweepRuns
 from ._sweep_runs import load_sweep as load_sweep
 from ._technique import CompareConfig as CompareConfig
 from ._technique import HardCompareConfig as HardCompareConfig

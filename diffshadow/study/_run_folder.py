@@ -1,7 +1,6 @@
 """A run's folder, which is there whole or not at all."""
 
 import contextlib
-import json
 import os
 import secrets
 import shutil
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from .. import io
 from ..config import Config, ConfigError, Problem
+from ._schema import read_json
 
 RESULT = "result.json"
 
@@ -67,8 +67,9 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     """Makes `folder` of what `write` puts into the empty folder that it is given.
 
     Until `write` has ended, an earlier run at `folder` stays as it was; then its files go, and any others that lie
-    beside them move over. Where `write` raises, nothing is left of it.
+    beside them move over. Where `write` raises, nothing is left of it. A link to a folder stays one.
     """
+    folder = folder.resolve() if folder.is_dir() else folder
     made = [level for level in folder.parents if not level.exists()]
     folder.parent.mkdir(parents=True, exist_ok=True)
     token = secrets.token_hex(_TOKEN_BYTES)
@@ -95,6 +96,15 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
                     level.rmdir()
 
 
+def remove(path: Path) -> None:
+    """Removes a file, a link or a folder with all that it holds, as far as that can be done."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
 def _is_run(folder: Path) -> bool:
     return folder.is_dir() and ((folder / RESULT).is_file() or not any(folder.iterdir()))
 
@@ -102,8 +112,8 @@ def _is_run(folder: Path) -> bool:
 def _keep_others(old: Path, new: Path) -> None:
     """Moves what `old` holds beside the files of its run to `new`."""
     try:
-        written = set(json.loads((old / RESULT).read_text(encoding="utf-8"))["files"])
-    except (OSError, ValueError, KeyError, TypeError):
+        written = set(read_json(old / RESULT)["files"])
+    except (io.FileError, LookupError, TypeError):
         written = set()
     for entry in old.iterdir():
         if entry.name not in written and not os.path.lexists(new / entry.name):
