@@ -180,7 +180,10 @@ def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str
     failed = runs[runs["status"] == FAILED]
     counts = failed["error"].value_counts(sort=False)
     firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
-    shown = [(run["error"], int(counts[run["error"]]), _values(run, axes)) for _, run in firsts.iterrows()]
+    shown = [
+        ("; ".join(run["error"].splitlines()), int(counts[run["error"]]), _values(run, axes))
+        for _, run in firsts.iterrows()
+    ]
     return shown, len(counts) - len(shown)
 
 

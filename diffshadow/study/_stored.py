@@ -141,9 +141,7 @@ def add_files(run: StoredRun, names: Sequence[str]) -> None:
     """Has the result of `run` name more files as its own, so that its next run replaces them with the others."""
     result = {**run.result, "files": sorted({*run.result.get("files", ()), *names})}
     with io.atomic_path(run.folder / RESULT) as temporary:
-        temporary.write_text(
-            json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
-        )
+        temporary.write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:
