@@ -365,7 +365,7 @@ def test_result_depends_on_seed_alone_and_not_on_batches(monkeypatch):
     for sampler in ("sobol", "stratified"):
         first = trace_visibility(scene, 9, sampler, seed=5)
         with monkeypatch.context() as patch:
-            patch.setattr("diffshadow.reference._visibility._BATCH", 700)
+            patch.setattr("diffshadow.reference._visibility.BATCH", 700)
             again = trace_visibility(scene, 9, sampler, seed=5)
         other = trace_visibility(scene, 9, sampler, seed=6)
         np.testing.assert_array_equal(first.visibility, again.visibility)
@@ -449,7 +449,7 @@ def test_of_several_lights_each_is_traced_alone():
 
 
 def test_progress_rises_to_one_in_the_calling_thread(monkeypatch):
-    monkeypatch.setattr("diffshadow.reference._visibility._BATCH", 512)
+    monkeypatch.setattr("diffshadow.reference._visibility.BATCH", 512)
     seen = []
     scene = small_scene("pinhole", "spot", size=0.5, pixels=24)
     trace_visibility(scene, 4, progress=lambda share: seen.append((share, threading.get_ident())))
