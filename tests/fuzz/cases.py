@@ -17,7 +17,7 @@ from diffshadow.config._load import load_draft
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TEMPLATE, RUN = "template", "runs/damaged"
 """Folders beside a case's files: of a finished run, and of a copy of it that the case may spoil."""
-DRAWN_EVERY = 50
+DRAWN_EVERY = 60
 """Of so many cases one draws a technique; the others end before, but for few."""
 
 TINY = {
