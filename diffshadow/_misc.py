@@ -76,3 +76,8 @@ def with_gradient_of(smooth: Float[Array, "*n"], value: Float[Array, "*n"]) -> F
 @with_gradient_of.defjvp
 def _with_gradient_of_jvp(primals, tangents):
     return primals[1], tangents[0]
+
+
+def in_unit_range(mean: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """`mean` clipped to [0, 1], with its own derivative: rounding can carry a mean of such values out of the range."""
+    return with_gradient_of(mean, jnp.clip(jax.lax.stop_gradient(mean), 0, 1))

@@ -4,22 +4,37 @@ It imports as little as it can: a mistake in a configuration is told in a fracti
 """
 
 import contextlib
+import io
+import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from .config import Config, ConfigError, describe, load_config, load_sweep
+from .config import ConfigError, describe, load_config, load_sweep, printable
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: done; a mistake in what was asked for; stopped by Ctrl-C."""
+
+# More only wait for each other, and each takes a gigabyte.
+_WORKERS_A_CORE = 4
+# From the coarsest figure that can be read to the finest that a page can show.
+_DPI = (10, 2400)
+# Seconds after which Ctrl-C that had no effect is repeated.
+_INSISTENCE = 0.2
+# Runs that are checked in a tenth of a second.
+_RUNS_A_MOMENT = 100
 
 _HELP = """
 Fits the settings of shadow maps to ray-traced truth, by gradient.
@@ -65,11 +80,11 @@ def fit(config: Path, /, *overrides: str) -> None:
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
-    settings = load_config(config, overrides)
+    settings = load_config(config, overrides, fitting=True)
     _keep_compiled_programs()
     from . import study
 
-    _console().print(Text(str(study.run_fit(settings, console=_console()))), soft_wrap=True)
+    _print_path(study.run_fit(settings, console=_console()))
 
 
 @app.command
@@ -93,12 +108,14 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     _keep_compiled_programs()
     from . import study
 
-    _console().print(Text(str(study.run_render(settings, console=_console(), debug=debug))), soft_wrap=True)
+    _print_path(study.run_render(settings, console=_console(), debug=debug))
 
 
 @app.command
 def validate(config: Path, /, *overrides: str) -> None:
-    """Checks CONFIG, loads its meshes, and lists every setting with its unit. Writes nothing.
+    """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes nothing.
+
+    It finds all that a render or a fit can refuse before it traces rays.
 
     Example: `diffshadow validate configs/quickstart.yaml filter.type=random_disk`
 
@@ -109,14 +126,18 @@ def validate(config: Path, /, *overrides: str) -> None:
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
-    settings = load_config(config, overrides)
-    triangles = _build_everything(settings)
+    settings = load_config(config, overrides, fitting=True)
+    _keep_compiled_programs()
+    from . import study
+
+    console = _console()
+    triangles = study.check(settings, console=console)
     table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
     for row in describe(settings):
-        table.add_row(Text(row.key), Text(row.value), Text(row.unit))
-    console = _console()
+        table.add_row(*(Text(printable(cell)) for cell in row))
     console.print(table)
-    console.print(Text(f"{config} is valid; its scene has {triangles:,} triangles"), soft_wrap=True)
+    said = printable(f"{config} is valid; its scene has {triangles:,} triangles")
+    console.print(Text(said), soft_wrap=True)
 
 
 @app.command
@@ -150,9 +171,10 @@ def sweep(
     dry_run
         Only list what would be done.
     """
-    _at_least("--workers", workers, 0)
-    _at_least("--limit", limit, 1)
-    plan = load_sweep(config, overrides)
+    _check_count("--workers", workers, 0, _WORKERS_A_CORE * (os.cpu_count() or 1))
+    _check_count("--limit", limit, 1)
+    with _checking() as progress:
+        plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
     _keep_compiled_programs()
     from . import study
 
@@ -160,7 +182,7 @@ def sweep(
         study.print_plan(_console(), plan, limit)
         return
     done = study.run_sweep(plan, console=_console(), scheduler=scheduler, workers=workers, limit=limit)
-    _console().print(Text(str(done)), soft_wrap=True)
+    _print_path(done)
 
 
 @app.command
@@ -180,9 +202,10 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     dpi
         Pixels an inch in these figures.
     """
+    _check_count("--dpi", dpi, *_DPI)
     from . import study
 
-    _console().print(Text(str(study.report(folder, form=figures, dpi=dpi))), soft_wrap=True)
+    _print_path(study.report(folder, form=figures, dpi=dpi))
 
 
 @app.command
@@ -204,10 +227,13 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
     output
         Where the page is written; what is there is replaced.
     """
+    if output.is_dir():
+        raise ValueError(
+            f"--output is {output}, a folder; expected the path of a page; name a file such as compare.html"
+        )
     from . import study
 
-    console = _console()
-    console.print(Text(str(study.compare([first, second, *more], output, console=console))), soft_wrap=True)
+    _print_path(study.compare([first, second, *more], output, console=_console()))
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -216,54 +242,110 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     The exit code is 0 on success, 2 on a mistake of the user's, which is told in one message on stderr, and 130 after
     an interrupt. Any other error is a fault of the program, and keeps its traceback.
     """
-    errors = Console(stderr=True, highlight=False)
+    errors = _Console(stderr=True, highlight=False)
+    for stream in (sys.stdout, sys.stderr):
+        # An encoding may lack letters of names.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app(
-            sys.argv[1:] if arguments is None else list(arguments),
-            exit_on_error=False,
-            print_error=False,
-            error_console=errors,
-        )
+        with _insistent_interrupts():
+            app(
+                sys.argv[1:] if arguments is None else list(arguments),
+                exit_on_error=False,
+                print_error=False,
+                error_console=errors,
+            )
     except CycloptsError as error:
-        _tell(errors, f"{_sentence(error)}; see diffshadow --help")
+        _tell(errors, [f"{_sentence(error)}; see diffshadow --help"])
         sys.exit(USER_ERROR)
     except KeyboardInterrupt:
-        _tell(errors, "interrupted")
+        _tell(errors, ["interrupted"])
         sys.exit(INTERRUPTED)
     except (ValueError, OSError) as error:
         if not _is_mistake(error):
             raise
-        _tell(errors, str(error))
+        _tell(errors, map(str, error.problems) if isinstance(error, ConfigError) else [str(error)])
         sys.exit(USER_ERROR)
     sys.exit(SUCCESS)
 
 
-def _build_everything(config: Config) -> int:
-    """Makes all that a run is made of, for its errors. **Returns** the scene's number of triangles."""
-    from .config import build_fit, build_scene, build_shading, build_technique
+@contextlib.contextmanager
+def _insistent_interrupts() -> Iterator[None]:
+    """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
 
-    scene = build_scene(config)
-    build_technique(config)
-    build_shading(config)
-    if config.technique.type == "shadow_map":
-        build_fit(config)
-    return scene.mesh.faces.shape[0]
+    Python raises it wherever the main thread is. In a callback of the garbage collector it is dropped with a message,
+    and by a library's native code that has called Python, such as Pydantic's, without one.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        signal.setitimer(signal.ITIMER_REAL, _INSISTENCE)
+        # What is done because of the first must come to its end.
+        error = sys.exception()
+        while error is not None:
+            if isinstance(error, KeyboardInterrupt):
+                return
+            error = error.__context__
+        raise KeyboardInterrupt
+
+    def report(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            others(unraisable)
+
+    others, sys.unraisablehook = sys.unraisablehook, report
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = others
 
 
-def _at_least(option: str, value: int | None, least: int) -> None:
-    if value is not None and value < least:
-        raise ValueError(f"{option} is {value}; expected a whole number at least {least}, or nothing: leave it out")
+def _check_count(option: str, value: int | None, least: int, most: int | None = None) -> None:
+    if value is not None and (value < least or (most is not None and value > most)):
+        limits = f"at least {least}" + ("" if most is None else f" and at most {most}")
+        raise ValueError(f"{option} is {value}; expected a whole number {limits}, or nothing: leave it out")
+
+
+@contextlib.contextmanager
+def _checking() -> Iterator[Callable[[int, int], None]]:
+    """A bar for the runs of a sweep that have been checked. It shows only if they are many, and somebody watches."""
+    console = _console()
+    bar = Progress(
+        TextColumn("checking runs"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    task = bar.add_task("")
+
+    def progress(done: int, total: int) -> None:
+        if done % _RUNS_A_MOMENT == 0:
+            bar.start()
+            bar.update(task, completed=done, total=total)
+
+    try:
+        yield progress
+    finally:
+        bar.stop()
 
 
 def _keep_compiled_programs() -> None:
     """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner."""
     import jax
 
-    from . import io
+    from .io import FileError, cache_folder, check_writable
 
-    with contextlib.suppress(OSError, RuntimeError, io.FileError):
-        folder = io.cache_folder() / "xla"
-        io.check_writable(folder)
+    with contextlib.suppress(OSError, RuntimeError, FileError):
+        folder = cache_folder() / "xla"
+        check_writable(folder)
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
@@ -284,10 +366,26 @@ def _sentence(error: CycloptsError) -> str:
     return " ".join(str(error).split()).rstrip(".")
 
 
-def _tell(console: Console, message: str) -> None:
+def _tell(console: Console, messages: Iterable[str]) -> None:
+    """Prints an error, whose `messages` have a line each."""
     # Without wrapping, so that FILE:LINE stays in one piece for editors and for grep.
-    console.print(Text.assemble(("error: ", "bold red"), message), soft_wrap=True)
+    lines = "\n".join(map(printable, messages))
+    console.print(Text.assemble(("error: ", "bold red"), lines), soft_wrap=True)
+
+
+def _print_path(path: Path) -> None:
+    _console().print(Text(printable(str(path))), soft_wrap=True)
+
+
+class _Console(Console):
+    """A console that writes characters which are not printable as Python escapes them, wherever text comes from."""
+
+    def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:
+        """As rich's, with the text of every segment printable."""
+        for segment in super().render(*args, **kwargs):
+            plain = "\n".join(map(printable, segment.text.split("\n")))
+            yield segment if segment.control else segment._replace(text=plain)
 
 
 def _console() -> Console:
-    return Console(highlight=False)
+    return _Console(highlight=False)

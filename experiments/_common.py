@@ -83,7 +83,7 @@ def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> C
             said = f"has no {name}; expected it among what is fitted: add '{name}: {{lower: 0, upper: 10}}'"
             raise mistake(settings, "fit.parameters", said)
     try:
-        io.check_writable(Path(settings.output).expanduser())
+        io.check_writable(settings.output_folder)
     except io.FileError as error:
         raise mistake(settings, "output", str(error)) from error
     return settings
@@ -272,7 +272,7 @@ def write(
     otherwise than the experiment. Nothing is written before all is made.
     """
     ending = "" if settings.name == experiment else f"-{experiment}"
-    folder = Path(settings.output).expanduser() / f"{settings.name}{ending}"
+    folder = settings.output_folder / f"{settings.name}{ending}"
     picture, table = text_io.BytesIO(), text_io.StringIO(newline="")
     made.savefig(picture, format="png", dpi=_DPI, metadata={"Software": "diffshadow"}, pil_kwargs={"optimize": True})
     writer = csv.DictWriter(table, list(rows[0]), lineterminator="\n")

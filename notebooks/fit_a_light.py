@@ -57,8 +57,8 @@ for phase in result.phases:
     print(f"level {phase.level}: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} at full resolution")
 
 # %% [markdown]
-# The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. It takes pixels for
-# independent, which neighbours on an outline are only roughly.
+# The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. Neighbours on an
+# outline are correlated, and it counts that; `experiments/coverage.py` measures how often the truth lies within it.
 
 # %%
 problem, where = result.problems[0], [p.where for p in plan.parameters]

@@ -100,6 +100,65 @@ def test_wrong_arguments_are_told_on_one_line(arguments, said, runner, capsys):
     assert runner == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["report", ".", "--dpi", "0"], "--dpi is 0; expected a whole number at least 10 and at most 2400"),
+        (["report", ".", "--dpi=-1"], "--dpi is -1; expected a whole number at least 10"),
+        (["report", ".", "--dpi", "1000000000"], "--dpi is 1000000000; expected a whole number at least 10"),
+        (["report", ".", "--dpi", "fine"], "--dpi"),
+        (["report", ".", "--figures", "bmp"], "--figures"),
+        (["compare", ".", "..", "--output", "."], "--output is ., a folder; expected the path of a page; name a file"),
+        (["sweep", QUICKSTART, "--workers", "1000000"], "--workers is 1000000; expected a whole number at least 0"),
+        (["sweep", QUICKSTART, "--limit", "0"], "--limit is 0; expected a whole number at least 1"),
+    ],
+)
+def test_options_beyond_their_limits_are_told_by_name(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "\x1b[1m.yaml"],
+        ["fit", "two\nlines.yaml"],
+        ["fit", "\udcff.yaml"],
+        ["fit", QUICKSTART, "\x1b[1m"],
+        ["fit", QUICKSTART, "name=\u202eexe"],
+        ["fit", QUICKSTART, "bias.\x1b[1m=3"],
+        ["\x1b[1m"],
+        ["report", "\x1b]0;x\x07"],
+        ["compare", "\x1b[1m", "\udcff"],
+    ],
+)
+def test_what_a_terminal_would_obey_is_printed_as_escapes(arguments, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.isprintable()
+    assert "\\" in line
+
+
+def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(diffshadow.study, "check", lambda config, *, console: 12)
+    (tmp_path / "\x1b[1m\n").mkdir()
+    file = tmp_path / "\x1b[1m\n" / "\x85\udcff.yaml"
+    file.write_text("scene: {meshes: [path: a.obj]}\n")
+    (file.parent / "a.obj").touch()
+    assert run("validate", file, "name=x") == 0
+    out = capsys.readouterr().out
+    assert out.replace("\n", "").isprintable()
+    assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles" in out.splitlines()[-1]
+
+
 def test_interrupt_exits_with_130(monkeypatch, capsys):
     def interrupted(config, *, console):
         raise KeyboardInterrupt

@@ -107,8 +107,12 @@ scene:
     with pytest.raises(ConfigError) as caught:
         build(text=text)
     first, second = (str(problem) for problem in caught.value.problems)
-    assert first.startswith("configuration:3: scene.meshes.0: box has no option 'sise'")
-    assert second.startswith("configuration:5: scene.meshes.1: plane: size is -3")
+    assert first == (
+        "configuration:4: scene.meshes.0.options.sise: is no option of box; expected size; did you mean 'size'?"
+    )
+    assert second == (
+        "configuration:6: scene.meshes.1.options.size: is -3; expected world units from 1e-06 to 1e+09; change it"
+    )
 
 
 @pytest.mark.parametrize(
@@ -124,6 +128,28 @@ def test_poses_that_cannot_be_are_told_with_their_key(override, said):
     with pytest.raises(ConfigError) as caught:
         build(override)
     assert str(caught.value).startswith(f"override {override!r}: {said}")
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        ("{path: builtin:box, scale: 1e12}", "scene.meshes.0: reaches 1e+12 world units from the origin"),
+        ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches inf world units from the origin"),
+        ("{path: builtin:torus, options: {name: 3}}", "scene.meshes.0.options.name: is no option of torus"),
+        ("{path: builtin:torus, options: {segments: 4294967296}}", "scene.meshes.0.options.segments: is 4294967296"),
+    ],
+)
+def test_mesh_beyond_single_precision_or_memory_is_told_with_its_key(mesh, said, tmp_path):
+    (tmp_path / "big.obj").write_text("v 1e30 0 0\nv 0 0 0\nv 0 1e30 0\nf 1 2 3\n")
+    with pytest.raises(ConfigError) as caught:
+        build_scene(parse_config(f"scene: {{meshes: [{mesh}]}}", folder=tmp_path, source="file.yaml"))
+    assert str(caught.value).startswith(f"file.yaml:1: {said}")
+
+
+def test_scene_of_too_many_triangles_is_told(monkeypatch):
+    monkeypatch.setattr("diffshadow.config._build._MOST_TRIANGLES", 20)
+    with pytest.raises(ConfigError, match=r"scene\.meshes\.1: brings the scene to 24 triangles; expected at most 20"):
+        build(text="scene: {meshes: [{path: builtin:box}, {path: builtin:box}, {path: builtin:box}]}")
 
 
 def test_damaged_mesh_file_is_told_with_line_and_key(tmp_path):
@@ -166,6 +192,29 @@ def test_box_filter_has_room_for_the_radii_of_its_fit():
     )
     assert build_technique(config).filter.max_radius == 7
     assert build_technique(config, fitting=False).filter.max_radius == 2
+
+
+def test_render_takes_no_number_from_the_section_fit():
+    text = f"{TINY}fit: {{parameters: {{bias.slope_most: {{initial: 3, lower: 0, upper: 5}}}}}}\n"
+    config = parse_config(text)
+    assert float(build_technique(config).bias.slope.most) == 3
+    assert build_technique(config, fitting=False).bias.slope.most is None
+    without = parse_config(text.replace("initial: 3, ", ""))
+    assert build_technique(without, fitting=False).bias.slope.most is None
+    with pytest.raises(ConfigError, match="has no value to start from"):
+        build_fit(without)
+
+
+@pytest.mark.parametrize("initial", ["", "initial: 5, "])
+def test_truth_that_no_fit_can_find_is_told(initial):
+    parameter = f"scene.meshes.0.translate.x: {{{initial}lower: 4, upper: 9}}"
+    config = parse_config(f"{TINY}fit: {{parameters: {{{parameter}}}}}\n", source="file.yaml")
+    with pytest.raises(ConfigError) as caught:
+        build_fit(config)
+    assert str(caught.value).startswith(
+        "file.yaml:2: fit.parameters.scene.meshes.0.translate.x: is 0 in the scene, from which the reference is traced"
+        "; expected a truth that a fit can find, from lower = 4 to upper = 9; widen the bounds"
+    )
 
 
 def test_fit_plan_is_what_the_config_says():

@@ -189,6 +189,20 @@ def test_light_is_recovered_from_its_shadow():
     assert row["median"] < 4 * row["deviation"] < 8
 
 
+@pytest.mark.exhaustive
+def test_truth_lies_within_the_deviations_that_fits_report():
+    camera = "scene.camera={resolution: [48, 48], eye: [0.6, 2.9, 2.4], target: [0.2, 0.1, -0.1], fov_y: 42}"
+    bias = "bias={constant: 0.5, plane: {type: receiver_plane, deepening: 0.5}}"
+    hard = "scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}", "fit.levels=[1]"
+    found = run("coverage", camera, bias, *hard, lights="directional", meshes="builtin:blob", draws=16)
+    covered = found["covered"]["directional"]
+    assert (covered["fits"], covered["values"] + covered["without"]) == (16, 32)
+    # Four of a binomial's standard deviations below 68 % and 95 % of 32.
+    assert covered["one"] >= 0.35
+    assert covered["two"] >= 0.79
+    assert len({row["error"] for row in found["rows"]}) == 32, "every draw is another"
+
+
 def test_gallery_shows_each_technique(monkeypatch):
     gallery = importlib.import_module("gallery")
     (name, rows), *_ = gallery.SECTIONS.items()

@@ -20,7 +20,7 @@ from diffshadow.shadow import (
     SoftCompare,
     stratified,
 )
-from diffshadow.shadow.filters._pcf import _covered, _lower_edge
+from diffshadow.shadow.filters._pcf import _covered, _lower_edge, _width
 from diffshadow.shadow.patterns import EARLY_SAMPLES
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
@@ -79,8 +79,8 @@ def test_weights_of_the_box_sum_to_one(radius, rng):
     radius = jnp.float32(max(radius, 1e-3))
     position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
     first, edge = _lower_edge(position, radius)
-    shares = [_covered(edge, radius, i).weight / (2 * radius) for i in range(7)]
-    np.testing.assert_allclose(sum(shares), 1, atol=3e-5)
+    fractions = [_covered(edge, radius, i).weight / _width(edge, radius) for i in range(7)]
+    np.testing.assert_allclose(sum(fractions), 1, atol=3e-7)
     # The box lies round the position: its lower edge is a radius below.
     own = jnp.floor(position)
     below = ((first - own) + edge)[:, :-1]

@@ -30,7 +30,9 @@ from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
 from diffshadow.fit._parameters import bounds_of
 from diffshadow.fit._poses import Room
 from diffshadow.fit._precision import precision_of
+from diffshadow.fit._programs import compiled
 from diffshadow.fit._settings import levels_of
+from diffshadow.fit._solve import _Path
 from diffshadow.fit._starts import starts_within
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, PointLight, SpotLight, merge
 from diffshadow.raster import draw_surface
@@ -199,33 +201,93 @@ def test_starts_are_the_first_and_an_even_spread():
         starts_within(bounds, first, 0, seed=0)
 
 
+def _regressions(residuals, slopes, blur):
+    """Least squares of many residuals (n, h, w) under the blur."""
+    blurred = np.stack([_gaussian(image, blur) for image in slopes])
+    twice = np.stack([_gaussian(image, blur) for image in blurred])
+    square = np.einsum("phw,qhw->pq", blurred, blurred)
+    return np.einsum("nhw,phw->np", residuals, twice) @ np.linalg.inv(square)
+
+
+def _gaussian(image, deviation):
+    return gaussian_filter(image, deviation, mode="constant", truncate=4) if deviation else image
+
+
 def test_precision_is_the_scatter_of_repeated_regressions():
     rng = np.random.default_rng(1)
-    slopes = rng.normal(size=(400, 3)) @ np.array([[1, 0.8, 0], [0, 1, 0], [0, 0, 1]])
-    # The steeper the first column, the noisier: evenly spread noise would tell half of the truth.
-    noise, span = 0.3 * np.abs(slopes[:, 0]), np.array([2.0, 1.0, 10.0])
-    residuals = noise * rng.normal(size=(20_000, 400))
-    fits = residuals @ np.linalg.pinv(slopes).T
+    slopes = np.einsum("phw,pq->qhw", rng.normal(size=(3, 20, 20)), np.array([[1, 0.8, 0], [0, 1, 0], [0, 0, 1]]))
+    # The steeper the first image, the noisier: evenly spread noise would tell half of the truth.
+    noise, span = 0.3 * np.abs(slopes[0]), np.array([2.0, 1.0, 10.0])
+    residuals = noise * rng.normal(size=(20_000, 20, 20))
+    fits = _regressions(residuals, slopes, 0)
+    left = residuals[:400] - np.einsum("np,phw->nhw", fits[:400], slopes)
+    told = [precision_of("abc", [each], [slopes], [0.0], span) for each in left]
+    deviations = np.array([list(each.deviations.values()) for each in told])
+    np.testing.assert_allclose(np.sqrt(np.mean(deviations**2, axis=0)), fits.std(axis=0) * span, rtol=0.04)
+    np.testing.assert_allclose(np.mean([each.correlations for each in told], axis=0), np.corrcoef(fits.T), atol=0.04)
+    assert told[0].undetermined == []
+    # From one of them, as well as 400 pixels can tell.
+    np.testing.assert_allclose(deviations[0], fits.std(axis=0) * span, rtol=0.2)
+    # Two images of the same kind tell twice as much.
+    both = precision_of("abc", [left[0], left[0]], [slopes, slopes], [0.0, 0.0], span)
+    np.testing.assert_allclose(list(both.deviations.values()), deviations[0] / 2**0.5)
 
-    def told(residual):
-        scatter = (slopes * residual[:, None] ** 2).T @ slopes
-        return precision_of("abc", np.linalg.qr(slopes, mode="r"), scatter, span)
 
-    found = told(noise)
-    np.testing.assert_allclose(list(found.deviations.values()), fits.std(axis=0) * span, rtol=0.03)
-    np.testing.assert_allclose(found.correlations, np.corrcoef(fits.T), atol=0.03)
-    assert found.undetermined == []
-    # From the residuals of one regression, as well as 400 of them can tell.
-    np.testing.assert_allclose(list(told(residuals[0]).deviations.values()), fits.std(axis=0) * span, rtol=0.2)
+def test_precision_counts_the_step_that_a_fit_has_left():
+    rng = np.random.default_rng(3)
+    slopes, left = rng.normal(size=(2, 20, 20)), np.array([0.3, -0.2])
+    residual = 1e-6 * rng.normal(size=(20, 20)) + np.einsum("p,phw->hw", left, slopes)
+    told = precision_of("ab", [residual], [slopes], [0.0], np.ones(2))
+    assert min(told.deviations["a"] / 0.3, told.deviations["b"] / 0.2) > 1
+
+
+def test_precision_covers_the_truth_where_neighbouring_residuals_are_correlated(monkeypatch):
+    """Errors are those of blocks of 2 x 2 pixels, as a texel's are, along an outline that is a band of the image."""
+    rng = np.random.default_rng(2)
+    across, along = np.meshgrid(np.linspace(-1, 1, 60), np.linspace(-1, 1, 120))
+    band = np.exp(-((across / 0.1) ** 2))
+    slopes = np.stack([band, band * along])
+    residuals = band * rng.normal(size=(300, 60, 30)).repeat(2, axis=1).repeat(2, axis=2)
+    fits = _regressions(residuals, slopes, 3.0)
+    left = residuals - np.einsum("np,phw->nhw", fits, slopes)
+
+    def covered(deviations):
+        told = [precision_of("ab", [each], [slopes], [3.0], np.ones(2)).deviations.values() for each in left]
+        return np.mean(np.abs(fits) < deviations * np.array([list(each) for each in told]))
+
+    # The share has a binomial's standard deviation of 0.02 for one of them, and 0.01 for two.
+    assert 0.58 < covered(1) < 0.74
+    assert 0.90 < covered(2) < 0.98
+    # Taken for independent, pixels promise too much.
+    monkeypatch.setattr("diffshadow.fit._precision._CORRELATED", 0)
+    assert covered(1) < 0.45
+    assert covered(2) < 0.75
 
 
 def test_what_an_image_cannot_tell_apart_is_named():
-    a, b = np.random.default_rng(1).normal(size=(2, 400))
+    a, b = np.random.default_rng(1).normal(size=(2, 20, 20))
     # b and c do the same, a is by itself, d does nothing.
-    columns = np.stack([a, b, b, 0 * a], axis=1)
-    told = precision_of("abcd", np.linalg.qr(columns, mode="r"), 1e-4 * columns.T @ columns, np.ones(4))
+    slopes = np.stack([a, b, b, 0 * a])
+    told = precision_of("abcd", [np.full((20, 20), 0.01)], [slopes], [0.0], np.ones(4))
     assert told.names == ("a", "b", "c")
     assert told.undetermined == [("b", "c")]
+
+
+def test_of_losses_within_the_noise_the_last_phase_is_chosen():
+    path = lambda *losses: _Path([], [], list(losses), [], [])
+    # Where pixels jump, a start may have a lower loss than the place that the slopes lead to.
+    assert path(1.0, 1.2).chosen(0.25) == 1
+    assert path(1.0, 1.2, 1.3).chosen(0.25) == 1
+    assert path(1.0, 1.2).chosen(0.0) == 0
+
+
+def test_fits_of_other_numbers_share_a_program():
+    scaled = eqx.filter_jit(lambda x, by: x * by)
+    one = compiled(scaled, (jnp.ones(3), 2.0))
+    assert compiled(scaled, (jnp.zeros(3), 2.0)) is one
+    np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
+    assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
+    assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
 
 
 def test_adam_finds_the_bottom_of_a_valley():
@@ -349,6 +411,9 @@ def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypat
     ]
     result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
     assert result.enlargements >= 1
+    # What overflowed is not remembered as a step.
+    phase_zero = [step.step for step in result.history]
+    assert phase_zero == list(range(len(phase_zero)))
     # Nothing shows which way a light without a cone shines.
     assert result.flat == [AZIMUTH]
     assert result.fitted[paths[0]] == pytest.approx(truth[0], abs=0.02)

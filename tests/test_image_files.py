@@ -1,7 +1,10 @@
 """Images, whole-or-nothing writes and the cache on disk."""
 
 import os
+import struct
+import tracemalloc
 import warnings
+import zlib
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -121,9 +124,72 @@ def test_truncated_images_are_refused(suffix, tmp_path, capfd):
     path = tmp_path / f"a{suffix}"
     write_visibility(path, np.random.default_rng(0).uniform(size=(64, 64)))
     whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(FileError, match="is damaged"):
+    for size in (9, len(whole) // 2, len(whole) - 99):
+        path.write_bytes(whole[:size])
+        with pytest.raises(FileError, match="is damaged") as caught:
+            read_visibility(path)
+        assert "\n" not in str(caught.value)
+    # OpenEXR writes what it finds to the terminal if nobody keeps it from that.
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_files_of_another_kind_than_their_suffix_says_are_named_for_what_they_are(suffix, tmp_path, capfd):
+    path = tmp_path / f"a{suffix}"
+    levels = np.rint(RAMP * 255).astype(np.uint8)
+    for kind in [".jpg", ".gif", ".bmp", ".tif", ".webp", *SUFFIXES]:
+        if kind == suffix:
+            continue
+        if kind in SUFFIXES:
+            write_visibility(tmp_path / f"b{kind}", RAMP)
+        else:
+            (tmp_path / f"b{kind}").write_bytes(iio.imwrite("<bytes>", levels, extension=kind, plugin="pillow"))
+        path.write_bytes((tmp_path / f"b{kind}").read_bytes())
+        with pytest.raises(FileError, match=rf"its suffix says \(it is a {kind} file\); write it again$"):
+            read_visibility(path)
+    path.write_text("words\n" * 20)
+    with pytest.raises(FileError, match=rf"\(it does not begin as a {suffix} file\); write it again$"):
         read_visibility(path)
+    path.write_bytes(b"")
+    with pytest.raises(FileError, match=r"\(it is empty\); write it again$"):
+        read_visibility(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def _with_png_size(whole, rows, columns):
+    header = b"IHDR" + struct.pack(">II", columns, rows) + whole[24:29]
+    return whole[:12] + header + struct.pack(">I", zlib.crc32(header)) + whole[33:]
+
+
+def _with_exr_size(whole, rows, columns):
+    place = whole.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    return whole[:place] + struct.pack("<4i", 0, 0, columns - 1, rows - 1) + whole[place + 16 :]
+
+
+def _with_npy_size(whole, rows, columns):
+    old, new = b"(3, 4), }", f"({rows}, {columns}), }}".encode()
+    return whole.replace(old + b" " * (len(new) - len(old)), new)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "change", "message"),
+    [
+        (".png", _with_png_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in all"),
+        (".exr", _with_exr_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in all"),
+        (".npy", _with_npy_size, r"has 48 bytes of numbers; expected the 28800000000 of its shape \(90000, 80000\)"),
+    ],
+)
+def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken(suffix, change, message, tmp_path, capfd):
+    path = tmp_path / f"a{suffix}"
+    write_visibility(path, RAMP)
+    path.write_bytes(change(path.read_bytes(), 90000, 80000))
+    tracemalloc.start()
+    with pytest.raises(FileError, match=message):
+        read_visibility(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1e7
+    assert capfd.readouterr() == ("", "")
 
 
 def test_unknown_suffixes_are_refused(tmp_path):
@@ -161,6 +227,12 @@ def test_values_outside_the_unit_range_are_refused(value, message, tmp_path):
     assert not (tmp_path / "b.png").exists()
 
 
+def test_numbers_beyond_single_precision_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.full((2, 2), 1e300))
+    with pytest.raises(FileError, match="has 4 pixels that are NaN or infinite"):
+        read_visibility(tmp_path / "a.npy")
+
+
 def test_rounding_outside_the_unit_range_is_put_back(tmp_path):
     write_visibility(tmp_path / "a.npy", RAMP * np.float32(1.000001) - np.float32(5e-7))
     read = read_visibility(tmp_path / "a.npy")
@@ -173,7 +245,7 @@ def test_arrays_of_objects_and_words_are_refused(tmp_path):
     with pytest.raises(FileError, match="expected real numbers"):
         read_visibility(tmp_path / "words.npy")
     np.save(tmp_path / "objects.npy", np.array([[None]]), allow_pickle=True)
-    with pytest.raises(FileError, match="is damaged"):
+    with pytest.raises(FileError, match="expected real numbers"):
         read_visibility(tmp_path / "objects.npy")
 
 

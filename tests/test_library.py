@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import tracemalloc
 
 import jax.numpy as jnp
 import numpy as np
@@ -168,25 +169,30 @@ def test_blob_depends_on_its_seed_and_not_on_its_resolution():
 def test_library_names_the_nearest_piece_and_option():
     with pytest.raises(ValueError, match=r"no mesh called 'torusknot'.*did you mean 'torus_knot'.*plane"):
         library_mesh("torusknot")
-    with pytest.raises(ValueError, match=r"sphere has no option 'raduis' \(did you mean 'radius'\?\)"):
+    with pytest.raises(ValueError, match=r"raduis is no option of sphere; .*; did you mean 'radius'\?"):
         library_mesh("sphere", raduis=1.0)
 
 
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("plane", {"size": -1.0}, "size is -1.0; expected a positive"),
+        ("plane", {"size": -1.0}, "size is -1.0; expected world units from 1e-06 to 1e\\+09"),
         ("plane", {"size": math.nan}, "size is nan"),
-        ("plane", {"segments": 0}, "segments is 0; expected 1 or more"),
+        ("plane", {"segments": 0}, "segments is 0; expected a whole number from 1 to 1024"),
         ("plane", {"segments": 1.5}, "segments is 1.5; expected a whole number"),
         ("box", {"size": (1.0, 2.0)}, "expected one number, or three"),
-        ("box", {"size": (1.0, 0.0, 2.0)}, "size along y is 0.0"),
+        ("box", {"size": (1.0, 0.0, 2.0)}, "size is 0.0"),
         ("box", {"size": "big"}, "size is 'big'; expected a number or three"),
         ("sphere", {"radius": "1"}, "radius is '1'; expected a number"),
         ("sphere", {"subdivisions": 12}, "subdivisions is 12"),
         ("low_poly_sphere", {"smooth": 1}, "smooth is 1; expected true or false"),
         ("torus", {"tube": 0.5}, "make the tube thinner"),
-        ("torus_knot", {"p": 2, "q": 4}, "common divisor"),
+        ("torus", {"segments": 2**32}, "segments is 4294967296; expected a whole number from 3"),
+        ("torus_knot", {"segments": 2048, "sides": 1024}, "makes 4,194,304 triangles; expected at most 2,097,152"),
+        ("torus_knot", {"p": 2, "q": 4}, "divisor in common"),
+        ("torus_knot", {"p": 10**30}, "p is 1"),
+        ("fence", {"slats": 10**9}, "slats is 1000000000; expected a whole number from 1 to 10000"),
+        ("blob", {"seed": -1}, "seed is -1"),
         ("fence", {"slats": 100}, "leave no gaps"),
         ("blob", {"amplitude": 1.0}, "amplitude is 1.0"),
     ],
@@ -227,6 +233,19 @@ def test_weld_keeps_apart_what_the_tolerance_keeps_apart():
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     assert len(weld(vertices, faces, 1e-5)[0]) == 6
     assert len(weld(vertices, faces, 1e-3)[0]) == 4
+
+
+def test_weld_of_a_part_far_below_the_tolerance_takes_no_memory_for_its_pairs():
+    grain = np.random.default_rng(0).uniform(size=(6000, 3))
+    vertices = np.concatenate([grain, [[1e8, 0, 0], [1e8, 1e8, 0], [1e8, 0, 1e8]]])
+    tracemalloc.start()
+    points, faces = weld(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(points, vertices[-3:])
+    np.testing.assert_array_equal(faces, [[0, 1, 2]])
+    # There are 18 million pairs.
+    assert most < 20e6
 
 
 def test_weld_drops_collapsed_faces_and_unused_vertices_and_keeps_the_order():

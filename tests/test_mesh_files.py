@@ -1,6 +1,7 @@
 """Meshes from files: formats, scenes, and the message for each thing that can be wrong."""
 
 import json
+import os
 import struct
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 import trimesh
 
 from diffshadow.geometry import face_normals, library_mesh
-from diffshadow.io import FileError, load_mesh
+from diffshadow.io import FileError, MeshWarning, load_mesh
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "meshes"
 
@@ -92,11 +93,13 @@ def test_objects_of_a_scene_stand_where_their_nodes_put_them(tmp_path):
     assert volume(mesh) == pytest.approx(8 + 1)
 
 
-def test_points_beside_triangles_are_left_aside(tmp_path):
+def test_points_beside_triangles_are_left_out_with_a_warning(tmp_path):
     scene = trimesh.Scene([as_trimesh(library_mesh("box")), trimesh.PointCloud(np.full((4, 3), 9.0))])
     path = tmp_path / "mixed.glb"
     path.write_bytes(scene.export(file_type="glb"))
-    np.testing.assert_allclose(load_mesh(path).bounds, [[-0.5, 0, -0.5], [0.5, 1, 0.5]], atol=1e-6)
+    with pytest.warns(MeshWarning, match=r"mixed\.glb is loaded without its 4 points$"):
+        mesh = load_mesh(path)
+    np.testing.assert_allclose(mesh.bounds, [[-0.5, 0, -0.5], [0.5, 1, 0.5]], atol=1e-6)
 
 
 def test_a_small_mesh_far_from_the_origin_keeps_its_vertices_apart(tmp_path):
@@ -125,7 +128,13 @@ def test_a_folder_is_no_mesh(tmp_path):
         load_mesh(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["mesh.txt", "mesh.png", "mesh"])
+def test_a_pipe_is_refused_before_it_is_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.obj")
+    with pytest.raises(FileError, match=r"pipe\.obj is a device or a pipe; expected a mesh file"):
+        load_mesh(tmp_path / "pipe.obj")
+
+
+@pytest.mark.parametrize("name", ["mesh.txt", "mesh.png", "mesh", "mesh.dae", "mesh.xyz"])
 def test_unknown_suffixes_are_refused_with_the_known_ones(name, tmp_path):
     with pytest.raises(FileError, match=r"its suffix is .*expected one of .*\.glb.*\.obj.*\.ply.*\.stl"):
         load_mesh(write(tmp_path / name, TRIANGLE))
@@ -170,7 +179,6 @@ POINTS_PLY = (
         ("empty.stl", "", "no triangles|is damaged"),
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "2 points but no triangles"),
         ("points.ply", POINTS_PLY, "2 points but no triangles"),
-        ("points.xyz", "0 0 0\n1 1 1\n", "2 points but no triangles"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nf 1 2 2\n", "every triangle of .*two corners in one place"),
         ("none.gltf", json.dumps({"asset": {"version": "2.0"}}), "no triangles"),
     ],

@@ -288,6 +288,11 @@ def test_a_capacity_that_is_too_small_is_named(name, corners, w):
     with pytest.raises(Exception, match="capacity") as caught:
         rasterize(clip, faces, (64, 64), capacity=Capacity()).face.block_until_ready()
     assert f"capacity.{name} of 0 is too small" in str(caught.value)
+    # A caller that reads it as data gets no error, and knows.
+    overflows = []
+    rasterize(clip, faces, (64, 64), capacity=Capacity(), overflows=overflows)
+    rasterize(clip, faces, (64, 64), capacity=needed, overflows=overflows)
+    assert list(map(bool, overflows)) == [True, False]
     assert "plan(" in str(caught.value)
 
 

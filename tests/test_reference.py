@@ -27,6 +27,7 @@ from diffshadow.reference import (
     Reference,
     cache_key,
     concentric_disk,
+    hides_light,
     reference_from_image,
     trace_visibility,
     trace_visibility_exact,
@@ -607,3 +608,43 @@ def test_cache_key_changes_with_all_that_matters_and_with_nothing_else():
     assert same_key(key, lit_by(narrow))
     hard = small_scene("pinhole", "spot", pixels=8)
     assert same_key(cache_key(hard, 16, "sobol", 0), cache_key(hard, 64, "stratified", 7))
+
+
+# What matters to a picture's shadows
+
+
+def half_of(scene, number):
+    """The faces of one of a scene's parts, which have two triangles each."""
+    return np.arange(scene.mesh.faces.shape[0]) // 2 == number
+
+
+@pytest.mark.parametrize(
+    ("card", "hides"),
+    [
+        (quad((0, 1.5, 0), (0.3, 0, 0), (0, 0, -0.3)), True),
+        # Beside what the camera sees, as is its shadow; beneath the floor; and as small as a wrong unit makes it.
+        (quad((5, 1.5, 0), (0.3, 0, 0), (0, 0, -0.3)), False),
+        (quad((0, -1.0, 0), (0.3, 0, 0), (0, 0, -0.3)), False),
+        (quad((0, 1.5, 0), (1e-6, 0, 0), (0, 0, -1e-6)), False),
+    ],
+)
+@pytest.mark.parametrize("light", ["sun", "lamp", "large lamp"])
+def test_a_part_hides_light_if_its_shadow_is_seen(card, hides, light):
+    camera = OrthographicCamera((0, 1, 0), (0, 0, 0), (0, 0, -1), height=2.0, near=0.1, far=2.0, resolution=(32, 32))
+    lights = {
+        "sun": DirectionalLight((0, -1, 0), (0, 1, 0), (9, 9), -3, 3),
+        "lamp": PointLight((0, 4.0, 0), 0.1, 20.0),
+        "large lamp": PointLight((0, 4.0, 0), 0.1, 20.0, radius=0.2),
+    }
+    scene = Scene(merge([floor(half=1.0), card]), camera, lights[light])
+    assert hides_light(scene, half_of(scene, 1)) == hides
+
+
+def test_a_part_hides_light_behind_another_part_and_of_any_of_several_lights():
+    camera = OrthographicCamera((0, 1, 0), (0, 0, 0), (0, 0, -1), height=2.0, near=0.1, far=2.0, resolution=(16, 16))
+    over, under = (quad((0, y, 0), (0.5, 0, 0), (0, 0, -0.5)) for y in (2.0, 1.5))
+    away, down = (DirectionalLight(d, (0, 1, 0), (9, 9), -3, 3) for d in ((0, 1, 0), (0, -1, 0)))
+    scene = Scene(merge([floor(half=1.0), over, under]), camera, [away, down])
+    assert hides_light(scene, half_of(scene, 1))
+    assert hides_light(scene, half_of(scene, 2))
+    assert not hides_light(scene.lit_by(0), half_of(scene, 2))

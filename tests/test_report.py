@@ -19,7 +19,7 @@ from diffshadow import metrics, study
 from diffshadow.cli import main
 from diffshadow.config import dump_resolved, parse_config
 
-SCENE = "scene: {meshes: [{path: 'builtin:torus'}, {path: 'builtin:plane'}]}"
+SCENE = "scene: {meshes: [{path: 'builtin:torus'}, {path: 'builtin:plane'}], camera: {resolution: [24, 32]}, LIGHT}"
 FIT = "{parameters: {bias.constant: {lower: 0, upper: 10}, filter.radius: {lower: 0, upper: 8}}}"
 STEPS = 12
 
@@ -31,7 +31,8 @@ def errors(image: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, 
 def write_fit(folder: Path, name: str = "tiny", *, lights: int = 1, shift: int = 1, settings: str = "") -> Path:
     """A fit's folder, made without a fit: a square shadow, `shift` pixels off before and less after."""
     folder.mkdir(parents=True)
-    config = parse_config(f"name: {name}\nfit: {FIT}\n{SCENE}\n{settings}\n", source="tiny.yaml", folder=folder)
+    scene = SCENE.replace("LIGHT", "light: {}" if lights == 1 else f"lights: [{', '.join(['{}'] * lights)}]")
+    config = parse_config(f"name: {name}\nfit: {FIT}\n{scene}\n{settings}\n", source="tiny.yaml", folder=folder)
     (folder / "config.yaml").write_text(dump_resolved(config))
     truth, mask = np.ones((24, 32), np.float32), np.ones((24, 32), bool)
     truth[8:16, 10:22] = 0
@@ -65,7 +66,13 @@ def write_fit(folder: Path, name: str = "tiny", *, lights: int = 1, shift: int =
         "initial": {"bias.constant": 0.1, "filter.radius": 1.0},
         "fitted": ends[1],
         "bounds": {key: {"lower": low, "upper": high, "unit": "texels"} for key, (low, high) in bounds.items()},
-        "metrics": {"compare": "hard", **measured, "reference_noise_floor": 0.0123, "pixels": 640, "lights": each},
+        "metrics": {
+            "compare": "hard",
+            **measured,
+            "reference_noise_floor": 0.0123,
+            "pixels": 640 * lights,
+            "lights": each,
+        },
         "solver": {"name": "dogleg", "steps": 12, "chosen_phase": 1, "phases": phases},
         "seconds": {"fitting": 1.5},
         "versions": {"jax": "0.0"},
@@ -296,13 +303,21 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (damage("result.json", None), "tiny holds no run: it has no result.json"),
         (damage("result.json", '{"kind": "f'), "result.json is damaged"),
         (damage("result.json", '{"status": "ok"}'), "result.json is of no fit, render or sweep"),
-        (damage("result.json", '{"kind": "fit"}'), "is damaged (KeyError: 'metrics')"),
         (
-            damage("result.json", '{"kind": "sweep", "settings": {}}'),
+            damage("result.json", '{"kind": "fit"}'),
+            "result.json is damaged: name is missing; expected what a run wrote",
+        ),
+        (damage("result.json", "[" * 100_000), "result.json is damaged (recursion limit exceeded"),
+        (
+            damage("result.json", '{"kind": "sweep", "name": "s", "settings": {"repeats": 2}}'),
             "only a part of a sweep: it has no results.parquet",
         ),
+        (
+            damage("result.json", '{"kind": "sweep", "name": "s", "settings": {}}'),
+            "settings: names nothing that changes",
+        ),
         (damage("arrays.npz", None), "holds only a part of a run: it has no arrays.npz"),
-        (damage("arrays.npz", b"PK\x03\x04 and no more"), "arrays.npz or result.json is damaged"),
+        (damage("arrays.npz", b"PK\x03\x04 and no more"), "arrays.npz is damaged (File is not a zip file)"),
         (damage("config.yaml", None), "holds only a part of a run: it has no config.yaml"),
         (damage("config.yaml", "sede: 1"), "sede: is no key"),
     ],

@@ -479,6 +479,9 @@ def test_too_little_room_is_told():
     mesh, light, edges, _ = _scene()
     with pytest.raises(Exception, match=r"silhouette capacity of 4 is too small.*plan_shadow_map"):
         draw_shadow_map(mesh, light, (48, 48), edges=edges, silhouette_capacity=4).silhouettes.slot.block_until_ready()
+    overflows = []
+    draw_shadow_map(mesh, light, (48, 48), edges=edges, silhouette_capacity=4, overflows=overflows)
+    assert list(map(bool, overflows)) == [False, False, True]
 
 
 @pytest.mark.parametrize("settings", [{"layer": "second"}, {"cull": "front"}])

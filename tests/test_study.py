@@ -83,9 +83,9 @@ def finished(tmp_path_factory):
         return folder / made, said, folder
 
 
-def leftovers(folder: Path) -> list[str]:
-    """Everything in `folder` but the configuration and the cache."""
-    return sorted(entry.name for entry in folder.iterdir() if entry.name not in ("tiny.yaml", "cache"))
+def leftovers(folder: Path, *inputs: str) -> list[str]:
+    """Everything in `folder` but the configuration, the cache and other `inputs`."""
+    return sorted(entry.name for entry in folder.iterdir() if entry.name not in ("tiny.yaml", "cache", *inputs))
 
 
 def result_of(folder: Path) -> dict:
@@ -240,19 +240,29 @@ def before_work(monkeypatch) -> None:
         monkeypatch.setattr(name, never)
 
 
-@pytest.mark.parametrize("command", ["fit", "render"])
+@pytest.mark.parametrize("command", ["fit", "render", "validate"])
 @pytest.mark.parametrize(
     ("override", "said"),
     [
         ("output=tiny.yaml/runs", "is in the way and is no folder"),
         ("scene.meshes.0={path: nowhere.obj}", "scene.meshes.0.path: there is no file"),
         ("reference={type: image, path: nowhere.png}", "reference.path: there is no file"),
+        ("reference={type: image, path: tiny.yaml}", "reference.path: the suffix of"),
+        ("reference={type: image, path: text.png}", "reference.path: the visibility file"),
+        ("reference={type: image, path: small.npy}", "reference.path: is an image of [8, 4] pixels"),
+        (f"name={'x' * 240}", "name: has 240 bytes; expected at most 200"),
+        (f"output={'/'.join(['x' * 99] * 40)}", "output: makes paths of files of"),
         ("scene.camera={eye: [0, 1, 9], target: [0, 9, 9]}", "camera"),
-        ("scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}", "light's frustum"),
+        (
+            "scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}",
+            "scene.light: and the camera see no surface together: of",
+        ),
     ],
 )
 def test_mistakes_are_told_before_any_work(command, override, said, monkeypatch, capsys, tmp_path):
     before_work(monkeypatch)
+    Path("text.png").write_text("no image")
+    np.save("small.npy", np.ones((8, 4), np.float32))
     with pytest.raises(SystemExit) as caught:
         main([command, "tiny.yaml", override])
     assert caught.value.code == 2
@@ -260,14 +270,18 @@ def test_mistakes_are_told_before_any_work(command, override, said, monkeypatch,
     assert out == ""
     assert said in err
     assert "Traceback" not in err
-    assert leftovers(tmp_path) == []
+    assert err.startswith(f"error: override {override!r}: ")
+    assert len(err.splitlines()) == 1
+    assert leftovers(tmp_path, "text.png", "small.npy") == []
 
 
-def test_reference_image_of_another_shape_is_refused(monkeypatch, tmp_path):
+def test_validate_begins_what_a_run_does_and_writes_nothing(monkeypatch, capsys, tmp_path):
     before_work(monkeypatch)
-    np.save("truth.npy", np.ones((32, 64), np.float32))
-    with pytest.raises(ConfigError, match=r"reference\.path: .*\(32, 64\)"):
-        run("reference={type: image, path: truth.npy}")
+    with pytest.raises(SystemExit) as caught:
+        main(["validate", "tiny.yaml"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.endswith("tiny.yaml is valid; its scene has 578 triangles\n")
+    assert leftovers(tmp_path) == []
 
 
 def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):

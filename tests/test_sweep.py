@@ -150,7 +150,7 @@ FAULTS = {
     ),
     "value that does not fit": (
         "\n  grid:\n    filter.radius: [1,\n      -2]",
-        "t.yaml:15: filter.radius: is -2; expected a number at least 0, in texels",
+        "t.yaml:15: filter.radius: is -2; expected a number at least 0 and at most 8192, in texels",
         "(first in the run with filter.radius = -2, seed = 0)",
     ),
     "lengths": (
@@ -280,6 +280,13 @@ def finished(tmp_path_factory):
         return sweep, folder, said
 
 
+def measured(config) -> dict[str, float | int]:
+    """What a render that takes no time has measured."""
+    errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
+    rmse = (config.filter.radius + config.seed) / 99
+    return {**errors, "rmse": rmse, "rmse_to_limit": 1.0, "reference_noise_floor": 0.0, "pixels": 99}
+
+
 @pytest.fixture
 def quick(finished, monkeypatch):
     """Counts the runs that are done, which take no time here: their ids as they come."""
@@ -289,7 +296,7 @@ def quick(finished, monkeypatch):
 
     def measure(config, batch, stages):
         done.append(next(run.id for run in batch.runs if run.config is config))
-        return {"rmse": config.filter.radius + config.seed / 7, "rmse_to_limit": 1.0}
+        return measured(config)
 
     monkeypatch.setitem(sweep_work._MEASURES, "render", measure)
     return done
@@ -446,7 +453,7 @@ def test_drafts_of_killed_runs_are_cleared_away(quick):
     (draft / "config.yaml").write_text("half")
     # Half of a result, as a disk that ran full leaves it, is none.
     (Path("runs/s-sweep/runs") / sweep.runs[0].id / "result.json").write_text('{"id": ')
-    assert [missing.id for missing in missing_runs(sweep, Path("runs/s-sweep"))] == [each.id for each in sweep.runs]
+    assert missing_runs(sweep, Path("runs/s-sweep")) == list(range(8))
     run(sweep)
     assert len(quick) == 9
     assert not draft.exists()
@@ -585,7 +592,9 @@ from diffshadow.study import _sweep_work as sweep_work
 
 def measure(config, batch, stages):
     time.sleep(0.03)
-    return {"rmse": config.filter.radius + config.seed / 7, "rmse_to_limit": 1.0}
+    errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
+    rmse = (config.filter.radius + config.seed) / 99
+    return {**errors, "rmse": rmse, "rmse_to_limit": 1.0, "reference_noise_floor": 0.0, "pixels": 99}
 
 sweep_work._MEASURES["render"] = measure
 if __name__ == "__main__":

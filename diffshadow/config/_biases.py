@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from ._section import Conflict, Fitted, Section, Texels, by_type, look, ordered
+from ._section import MOST_TEXELS, Conflict, Fitted, Section, Texels, by_type, look, ordered
 
 _TEXELS = 0.5
 """Default of the constant and the slope bias."""
@@ -22,7 +22,10 @@ class ReceiverPlaneConfig(Section):
 
     type: Literal["receiver_plane"] = "receiver_plane"
     fudge: Annotated[float, Fitted()] = Field(
-        default=0.0, ge=0, description="bias besides, in units of the receiver's slope along x plus that along y"
+        default=0.0,
+        ge=0,
+        le=MOST_TEXELS,
+        description="bias besides, in units of the receiver's slope along x plus that along y",
     )
     limit: Annotated[Texels | None, Fitted()] = Field(
         default=None, ge=0, description="the most that fudge may subtract, in texels; default: no limit"
@@ -87,9 +90,7 @@ class BiasConfig(Section):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        least, most = (data.get(key) for key in ("slope_least", "slope_most"))
-        if least is None or least != most:
-            yield from ordered(data, "slope_least", "slope_most")
+        yield from ordered(cls, data, "slope_least", "slope_most", equal=True)
 
     def units(self) -> Mapping[str, str]:
         if self.unit == "texels":

@@ -4,6 +4,7 @@ Only this file of the room, and those that it imports for the purpose, load JAX:
 at once.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -12,17 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .. import fit, geometry, shading, shadow
+from .. import fit, geometry, io, shading, shadow
 from ._build_scene import build_camera, build_light, build_mesh, stage_of
 from ._build_technique import build_bias, build_compare, build_filter
 from ._dump import fit_units
 from ._errors import ConfigError, KeyPath, Place, Problem, dotted
+from ._fit import FitParameterConfig
 from ._fitted import fit_paths
 from ._poses import is_pose, pose_of
-from ._schema import Config, FitParameterConfig
+from ._problems import problems_at
+from ._schema import Config
 from ._shading import ModulatedConfig
 from ._technique import ProjectiveTextureConfig, ShadowVolumesConfig
 
+# With normals, colours and indices, 120 bytes each.
+_MOST_TRIANGLES = 1 << 25
 # Of all lights together, where none is given.
 _INTENSITY = 0.7
 
@@ -54,6 +59,7 @@ class Casting(NamedTuple):
     - `receivers`: those that only receive, or none.
     - `casts`: (f,), which faces of the scene's mesh are the casters'.
     - `meshes`: those of the scene one by one, in the configuration's order.
+    - `remarks`: a sentence for each mesh file of which something was left out.
     """
 
     scene: geometry.Scene
@@ -61,6 +67,7 @@ class Casting(NamedTuple):
     receivers: geometry.Mesh | None
     casts: Bool[Array, " f"]
     meshes: tuple[geometry.Mesh, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -76,15 +83,8 @@ def build_casting(config: Config) -> Casting:
 
     **Raises** `ConfigError` as `build_scene`, and for an open mesh that casts where the map holds back faces only.
     """
-    meshes, problems = [], []
-    for i, mesh in enumerate(config.scene.meshes):
-        try:
-            with _blame(config, ("scene", "meshes", i)):
-                meshes.append(build_mesh(mesh))
-        except ConfigError as error:
-            problems += error.problems
-    if problems:
-        raise ConfigError(problems)
+    with _mesh_warnings() as remarks:
+        meshes = _meshes_of(config)
     whole = geometry.merge(meshes)
     casts = [mesh.casts for mesh in config.scene.meshes]
     _check_closed(config, meshes)
@@ -103,7 +103,47 @@ def build_casting(config: Config) -> Casting:
         geometry.merge(receivers) if receivers else None,
         jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
         tuple(meshes),
+        tuple(remarks),
     )
+
+
+@contextmanager
+def _mesh_warnings() -> Iterator[list[str]]:
+    """What `io.load_mesh` warns of inside, once the block has ended."""
+    messages: list[str] = []
+    with warnings.catch_warnings(record=True, category=io.MeshWarning, action="always") as caught:
+        yield messages
+    for each in caught:
+        if issubclass(each.category, io.MeshWarning):
+            messages.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+def _meshes_of(config: Config) -> list[geometry.Mesh]:
+    """The scene's meshes one by one.
+
+    **Raises** `ConfigError` with a problem for each that cannot be made.
+    """
+    meshes, problems, triangles = [], [], 0
+    for i, section in enumerate(config.scene.meshes):
+        try:
+            with _blame(config, ("scene", "meshes", i)):
+                mesh = build_mesh(section)
+                triangles += mesh.faces.shape[0]
+                if triangles > _MOST_TRIANGLES:
+                    raise ValueError(
+                        f"brings the scene to {triangles:,} triangles; expected at most {_MOST_TRIANGLES:,}, which "
+                        "take 4 GB; simplify it, or leave meshes out"
+                    )
+                meshes.append(mesh)
+        except ConfigError as error:
+            problems += error.problems
+            if triangles > _MOST_TRIANGLES:
+                break
+    if problems:
+        raise ConfigError(problems)
+    return meshes
 
 
 def build_technique(config: Config, *, fitting: bool = True) -> Technique:
@@ -111,8 +151,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> Technique:
 
     **Arguments:**
 
-    - `fitting`: whether the filter's radius may later be set to any value within the bounds of its fit. Without this a
-        box filter takes only the taps that the radius of `config` needs.
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the
+        section `fit` counts for nothing: a box filter takes only the taps that the radius of `config` needs.
 
     **Raises** `ConfigError` if its parts cannot be made.
     """
@@ -127,7 +167,7 @@ def build_technique(config: Config, *, fitting: bool = True) -> Technique:
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
     """The shadow mapping of `config`, whatever its technique; as `build_technique`."""
     with _blame(config, ("bias",)):
-        bias = build_bias(config)
+        bias = build_bias(config, fitting=fitting)
     with _blame(config, ("compare",)):
         compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
@@ -166,6 +206,8 @@ def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
     """
     if config.technique.type != "shadow_map":
         raise ConfigError([Problem(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
+    if problems := problems_at(config.fit_faults(), config.origin):
+        raise ConfigError(problems)
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
         built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate)
@@ -181,7 +223,7 @@ def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
             path, start = _start(config, name, arrangement)
             start, limits = _within(start, bounds, units[name]), (bounds.lower, bounds.upper)
             if is_pose(name) and config.reference.type == "traced":
-                truth[name] = start
+                truth[name] = _reachable(start, bounds)
             start = start if bounds.initial is None else bounds.initial
             parameters.append(fit.Parameter(name, start, *limits, units[name], path))
     return FitPlan(parameters, built_solver, built_anneal, arrangement, config.fit.levels, config.fit.multistart, truth)
@@ -220,6 +262,19 @@ def _within(value: float, bounds: FitParameterConfig, unit: str) -> float:
     return turned if unit == "degrees" and turned <= bounds.upper else value
 
 
+def _reachable(truth: float, bounds: FitParameterConfig) -> float:
+    """`truth`, where it lies within the bounds.
+
+    **Raises** `ValueError` where it does not.
+    """
+    if not bounds.lower <= truth <= bounds.upper:
+        raise ValueError(
+            f"is {truth:g} in the scene, from which the reference is traced; expected a truth that a fit can find, "
+            f"from lower = {bounds.lower:g} to upper = {bounds.upper:g}; widen the bounds, or move it in the scene"
+        )
+    return truth
+
+
 @contextmanager
 def _blame(config: Config, path: KeyPath) -> Iterator[None]:
     """Lays errors of what is built inside to the key at `path`."""
@@ -227,6 +282,8 @@ def _blame(config: Config, path: KeyPath) -> Iterator[None]:
         yield
     except ConfigError:
         raise
+    except geometry.OptionError as error:
+        raise ConfigError([Problem(*_at(config, (*path, "options", error.option)), error.what)]) from error
     except (ValueError, OSError) as error:
         raise ConfigError([Problem(*_at(config, path), str(error))]) from error
 

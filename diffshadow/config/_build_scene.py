@@ -12,6 +12,7 @@ from .. import geometry, io
 from .._types import HostArray, Scalar, Vec3
 from ._lights import DirectionalLightConfig, LightConfig, PointLightConfig, RectangleLightConfig, SpotLightConfig
 from ._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
+from ._section import FARTHEST
 
 # Room left round the scene along the view axis, as a share of its depth.
 _MARGIN = 0.01
@@ -22,7 +23,7 @@ _LEAST_NEAR = 1e-3
 def build_mesh(config: MeshConfig) -> geometry.Mesh:
     """One mesh, at its place in the scene.
 
-    **Raises** `ValueError` if its file cannot be used, or its options do not suit it.
+    **Raises** `ValueError` if its file cannot be used, its options do not suit it, or it reaches too far.
     """
     if config.builtin is not None:
         mesh = geometry.library_mesh(config.builtin, **config.options)
@@ -33,7 +34,14 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
     if config.drop_to_ground:
         mesh = geometry.drop_to_ground(mesh)
     mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    return _placed(mesh, *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
+    placed = _placed(mesh, *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
+    reach = float(np.abs(placed.vertices).max())
+    if not reach <= FARTHEST:
+        raise ValueError(
+            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
+            "smaller scale"
+        )
+    return placed
 
 
 class Stage(NamedTuple):

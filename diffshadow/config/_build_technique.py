@@ -5,7 +5,6 @@ from typing import Any
 from .. import shadow
 from ._filters import PatternedConfig
 from ._schema import Config
-from ._section import Section
 from ._technique import CompareConfig, SoftCompareConfig
 
 # Patterns whose name differs from that of the function that makes them.
@@ -17,10 +16,10 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
 
     **Arguments:**
 
-    - `fitting`: whether the radius may later be set to any value within the bounds of its fit.
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit.
     """
     section = config.filter
-    arguments = _arguments(config, "filter")
+    arguments = _arguments(config, "filter", fitting=fitting)
     if isinstance(section, PatternedConfig):
         for key in PatternedConfig.model_fields:
             del arguments[key]
@@ -35,16 +34,16 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     return getattr(shadow, section.builds)(**arguments)
 
 
-def build_bias(config: Config) -> shadow.Bias:
-    """The bias of `config`."""
-    given = _arguments(config, "bias")
+def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
+    """The bias of `config`; `fitting` as for `build_filter`."""
+    given = _arguments(config, "bias", fitting=fitting)
     return shadow.Bias(
         constant=shadow.ConstantBias(given["constant"], given["unit"]),
         slope=shadow.SlopeBias(
             given["slope"], given["slope_profile"], given["slope_least"], given["slope_most"], given["unit"]
         ),
         normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
-        plane=_plane(config),
+        plane=_plane(config, fitting=fitting),
     )
 
 
@@ -55,21 +54,18 @@ def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
     return shadow.HardCompare(operator=config.operator)
 
 
-def _plane(config: Config) -> shadow.AbstractBias | None:
+def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
     modules = {"receiver_plane": shadow.ReceiverPlane, "adaptive": shadow.AdaptiveBias}
     kind = config.bias.plane.type
-    return None if kind == "none" else modules[kind](**_arguments(config, "bias.plane"))
+    return None if kind == "none" else modules[kind](**_arguments(config, "bias.plane", fitting=fitting))
 
 
-def _arguments(config: Config, holder: str) -> dict[str, Any]:
-    """The values of the keys of the section `holder`, with a number for those that are to be fitted."""
+def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:
+    """The values of the keys of the section `holder`, in a fit with a number for those that it fits."""
     section: Any = config
     for key in holder.split("."):
         section = getattr(section, key)
-    return {key: _value(config, section, f"{holder}.{key}") for key in type(section).model_fields if key != "type"}
-
-
-def _value(config: Config, section: Section, name: str) -> Any:
-    value = getattr(section, name.rpartition(".")[2])
+    values = {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
     # What is not set cannot be fitted, unless the fit says where it starts.
-    return config.initial(name) if value is None and name in config.fit.parameters else value
+    starts = {key for key, value in values.items() if value is None and f"{holder}.{key}" in config.fit.parameters}
+    return values | {key: config.initial(f"{holder}.{key}") for key in starts if fitting}

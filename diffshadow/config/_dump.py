@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from ._errors import KeyPath, dotted, show
+from ._errors import KeyPath, dotted, printable, show
 from ._fitted import fit_paths
 from ._keys import ROOT, Slot, keys_of, slot_of
 from ._poses import is_pose, pose_of
@@ -30,11 +30,12 @@ def dump_resolved(config: Config) -> str:
 
 def describe(config: Config) -> list[Row]:
     """Every setting of `config` that has a value, in the schema's order."""
-    start = dotted(("fit", "parameters", ""))
-    units = fit_units(config)
+    start, units = "fit.parameters.", fit_units(config)
     return [
-        # A fitted number has the unit of the key that it is named after.
-        row._replace(unit=units[row.key.removeprefix(start).rpartition(".")[0]]) if row.key.startswith(start) else row
+        # A fitted number has the unit of the key that it is named after. A render may name some that it has not.
+        row._replace(unit=units.get(row.key.removeprefix(start).rpartition(".")[0], ""))
+        if row.key.startswith(start)
+        else row
         for row in _rows(config, ROOT, ())
     ]
 
@@ -73,13 +74,13 @@ def _rows(value: Any, slot: Slot, path: KeyPath) -> Iterator[Row]:
         for step, entry in sections:
             yield from _rows(entry, Slot(type(entry)), (*path, step))
     elif value is not None and value != {}:
-        yield Row(dotted(path), _text(value), slot.unit)
+        yield Row(printable(dotted(path)), _text(value), slot.unit)
 
 
 def _text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {_text(inner)}" for key, inner in value.items())
-    return value if isinstance(value, str) else show(value)
+        return ", ".join(f"{printable(key)} = {_text(inner)}" for key, inner in value.items())
+    return printable(value) if isinstance(value, str) else show(value)
 
 
 class _Dumper(yaml.SafeDumper):

@@ -1,8 +1,8 @@
 """What is wrong with a configuration, in words for the one who wrote it."""
 
 import difflib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 KeyPath = tuple[str | int, ...]
@@ -23,6 +23,30 @@ class Place:
         return self.source if self.line is None else f"{self.source}:{self.line}"
 
 
+@dataclass(eq=False)
+class Origin:
+    """Where the keys of a configuration were written.
+
+    All origins are equal: where a configuration was written is no part of what it says.
+    """
+
+    source: str = "configuration"
+    places: Mapping[KeyPath, Place] = field(default_factory=dict)
+
+    def place(self, path: KeyPath) -> Place:
+        """Where `path` was written, or else the nearest section round it."""
+        for length in range(len(path), -1, -1):
+            if path[:length] in self.places:
+                return self.places[path[:length]]
+        return Place(self.source)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origin)
+
+    def __hash__(self) -> int:
+        return hash(Origin)
+
+
 @dataclass(frozen=True)
 class Problem:
     """One fault of a configuration.
@@ -37,7 +61,8 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        return ": ".join(part for part in (str(self.place), self.key, self.message) if part)
+        # On one line, whatever is quoted in it.
+        return ": ".join(printable(part) for part in (str(self.place), self.key, self.message) if part)
 
 
 class ConfigError(ValueError):
@@ -46,18 +71,30 @@ class ConfigError(ValueError):
     problems: tuple[Problem, ...]
 
     def __init__(self, problems: Iterable[Problem]):
-        # An override has no line, and comes after the file.
-        self.problems = tuple(sorted(problems, key=lambda p: (p.place.line is None, p.place.line or 0)))
+        # An override has no line, and comes after the file. Two checks may find the same.
+        order = lambda problem: (problem.place.line is None, problem.place.line or 0)
+        self.problems = tuple(sorted(dict.fromkeys(problems), key=order))
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
 def dotted(path: Sequence[str | int]) -> str:
-    """`path` as it is written in an override: `scene.meshes.0.path`."""
-    return ".".join(str(step) for step in path)
+    """`path` as it is written in an override: `scene.meshes.0.path`. An empty key shows as two quotes."""
+    return ".".join(str(step) or "''" for step in path)
+
+
+def printable(text: str) -> str:
+    """`text` on one line, with Python's escapes for all that a terminal would obey, hide or turn round.
+
+    These are control characters, line breaks, marks of direction and lone surrogates: what Unicode does not count as
+    printable.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def show(value: Any) -> str:
-    """`value` as its author wrote it, shortened."""
+    """`value` as its author wrote it, shortened and printable."""
     match value:
         case None:
             return "empty"
@@ -72,6 +109,7 @@ def show(value: Any) -> str:
             text = repr(value)
         case _:
             text = str(value)
+    text = printable(text)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
 
 

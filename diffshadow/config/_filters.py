@@ -8,10 +8,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Tag
 
-from ._section import Conflict, Fitted, Section, Texels, Unit, by_type, ordered
+from ._section import FARTHEST, Conflict, Fitted, Section, Texels, Unit, by_type, fault, ordered
 
 Radius = Annotated[Texels, Fitted()]
+# One that is written out texel by texel: far beyond, compiling takes minutes.
+WrittenOut = Annotated[float, Field(le=128), Unit("texels"), Fitted()]
 LeastVariance = Annotated[float, Fitted()]
+MOST_TAPS = 1 << 20
+"""The most taps of a tile of patterns."""
 _LEAST_VARIANCE = "floor on the variance of depth, which runs from 0 at the map's near plane to 1 at its far plane"
 
 
@@ -59,7 +63,7 @@ class PercentageCloserConfig(_FilterConfig):
     """A box of texels with fractional edges."""
 
     type: Literal["pcf"] = "pcf"
-    radius: Radius = Field(default=2.0, ge=0, description="half the box's width, in texels")
+    radius: WrittenOut = Field(default=2.0, ge=0, description="half the box's width, in texels")
     builds: ClassVar[str] = "PercentageCloser"
     grows_with_radius: ClassVar[bool] = True
 
@@ -68,7 +72,7 @@ class TentConfig(_FilterConfig):
     """A tent of texels, which weighs those in the middle most."""
 
     type: Literal["tent"] = "tent"
-    radius: Radius = Field(default=2.0, ge=0, description="half the tent's width, in texels")
+    radius: WrittenOut = Field(default=2.0, ge=0, description="half the tent's width, in texels")
     builds: ClassVar[str] = "Tent"
     grows_with_radius: ClassVar[bool] = True
 
@@ -99,6 +103,12 @@ class PatternedConfig(_FilterConfig):
         default=False, description="whether each pixel also turns its pattern; default: false, or true for vogel"
     )
 
+    def faults(self) -> Iterator[Conflict]:
+        taps = self.samples * self.pattern_size**2
+        if taps > MOST_TAPS:
+            said = f"is {self.samples} with pattern_size {self.pattern_size}, which makes {taps:,} taps of a tile"
+            yield ("samples",), fault(said, f"at most {MOST_TAPS:,}, which take seconds to make", "lower one of them")
+
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         return {"pattern_size": 1, "rotated": True, **data} if data.get("pattern") == "vogel" else data
@@ -124,6 +134,7 @@ class PercentageCloserSoftConfig(PatternedConfig):
     light_size: Annotated[float | None, Fitted()] = Field(
         default=None,
         ge=0,
+        le=FARTHEST,
         description="radius in world units, or half a directional light's angle in degrees; default: the light's own",
     )
     search_samples: Annotated[int, Unit("taps a pixel")] = Field(
@@ -137,14 +148,13 @@ class PercentageCloserSoftConfig(PatternedConfig):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        if data.get("min_radius") != data.get("max_radius"):
-            yield from ordered(data, "min_radius", "max_radius")
+        yield from ordered(cls, data, "min_radius", "max_radius", equal=True)
 
 
 class _PrefilteredConfig(_FilterConfig):
     """A map that is blurred before it is looked up. The compare is not asked."""
 
-    radius: Radius = Field(default=2.0, ge=0, description="of the blur, in texels")
+    radius: WrittenOut = Field(default=2.0, ge=0, description="of the blur, in texels")
     kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")
     light_bleeding: Annotated[float, Fitted()] = Field(
         default=0.0, ge=0, le=0.99, description="visibility up to which a receiver counts as dark"

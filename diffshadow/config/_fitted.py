@@ -6,9 +6,10 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 from ._biases import BiasConfig, PlaneConfig
-from ._errors import did_you_mean, listing, show
+from ._errors import did_you_mean, listing
 from ._filters import FilterConfig
-from ._poses import is_pose, pose_faults
+from ._marks import Limits, marked
+from ._poses import could_be_pose, is_pose, pose_faults, pose_of
 from ._section import Conflict, Fitted, Section, fault, is_number, look, variants_of
 
 FILTERS = variants_of(FilterConfig)
@@ -27,13 +28,11 @@ def fit_paths(data: Any) -> dict[str, str]:
     **Returns:** where each number is in the `ShadowMapping` that the configuration stands for, a dotted path, by the
     key that sets it, such as `"bias.slope.value"` by `"bias.slope"`.
     """
-    found = {}
-    for holder, section in _holders(data).items():
-        for key, field in section.model_fields.items():
-            mark = next((mark for mark in field.metadata if isinstance(mark, Fitted)), None)
-            if mark is not None:
-                found[f"{holder}.{key}"] = f"{holder}.{mark.path or key}"
-    return found
+    return {
+        f"{holder}.{key}": f"{holder}.{mark.path or key}"
+        for holder, section in _holders(data).items()
+        for key, mark in _fitted_keys(section).items()
+    }
 
 
 def start_of(data: Any, name: str) -> Any:
@@ -45,28 +44,45 @@ def start_of(data: Any, name: str) -> Any:
     return look(given, key, default=section.model_fields[key].default)
 
 
+def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of those of `parameters`, the section `fit.parameters`, whose names stand for nothing in any scene."""
+    everywhere = {f"{h}.{key}" for h, sections in _HOLDERS.items() for s in sections for key in _fitted_keys(s)}
+    for name in parameters:
+        path = ("fit", "parameters", name)
+        if is_pose(name) and not could_be_pose(name):
+            yield from ((path, what) for what in pose_faults(data, name))
+        elif not is_pose(name) and name not in everywhere:
+            yield path, _no_such_parameter(data, name)
+
+
 def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
-    """What is wrong with `parameters`, the section `fit.parameters`, in a configuration of `data`."""
+    """What is wrong with `parameters`, the section `fit.parameters`, in a fit of a configuration of `data`."""
     known = fit_paths(data)
     for name, parameter in parameters.items():
-        path = ("fit", "parameters", name)
-        if is_pose(name):
-            yield from ((path, what) for what in pose_faults(data, name, look(parameter, "lower")))
-            continue
-        if name not in known:
-            yield path, _no_such_parameter(name, tuple(known), data)
-            continue
-        lower, upper, initial = (look(parameter, key) for key in ("lower", "upper", "initial"))
-        yield from _beyond_limits(data, name, lower, upper)
-        if initial is not None or not (is_number(lower) and is_number(upper)):
-            continue
-        start = start_of(data, name)
-        # A value below 0 is an error of the key that sets it.
-        if is_number(start) and start >= 0 and lower < upper:
-            yield from ((path, what) for what in outside(start, lower, upper, name))
-        elif start is None:
-            said = f"has no value to start from, for {name} is not set"
-            yield path, fault(said, "an initial value within the bounds", f"add initial, or set {name}")
+        pose = pose_of(data, name)
+        unknown = [] if name in known else [_no_such_parameter(data, name)]
+        wrong = pose_faults(data, name) if is_pose(name) else unknown
+        yield from ((("fit", "parameters", name), what) for what in wrong)
+        if pose is not None:
+            yield from _beyond_limits(name, parameter, pose.limits)
+        elif name in known:
+            limits = _limits_of(data, name)
+            yield from _beyond_limits(name, parameter, limits)
+            yield from _start_outside(name, parameter, start_of(data, name), limits)
+
+
+def _start_outside(name: str, parameter: Any, start: Any, limits: Limits) -> Iterator[Conflict]:
+    """A fault unless the fit of the number `name` has an initial value, or `start`, its key's own, is within bounds."""
+    path = ("fit", "parameters", name)
+    lower, upper, initial = (look(parameter, key) for key in ("lower", "upper", "initial"))
+    if initial is not None or not (is_number(lower) and is_number(upper)):
+        return
+    # A value beyond the limits is an error of the key that sets it.
+    if is_number(start) and not limits.undercut_by(start) and not limits.exceeded_by(start) and lower < upper:
+        yield from ((path, what) for what in outside(start, lower, upper, name))
+    elif start is None:
+        said = f"has no value to start from, for {name} is not set"
+        yield path, fault(said, "an initial value within the bounds", f"add initial, or set {name}")
 
 
 def outside(
@@ -78,6 +94,16 @@ def outside(
     given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
     mend = "move it inside" if name is None else f"give an initial value, change {name}"
     yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")
+
+
+# All sections that may hold numbers to fit, by their keys.
+_HOLDERS = {"bias": [BiasConfig], "bias.plane": [*_PLANES.values()], "filter": [*FILTERS.values()]}
+
+
+def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
+    """The keys of `section` that a fit may change."""
+    fields = section.model_fields.items()
+    return {key: mark for key, field in fields for mark in field.metadata if isinstance(mark, Fitted)}
 
 
 def _holders(data: Any) -> dict[str, type[Section]]:
@@ -92,25 +118,22 @@ def _filter_type(data: Any) -> str:
     return kind if kind in FILTERS else DEFAULT_FILTER
 
 
-def _no_such_parameter(name: str, known: tuple[str, ...], data: Any) -> PydanticCustomError:
+def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
+    known = tuple(fit_paths(data))
     mend = did_you_mean(name, known, "name one of these")
     return fault(f"cannot be fitted with filter type {_filter_type(data)!r}", listing(known), mend)
 
 
-def _beyond_limits(data: Any, name: str, lower: Any, upper: Any) -> Iterator[Conflict]:
-    """Faults of bounds that the key `name` itself could not be set to."""
+def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:
+    """Faults of bounds that the number `name` itself could not be set to."""
+    path, lower, upper = ("fit", "parameters", name), look(parameter, "lower"), look(parameter, "upper")
+    if is_number(lower) and limits.undercut_by(lower):
+        yield (*path, "lower"), fault(f"is {lower}", f"a number {limits.least}, as for {name}", "raise it")
+    if is_number(upper) and limits.exceeded_by(upper):
+        yield (*path, "upper"), fault(f"is {upper}", f"a number {limits.most}, as for {name}", "lower it")
+
+
+def _limits_of(data: Any, name: str) -> Limits:
+    """Those of the numbers that the key `name` may be set to."""
     holder, _, key = name.rpartition(".")
-    path = ("fit", "parameters", name)
-    for limit in _holders(data)[holder].model_fields[key].metadata:
-        least, above, most = (_bound(limit, kind) for kind in ("ge", "gt", "le"))
-        if is_number(lower) and least is not None and lower < least:
-            yield (*path, "lower"), fault(f"is {lower}", f"a number at least {show(least)}, as for {name}", "raise it")
-        if is_number(lower) and above is not None and lower <= above:
-            yield (*path, "lower"), fault(f"is {lower}", f"a number greater than {above}, as for {name}", "raise it")
-        if is_number(upper) and most is not None and upper > most:
-            yield (*path, "upper"), fault(f"is {upper}", f"a number at most {show(most)}, as for {name}", "lower it")
-
-
-def _bound(limit: Any, kind: str) -> int | float | None:
-    value = getattr(limit, kind, None)
-    return value if is_number(value) else None
+    return Limits.of(marked(_holders(data)[holder].model_fields[key])[1])

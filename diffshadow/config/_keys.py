@@ -1,15 +1,14 @@
 """What the schema says of a key: its type in plain words, its unit, its place among the others."""
 
-import types
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
-from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from ._errors import KeyPath, listing, show
+from ._errors import KeyPath, listing
+from ._marks import Limits, bare, is_union, marked
 from ._schema import Config
 from ._section import Form, Section, Unit, type_of
 
@@ -32,7 +31,7 @@ class Slot:
     @property
     def variants(self) -> tuple[type[Section], ...]:
         """The sections that may stand here; none where no section may."""
-        kinds = (_bare(kind)[0] for kind in get_args(self.kind)) if _is_union(self.kind) else (self.kind,)
+        kinds = (bare(kind)[0] for kind in get_args(self.kind)) if is_union(self.kind) else (self.kind,)
         return tuple(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section))
 
     @property
@@ -111,8 +110,7 @@ def keys_of(section: type[Section]) -> list[str]:
 
 def slot_of(field: FieldInfo) -> Slot:
     """What the schema says of `field`'s value."""
-    kind, marks = _bare(field.annotation)
-    return Slot(kind, (*_flat(field.metadata), *marks), field)
+    return Slot(*marked(field), field)
 
 
 def all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
@@ -137,45 +135,15 @@ def _inside(slot: Slot, step: str | int) -> Slot | None:
         entry = arguments[1]
     else:
         return None
-    kind, marks = _bare(entry)
+    kind, marks = bare(entry)
     units = (mark for mark in slot.marks if isinstance(mark, Unit))
     return Slot(kind, (*marks, *units))
 
 
-def _bare(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
-    """`annotation` without its marks and without `None`, and the marks."""
-    if get_origin(annotation) is Annotated:
-        kind, *marks = get_args(annotation)
-        bare, inner = _bare(kind)
-        return bare, (*_flat(marks), *inner)
-    if _is_union(annotation):
-        others = [kind for kind in get_args(annotation) if kind is not types.NoneType]
-        if len(others) == 1:
-            return _bare(others[0])
-    return annotation, ()
-
-
-def _flat(marks: Sequence[Any]) -> tuple[Any, ...]:
-    return tuple(inner for mark in marks for inner in (mark.metadata if isinstance(mark, FieldInfo) else (mark,)))
-
-
-def _is_union(annotation: Any) -> bool:
-    return get_origin(annotation) in (Union, types.UnionType)
-
-
 def _limits(marks: Sequence[Any]) -> str:
-    words = []
-    for mark in marks:
-        match mark:
-            case Ge(ge=low):
-                words.append(f"at least {show(low)}")
-            case Gt(gt=low):
-                words.append(f"greater than {show(low)}")
-            case Le(le=high):
-                words.append(f"at most {show(high)}")
-            case Lt(lt=high):
-                words.append(f"less than {show(high)}")
-    return f" {' and '.join(words)}" if words else ""
+    limits = Limits.of(marks)
+    words = " and ".join(word for word in (limits.least, limits.most) if word)
+    return f" {words}" if words else ""
 
 
 def _with_keys(section: type[Section]) -> str:

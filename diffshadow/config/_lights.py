@@ -6,12 +6,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from ._section import (
+    NARROWEST,
     Conflict,
     Degrees,
     Direction,
     Extent,
     Position,
+    Radii,
     Section,
+    Turn,
     Unit,
     WorldUnits,
     by_type,
@@ -26,9 +29,9 @@ from ._section import (
 class LightOrbit(Section):
     """A light placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Degrees = Field(default=60.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    azimuth: Turn = Field(default=60.0, description="0 on +z of the mesh, 90 on +x, in degrees")
     elevation: Degrees = Field(default=60.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Annotated[float, Unit("radii")] = Field(
+    distance: Radii = Field(
         default=4.0, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
     )
 
@@ -37,7 +40,7 @@ class DirectionalLightConfig(Section):
     """Light from infinitely far away."""
 
     type: Literal["directional"] = "directional"
-    azimuth: Degrees | None = Field(
+    azimuth: Turn | None = Field(
         default=None, description="where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"
     )
     elevation: Degrees | None = Field(
@@ -56,6 +59,11 @@ class DirectionalLightConfig(Section):
         default="scene", description="what the map is just wide enough for; pixels beside casters then do not count"
     )
 
+    @property
+    def has_size(self) -> bool:
+        """Whether its shadows have penumbrae."""
+        return self.angular_radius > 0
+
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         if given(data, "direction"):
@@ -66,14 +74,6 @@ class DirectionalLightConfig(Section):
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         yield from exclusive(data, "direction", "azimuth", "elevation")
-        direction = data.get("direction")
-        if isinstance(direction, list | tuple) and len(direction) == 3 and all(x in (0, 0.0) for x in direction):
-            yield (
-                ("direction",),
-                fault(
-                    "is [0, 0, 0]", "a vector that is not zero", "give the way the light travels, such as [0, -1, 0]"
-                ),
-            )
 
 
 class _PlacedLightConfig(Section):
@@ -95,7 +95,7 @@ class _PlacedLightConfig(Section):
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         yield from exclusive(data, "orbit", "position")
-        yield from ordered(data, "near", "far")
+        yield from ordered(cls, data, "near", "far")
 
 
 class _AimedLightConfig(_PlacedLightConfig):
@@ -105,7 +105,10 @@ class _AimedLightConfig(_PlacedLightConfig):
         default=None, description="point the light is turned to, in world units; default: the scene's middle"
     )
     outer_angle: Degrees | None = Field(
-        default=None, gt=0, lt=90, description="half the map's opening, in degrees; default: just holds the scene"
+        default=None,
+        ge=NARROWEST,
+        le=90 - NARROWEST,
+        description="half the map's opening, in degrees; default: just holds the scene",
     )
 
 
@@ -120,6 +123,11 @@ class SpotLightConfig(_AimedLightConfig):
         description="half the cone's part of full light, in degrees; default: shading does not obey the cone",
     )
     radius: WorldUnits = Field(default=0.0, ge=0, description="of the disk that shines, in world units; 0 is a point")
+
+    @property
+    def has_size(self) -> bool:
+        """Whether its shadows have penumbrae."""
+        return self.radius > 0
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -139,6 +147,11 @@ class RectangleLightConfig(_AimedLightConfig):
     )
     up: Direction = Field(default=(0.0, 1.0, 0.0), description="the way its height runs")
 
+    @property
+    def has_size(self) -> bool:
+        """Whether its shadows have penumbrae."""
+        return max(self.size) > 0
+
 
 class PointLightConfig(_PlacedLightConfig):
     """Light from a point or a sphere in all directions, with a map of six faces."""
@@ -149,8 +162,13 @@ class PointLightConfig(_PlacedLightConfig):
         default=0.1,
         ge=0,
         le=1,
-        description="room for filters round each face of the map, as a share of half the face's width",
+        description="margin for filters round each face of the map, as a share of half the face's width",
     )
+
+    @property
+    def has_size(self) -> bool:
+        """Whether its shadows have penumbrae."""
+        return self.radius > 0
 
 
 LightConfig = Annotated[

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
+from pydantic_core import PydanticCustomError
 
-from ._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from ._between import data_faults_of_fit, fit_faults
+from ._errors import ConfigError, KeyPath, Origin, Place, Problem, dotted, show
 from ._overrides import apply_overrides
-from ._problems import problems_of
+from ._paths import path_of
+from ._problems import problems_at, problems_of
 from ._scene import BUILTIN, BUILTIN_MESHES
-from ._schema import Config, Origin
+from ._schema import Config
 from ._yaml import read_yaml
 
 
@@ -28,7 +31,9 @@ class Draft(NamedTuple):
     problems: list[Problem]
 
 
-def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Config:
+def load_config(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, fitting: bool = False, files: bool = True
+) -> Config:
     """The configuration in the YAML file `path`, with `overrides`.
 
     **Arguments:**
@@ -36,12 +41,14 @@ def load_config(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> 
     - `path`: the file; relative paths inside it are relative to its folder.
     - `overrides`: `key=value` each, the key dotted (`scene.meshes.0.path`), the value YAML. Relative paths inside
         them are relative to the current folder.
+    - `fitting`: whether it is to be fitted. Its section `fit` must then suit the others, which no render asks of it.
+    - `files`: whether the input files that it names must exist. A report on a finished run needs only the settings.
 
     **Returns:** the configuration, with all paths absolute but `output`.
 
     **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
     """
-    return _single(checked(load_draft(path, overrides)))
+    return _single(checked(load_draft(path, overrides), fitting=fitting, files=files))
 
 
 def parse_config(
@@ -51,6 +58,8 @@ def parse_config(
     source: str = "configuration",
     folder: str | os.PathLike[str] = ".",
     name: str = "unnamed",
+    fitting: bool = False,
+    files: bool = True,
 ) -> Config:
     """The configuration in YAML `text`, with `overrides`; as `load_config`.
 
@@ -59,10 +68,12 @@ def parse_config(
     - `source`: what errors call the text.
     - `folder`: what relative paths in the text are relative to.
     - `name`: of the run, where the text gives none.
+    - `fitting`, `files`: as for `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
-    return _single(checked(parse_draft(text, overrides, source=source, folder=folder, name=name)))
+    draft = parse_draft(text, overrides, source=source, folder=folder, name=name)
+    return _single(checked(draft, fitting=fitting, files=files))
 
 
 def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
@@ -79,6 +90,9 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
         raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
     except OSError as error:
         raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
+    except ValueError:  # a null character
+        message = "names no file; expected a configuration in YAML; check the path"
+        raise ConfigError([Problem(Place(str(path)), "", message)]) from None
     return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
 
 
@@ -98,23 +112,32 @@ def parse_draft(
     return Draft(data, Origin(source, places), Path(folder), problems)
 
 
-def checked(draft: Draft) -> Config:
+def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Config:
     """The configuration that `draft` stands for, whose data this completes.
+
+    **Arguments:**
+
+    - `fitting`, `files`: as for `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
     data, origin = draft.data, draft.origin
-    problems = [*draft.problems, *_resolve_files(data, origin, draft.folder)]
+    missing = _resolve_files(data, origin, draft.folder)
+    problems = [*draft.problems, *(missing if files else ())]
+    # Of the data, whose numbers are told as they were written.
+    of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
+        found = [*problems_of(error, origin), *of_fit]
         # What could not be read left no value, of which nothing more is to be said.
         reported = {(problem.key, problem.place.line) for problem in problems}
-        problems += [p for p in problems_of(error, origin) if (p.key, p.place.line) not in reported]
-        raise ConfigError(problems) from None
+        raise ConfigError([*problems, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
+    config._origin = origin
+    if fitting:
+        problems += [*of_fit, *problems_at(fit_faults(config), origin)]
     if problems:
         raise ConfigError(problems)
-    config._origin = origin
     return config
 
 
@@ -135,10 +158,19 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
         place = origin.place(path)
         # An override is written by someone who stands in the current folder.
         base = folder if place.line is not None else Path()
-        file = Path(os.path.abspath(base / Path(holder["path"]).expanduser()))
-        holder["path"] = str(file)
-        if not file.is_file():
-            problems.append(Problem(place, dotted(path), _missing(file)))
+        try:
+            file = Path(os.path.abspath(base / path_of(holder["path"])))
+            holder["path"] = str(file)
+            what = None if file.is_file() else _missing(file)
+            str(file).encode()
+        except PydanticCustomError as error:
+            what = error.message()
+        except UnicodeEncodeError:
+            what = f"is {file}, whose name is not UTF-8; expected a name of letters; rename the file or its folder"
+        except OSError as error:
+            what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
+        if what is not None:
+            problems.append(Problem(place, dotted(path), what))
     return problems
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 from ._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from ._fit import FitParameterConfig
 from ._fitted import fit_paths
 from ._poses import pose_of
-from ._schema import FitParameterConfig
-from ._section import look
+from ._section import is_index, look
 from ._sweep import QuasiRandomAxisConfig
 from ._yaml import read_yaml
 
@@ -72,7 +72,7 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
             known = lambda name, rest: name in there
         case ["sweep", "grid" | "zip", _, *_]:
             start, keys = 2, ()
-            known = lambda name, rest: name in there and (not rest or _is_index(rest[0]))
+            known = lambda name, rest: name in there and (not rest or is_index(rest[0]))
         case ["sweep", "list", _, _, *_]:
             return [*words[:3], ".".join(words[3:])]
         case _:
@@ -91,10 +91,6 @@ def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], 
     return len(words) - (len(words) > 1 and words[-1] in keys)
 
 
-def _is_index(word: str) -> bool:
-    return word.isascii() and word.isdigit()
-
-
 def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
     """The key or index that `word` means in `holder`, which stands at `path`."""
     key = dotted((*path, word))
@@ -105,7 +101,7 @@ def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
             f"leads into {dotted(path)}, which is {show(holder)}; expected a section; set {dotted(path)} as a whole"
         )
         raise ConfigError([Problem(place, key, message)])
-    if not _is_index(word):
+    if not is_index(word):
         message = f"{word!r} is no index of the list {dotted(path)}; expected a number from 0; write {dotted(path)}.0"
         raise ConfigError([Problem(place, key, message)])
     if int(word) >= len(holder):

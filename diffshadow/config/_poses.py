@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 from pydantic_core import PydanticCustomError
 
 from ._errors import did_you_mean, listing
-from ._section import fault, look
+from ._marks import Limits
+from ._section import FARTHEST, MOST_DEGREES, fault, is_index, look
 
 _AXES = ("x", "y", "z")
 _DEGREES, _WORLD = "degrees", "world units"
@@ -34,6 +35,13 @@ class Pose(NamedTuple):
     vertex: tuple[int, int] | None = None
 
     @property
+    def limits(self) -> Limits:
+        """Those of the bounds of its fit, which are the same as the limits of the keys of such numbers."""
+        if self.unit == _DEGREES:
+            return Limits(0, 90, below_high=True) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
+        return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
+
+    @property
     def is_size(self) -> bool:
         """Whether it is a light's radius."""
         return self.path.endswith(".radius")
@@ -58,13 +66,28 @@ def poses(data: Any) -> dict[str, Pose]:
 def pose_of(data: Any, name: str) -> Pose | None:
     """The number of the scene that `name` means, or `None` if there is none."""
     match name.split("."):
-        case ["scene", "meshes", mesh, "vertices", vertex, axis] if mesh.isdecimal() and vertex.isdecimal():
+        case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
             if axis in _AXES and int(mesh) < _count(data, "meshes"):
                 return Pose(f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}", _WORLD, (int(mesh), int(vertex)))
     return poses(data).get(name)
 
 
-def pose_faults(data: Any, name: str, lower: Any) -> Iterator[PydanticCustomError]:
+def could_be_pose(name: str) -> bool:
+    """Whether `name` is a number of some scene, if not of this one."""
+    words = name.split(".")
+    match words:
+        case ["scene", "light", *key]:
+            return any(".".join(key) in keys for keys in _OF_LIGHTS.values())
+        case ["scene", "lights", index, *key] if is_index(index):
+            return any(".".join(key) in keys for keys in _OF_LIGHTS.values())
+        case ["scene", "meshes", index, "vertices", vertex, axis] if is_index(index) and is_index(vertex):
+            return axis in _AXES
+        case ["scene", "meshes", index, *key] if is_index(index):
+            return ".".join(key) in _OF_MESHES
+    return False
+
+
+def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
     """What is wrong with fitting the number of the scene that `name` means."""
     pose = pose_of(data, name)
     if pose is None:
@@ -73,8 +96,6 @@ def pose_faults(data: Any, name: str, lower: Any) -> Iterator[PydanticCustomErro
         return
     if not pose.is_size:
         return
-    if isinstance(lower, int | float) and lower < 0:
-        yield fault(f"has lower = {lower}", "a radius of at least 0", "raise lower")
     if look(data, "filter", "type") != "pcss" or look(data, "filter", "light_size") is not None:
         said = "cannot be fitted with a filter that does not see the light's size"
         yield fault(said, "filter type pcss without a light_size", "change the filter, or leave the parameter out")

@@ -1,16 +1,18 @@
 """Puts pydantic's errors into the words of one who writes a configuration."""
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from pydantic import ValidationError
 
-from ._errors import KeyPath, Problem, did_you_mean, dotted, listing, nearest, show
+from ._errors import KeyPath, Origin, Problem, did_you_mean, dotted, listing, nearest, show
 from ._keys import ROOT, Found, Slot, all_keys, follow, keys_of
-from ._schema import Origin
-from ._section import FAULT, fault, look, type_of
+from ._section import FAULT, Conflict, fault, look, type_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
+# Beyond, floats skip whole numbers.
+_MOST_COUNTED = 2**53
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
@@ -21,6 +23,11 @@ def problems_of(error: ValidationError, origin: Origin) -> list[Problem]:
         path, message = _explain(details, origin)
         problems.append(Problem(origin.place(path), dotted(path), message))
     return problems
+
+
+def problems_at(conflicts: Iterable[Conflict], origin: Origin) -> list[Problem]:
+    """Each of `conflicts`, with the place where its key was written."""
+    return [Problem(origin.place(path), dotted(path), what.message()) for path, what in conflicts]
 
 
 def _explain(details: Any, origin: Origin) -> tuple[KeyPath, str]:
@@ -71,7 +78,7 @@ def _remedy(value: Any, slot: Slot) -> str:
         return f"write {_SWITCHES[str(value).lower()]}"
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
         return "write it without quotes, with a point for decimals and no other signs between the digits"
-    if slot.kind is int and isinstance(value, float) and value.is_integer():
+    if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MOST_COUNTED:
         return f"write {int(value)}"
     if slot.kind is str:
         return "put it in quotes" if isinstance(value, int | float) else "write text"

@@ -8,15 +8,20 @@ from pydantic import Field, Tag
 from ._errors import KeyPath, listing, nearest
 from ._lights import LightConfig
 from ._section import (
+    NARROWEST,
+    SMALLEST,
     Angles,
     Colour,
     Conflict,
+    Coordinate,
     Degrees,
     Direction,
     Form,
     Position,
+    Radii,
     Section,
     Size,
+    Turn,
     Unit,
     WorldUnits,
     as_list,
@@ -43,7 +48,9 @@ class MeshConfig(Section):
         description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="keyword options of a builtin mesh")
-    size: WorldUnits | None = Field(default=None, gt=0, description="longest side to scale the mesh to, in world units")
+    size: WorldUnits | None = Field(
+        default=None, ge=SMALLEST, description="longest side to scale the mesh to, in world units"
+    )
     drop_to_ground: bool = Field(
         default=False, description="whether to move the mesh up or down until it stands on y = 0"
     )
@@ -51,7 +58,8 @@ class MeshConfig(Section):
     rotate: Angles = Field(
         default=(0.0, 0.0, 0.0), description="turn about the x, then the y, then the z axis, in degrees"
     )
-    scale: float = Field(default=1.0, gt=0, description="factor about the origin")
+    # From the largest scenes to the smallest, and back.
+    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="factor about the origin")
     crease_angle: Degrees = Field(
         default=30.0, ge=0, le=180, description="angle between faces of a file from which an edge is sharp, in degrees"
     )
@@ -84,9 +92,9 @@ class MeshConfig(Section):
 class CameraOrbit(Section):
     """A camera placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Degrees = Field(default=30.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    azimuth: Turn = Field(default=30.0, description="0 on +z of the mesh, 90 on +x, in degrees")
     elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Annotated[float, Unit("radii")] = Field(
+    distance: Radii = Field(
         default=2.5, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
     )
 
@@ -107,14 +115,16 @@ class _CameraConfig(Section):
         yield from exclusive(data, "orbit", "eye", "target")
         if given(data, "target") and not given(data, "eye", "orbit"):
             yield ("target",), fault("is given without eye", "eye with it", "add eye: [x, y, z] in world units")
-        yield from ordered(data, "near", "far")
+        yield from ordered(cls, data, "near", "far")
 
 
 class PinholeCameraConfig(_CameraConfig):
     """A perspective camera."""
 
     type: Literal["pinhole"] = "pinhole"
-    fov_y: Degrees = Field(default=40.0, gt=0, lt=180, description="full vertical field of view, in degrees")
+    fov_y: Degrees = Field(
+        default=40.0, ge=NARROWEST, le=180 - NARROWEST, description="full vertical field of view, in degrees"
+    )
     near: WorldUnits | None = Field(
         default=None, gt=0, description="where seeing begins, in world units; default: tight"
     )
@@ -128,8 +138,8 @@ class OrthographicCameraConfig(_CameraConfig):
     height: WorldUnits | None = Field(
         default=None, gt=0, description="height of what is seen, in world units; default: the whole scene"
     )
-    near: WorldUnits | None = Field(default=None, description="where seeing begins, in world units; default: tight")
-    far: WorldUnits | None = Field(default=None, description="where seeing ends, in world units; default: tight")
+    near: Coordinate | None = Field(default=None, description="where seeing begins, in world units; default: tight")
+    far: Coordinate | None = Field(default=None, description="where seeing ends, in world units; default: tight")
 
 
 CameraConfig = Annotated[

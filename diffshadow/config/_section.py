@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeGuard, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -17,6 +18,9 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from ._errors import show
+
+# More vertices than 32-bit integers count.
+_LONGEST_INDEX = 10
 
 FAULT = "diffshadow"
 """The type of the errors that `fault` makes, among pydantic's own."""
@@ -68,28 +72,61 @@ def _list_of(count: int, words: str, example: str) -> tuple[BeforeValidator, For
 as_list = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 """Lets a tuple be written as YAML's list, which pydantic's strict mode refuses."""
 
+MOST_TEXELS = 8192
+"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach further."""
+FARTHEST = 1e9
+"""The greatest coordinate and length, world units. Normals are cross products of edges, and their lengths are squared:
+the fourth power of a length must stay within single precision, which ends at 3e38."""
+SMALLEST = 1e-6
+"""The least size of a mesh, world units: those same powers, of edges a thousandth as long, end at 1e-38."""
+MOST_DEGREES = 3600.0
+"""The greatest angle of a turn: ten turns. Single precision tells angles of this size to 0.0002 degrees."""
+NARROWEST = 0.01
+"""The least opening of a view, and the least by which one stays short of all that is ahead, degrees: its matrix holds
+the tangent and one over it."""
+# Colours are products of several factors, whose product must stay within single precision.
+MOST_FACTOR = 1e6
+
+# Pydantic obeys only one of two lower or upper limits: keys of these types give those that are missing here.
 Degrees = Annotated[float, Unit("degrees")]
-WorldUnits = Annotated[float, Unit("world units")]
-Texels = Annotated[float, Unit("texels")]
+Turn = Annotated[float, Field(ge=-MOST_DEGREES, le=MOST_DEGREES), Unit("degrees")]
+WorldUnits = Annotated[float, Field(le=FARTHEST), Unit("world units")]
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Unit("world units")]
+Texels = Annotated[float, Field(le=MOST_TEXELS), Unit("texels")]
+# Farther off, a light or a camera is as good as infinitely far, and single precision sees no mesh.
+Radii = Annotated[float, Field(le=1e4), Unit("radii")]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 _XYZ = _list_of(3, "three numbers [x, y, z]", "[0, 1, 0]")
-Position = Annotated[tuple[float, float, float], *_XYZ, Unit("world units")]
-Direction = Annotated[tuple[float, float, float], *_XYZ]
-Angles = Annotated[tuple[float, float, float], *_list_of(3, "three angles [x, y, z]", "[0, 90, 0]"), Unit("degrees")]
+Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], *_XYZ, Unit("world units")]
+_Step = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+
+
+def _not_zero(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    # Its length is found from squares.
+    if math.hypot(*direction) < 1 / FARTHEST:
+        expected = f"a vector at least {1 / FARTHEST:g} long"
+        raise fault(f"is {show(direction)}", expected, "give a direction such as [0, -1, 0]")
+    return direction
+
+
+Direction = Annotated[tuple[_Step, _Step, _Step], *_XYZ, AfterValidator(_not_zero)]
+Angles = Annotated[tuple[Turn, Turn, Turn], *_list_of(3, "three angles [x, y, z]", "[0, 90, 0]"), Unit("degrees")]
 Colour = Annotated[
     tuple[Share, Share, Share], *_list_of(3, "three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]")
 ]
-_FACTOR = Annotated[float, Field(ge=0)]
+Factor = Annotated[float, Field(ge=0, le=MOST_FACTOR)]
 Radiance = Annotated[
-    tuple[_FACTOR, _FACTOR, _FACTOR],
+    tuple[Factor, Factor, Factor],
     *_list_of(3, "a number, or three [red, green, blue], at least 0", "[0.8, 0.8, 0.8]"),
     # One number stands for all three.
     BeforeValidator(lambda value: (value,) * 3 if is_number(value) else value),
 ]
-Pair = Annotated[tuple[float, float], *_list_of(2, "two numbers [factor, units]", "[1.1, 4]")]
-Extent = Annotated[tuple[_FACTOR, _FACTOR], *_list_of(2, "two numbers [width, height], each at least 0", "[0.5, 0.5]")]
-Count = Annotated[int, Field(ge=1, le=8192)]
+_Offset = Annotated[float, Field(ge=-MOST_FACTOR, le=MOST_FACTOR)]
+Pair = Annotated[tuple[_Offset, _Offset], *_list_of(2, "two numbers [factor, units]", "[1.1, 4]")]
+_Length = Annotated[float, Field(ge=0, le=FARTHEST)]
+Extent = Annotated[tuple[_Length, _Length], *_list_of(2, "two numbers [width, height], each at least 0", "[0.5, 0.5]")]
+Count = Annotated[int, Field(ge=1, le=MOST_TEXELS)]
 Size = Annotated[tuple[Count, Count], *_list_of(2, "two whole numbers [height, width]", "[512, 512]")]
 
 
@@ -133,10 +170,32 @@ class Section(BaseModel):
             faults += [_again(details) for details in error.errors(include_url=False)]
         else:
             if not faults:
-                faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in section.faults()]
+                found = [*_beyond_single_precision(section), *section.faults()]
+                faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
             if not faults:
                 return section
         raise ValidationError.from_exception_data(cls.__name__, faults)
+
+
+# The range of numbers in single precision, in which all is computed; what is nearer to 0 is taken for 0.
+_MOST, _LEAST = math.ldexp(2 - 2.0**-23, 127), math.ldexp(1, -126)
+
+
+def _beyond_single_precision(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[Conflict]:
+    """A fault for each number in `value` that single precision has not; sections inside it answer for themselves."""
+    if isinstance(value, Section) and not path:
+        entries: Any = ((key, getattr(value, key)) for key in type(value).model_fields)
+    elif isinstance(value, Mapping):
+        entries = value.items()
+    elif isinstance(value, list | tuple):
+        entries = enumerate(value)
+    else:
+        if isinstance(value, int | float) and value and not _LEAST <= abs(value) <= _MOST:
+            expected = f"0, or a number of a size from {_LEAST:.2g} to {_MOST:.2g}, as single precision has them"
+            yield path, fault(f"is {show(value)}", expected, "check its exponent")
+        return
+    for step, entry in entries:
+        yield from _beyond_single_precision(entry, (*path, step))
 
 
 def _again(error: Any) -> InitErrorDetails:
@@ -174,7 +233,15 @@ def look(data: Any, *path: str, default: Any = None) -> Any:
 
 def is_number(value: Any) -> TypeGuard[int | float]:
     """Whether `value` is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    # An integer may be too large for `isfinite`.
+    return isinstance(value, int) or math.isfinite(value)
+
+
+def is_index(word: str) -> bool:
+    """Whether `word` numbers an entry of a list, or a vertex."""
+    return word.isascii() and word.isdigit() and len(word) <= _LONGEST_INDEX
 
 
 def given(data: Mapping[str, Any], *keys: str) -> list[str]:
@@ -193,11 +260,17 @@ def exclusive(data: Mapping[str, Any], key: str, *others: str) -> Iterator[Confl
         )
 
 
-def ordered(data: Mapping[str, Any], low: str, high: str) -> Iterator[Conflict]:
-    """A conflict unless `low` is less than `high`, where both are given as numbers."""
-    a, b = data.get(low), data.get(high)
-    if is_number(a) and is_number(b) and not a < b:
-        yield (
-            (high,),
-            fault(f"is {b} and {low} is {a}", f"{low} less than {high}", f"make {high} larger or {low} smaller"),
-        )
+def ordered(
+    section: type[Section], data: Mapping[str, Any], low: str, high: str, *, equal: bool = False
+) -> Iterator[Conflict]:
+    """A conflict unless `low` is less than `high`, or `equal` to it, where both are numbers.
+
+    They are those of `data`, and otherwise the defaults of `section`, which may be what a given number conflicts with.
+    """
+    fields = section.model_fields
+    a, b = (data.get(key, fields[key].default if key in fields else None) for key in (low, high))
+    if not (is_number(a) and is_number(b)) or a < b or (equal and a == b):
+        return
+    key, own, other, number = (low, a, high, b) if low in data and high not in data else (high, b, low, a)
+    expected = f"{low} {'at most' if equal else 'less than'} {high}"
+    yield (key,), fault(f"is {own} and {other} is {number}", expected, f"make {high} larger or {low} smaller")

@@ -4,15 +4,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Tag
 
-from ._section import Radiance, Section, Share, by_type
+from ._section import MOST_FACTOR, Factor, Radiance, Section, Share, by_type
 
 
 class AttenuationConfig(Section):
     """How light falls off with the distance d: 1 / (constant + linear d + quadratic d²)."""
 
-    constant: float = Field(default=1.0, gt=0, description="at no distance")
-    linear: float = Field(default=0.0, ge=0, description="per world unit")
-    quadratic: float = Field(default=0.0, ge=0, description="per squared world unit")
+    # What falls off to less than a millionth is dark, and what grows to more than a million times is white.
+    constant: float = Field(default=1.0, ge=1 / MOST_FACTOR, le=MOST_FACTOR, description="at no distance")
+    linear: Factor = Field(default=0.0, description="per world unit")
+    quadratic: Factor = Field(default=0.0, description="per squared world unit")
 
 
 class _LitConfig(Section):
@@ -23,8 +24,8 @@ class _LitConfig(Section):
     intensity: Radiance | None = Field(
         default=None, description="of each light; default: 0.7, divided among the lights"
     )
-    specular: float = Field(default=0.15, ge=0, description="share of the light that the highlight reflects")
-    shininess: float = Field(default=32.0, gt=0, description="the highlight's exponent")
+    specular: Factor = Field(default=0.15, description="share of the light that the highlight reflects")
+    shininess: float = Field(default=32.0, gt=0, le=MOST_FACTOR, description="the highlight's exponent")
     background: Radiance = Field(default=(0.9, 0.9, 0.9), description="where no surface is seen")
     attenuation: AttenuationConfig = Field(
         default_factory=AttenuationConfig, description="fall-off with the distance to a light"

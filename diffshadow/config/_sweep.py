@@ -29,7 +29,7 @@ class QuasiRandomAxisConfig(Section):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(data, "lower", "upper")
+        yield from ordered(cls, data, "lower", "upper")
         lower = data.get("lower")
         if data.get("log") is True and is_number(lower) and lower <= 0:
             yield ("lower",), fault(f"is {lower} on a logarithmic scale", "a number greater than 0", "raise it")
@@ -176,6 +176,8 @@ def _bad_labels(data: Mapping[str, Any]) -> Iterator[Conflict]:
         path = ("list", i, LABEL)
         if LABEL in entries[i] and not isinstance(label, str):
             yield path, fault(f"is {show(label)}", "text", "put it in quotes")
+        elif isinstance(label, str) and not label.isprintable():
+            yield path, fault(f"is {show(label)}", "text on one line", "remove what is not printable")
         elif LABEL not in entries[i] and any(other is not None for other in labels):
             yield ("list", i), fault("has no label, and others have", "a label for all or none", "add one")
         elif label is not None and label in labels[:i]:
@@ -184,7 +186,8 @@ def _bad_labels(data: Mapping[str, Any]) -> Iterator[Conflict]:
 
 def _bad_plot(data: Mapping[str, Any], settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
     axes = dict.fromkeys(key for _, key in settings)
-    if any(LABEL in _keys(entry) for entry in data.get("list") or () if isinstance(entry, Mapping)):
+    entries = data.get("list")
+    if isinstance(entries, list | tuple) and any(LABEL in _keys(entry) for entry in entries):
         axes[LABEL] = None
     for key in ("x", "lines", "panels"):
         axis = look(data, "plot", key)

@@ -1,4 +1,4 @@
-"""From a file with a sweep to the configuration of every run."""
+"""From a file with a sweep to the configurations of its runs."""
 
 import copy
 import functools
@@ -7,25 +7,39 @@ import importlib.metadata
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 from pydantic import ValidationError
 
-from ._errors import ConfigError, KeyPath, Place, Problem, show
-from ._filters import RandomDiskConfig
+from ._errors import ConfigError, Origin, Place, Problem, show
+from ._filters import MOST_TAPS, RandomDiskConfig
 from ._load import Draft, checked, load_draft
 from ._overrides import apply_overrides
 from ._problems import problems_of
-from ._schema import Config, ImageReferenceConfig, Origin
-from ._sweep import LABEL, QuasiRandomConfig, SweepConfig
+from ._reference import ImageReferenceConfig
+from ._schema import Config
+from ._sweep import LABEL, SweepConfig
+from ._sweep_choices import Choice, count_of, levels_of
 from ._technique import ShadowMappingConfig
 
 # Part of every id: to be raised when a run of the same configuration gives other numbers.
 _FORMAT = 1
-_ID_DIGITS = 16
+_ID_BYTES = 8
+# Sixteen times as many as those of a run.
+_MOST_LIMIT_TAPS = 16 * MOST_TAPS
+# Each run is checked at a millisecond, has a folder of its own, and takes a few hundred bytes of memory.
+_MOST_RUNS = 1 << 20
+# The runs of larger sweeps are made again whenever they are needed.
+_MOST_KEPT = 4096
+# Different faults that are collected before a sweep is refused.
+_MOST_FAULTS = 100
+
+Progress = Callable[[int, int], None]
+"""Called with how many runs have been checked, and how many there are."""
 
 
 class SweepRun(NamedTuple):
@@ -42,14 +56,147 @@ class SweepRun(NamedTuple):
     config: Config
 
 
+class SweepRuns(Sequence[SweepRun]):
+    """The runs of a sweep, in the order of its axes, the last of which changes first.
+
+    Each is made when it is needed, since a million of them would fill the memory; only those of a small sweep are kept.
+    Where a run's configuration cannot be used, making it **raises** `ConfigError`; `check` looks at all of them.
+    """
+
+    def __init__(self, settings: SweepConfig, draft: Draft):
+        self._settings, self._origin = settings, draft.origin
+        # A run has a copy of the places of keys, and needs none of the section sweep, which may hold thousands.
+        places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
+        data = {key: value for key, value in draft.data.items() if key != "sweep"}
+        self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
+        self._axes, self._seed = settings.axes, data.get("seed", 0)
+        self._levels = levels_of(settings, self._seed)
+        counts = [len(level) for level in self._levels]
+        self._count = math.prod(counts)
+        # Of each level, how far apart the runs of neighbouring choices are.
+        self._strides = [math.prod(counts[depth + 1 :]) for depth in range(len(counts))]
+        # What `check` has found: all identifiers, one after another, and the runs of a small sweep.
+        self._ids: bytes | None = None
+        self._kept: list[SweepRun] | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> SweepRun: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[SweepRun]: ...
+    def __getitem__(self, index: int | slice) -> SweepRun | list[SweepRun]:
+        chosen = range(self._count)[index]
+        if isinstance(chosen, int):
+            return next(self.at((chosen,)))
+        return list(self.at(chosen)) if chosen.step > 0 else list(self.at(chosen[::-1]))[::-1]
+
+    def __iter__(self) -> Iterator[SweepRun]:
+        return self.at(range(self._count))
+
+    def at(self, indices: Sequence[int]) -> Iterator[SweepRun]:
+        """The runs at `indices`, which rise. What several of them share is made once."""
+        if self._kept is not None:
+            yield from (self._kept[index] for index in indices)
+            return
+        for index, draft in self._drafts(indices):
+            yield self._made(index, draft)
+
+    def id(self, index: int) -> str:
+        """The identifier of the run at `index`."""
+        if self._ids is None:
+            return self[index].id
+        return self._ids[index * _ID_BYTES : (index + 1) * _ID_BYTES].hex()
+
+    def column(self, axis: str) -> list[Any]:
+        """What each run has on one axis."""
+        return [self._value(axis, index) for index in range(self._count)]
+
+    def choices(self, axis: str) -> list[Any]:
+        """The different values on one axis, in the order in which they are first used."""
+        found = [choice.shown[axis] for level in self._levels for choice in level if axis in choice.shown]
+        return list({repr(value): value for value in found or [self._seed]}.values())
+
+    def check(self, progress: Progress | None = None) -> None:
+        """Makes every run once, and finds its identifier.
+
+        **Raises** `ConfigError` with everything that is wrong with any of the runs; after a hundred different faults,
+        the rest is not looked at.
+        """
+        if self._ids is not None:
+            return
+        # Of each fault, the first run that has it, and how many have.
+        faults: dict[Problem, tuple[int, int]] = {}
+        ids, kept, checked = bytearray(), [], 0
+        for index, draft in self._drafts(range(self._count)):
+            try:
+                run = self._made(index, draft)
+            except ConfigError as error:
+                for problem in error.problems:
+                    first, count = faults.get(problem, (index, 0))
+                    faults[problem] = first, count + 1
+            else:
+                ids += bytes.fromhex(run.id)
+                if self._count <= _MOST_KEPT:
+                    kept.append(run)
+            checked += 1
+            if progress is not None:
+                progress(checked, self._count)
+            if len(faults) >= _MOST_FAULTS:
+                break
+        if faults:
+            # What is wrong with every run does not depend on the values.
+            raise ConfigError(
+                problem if count == checked else _with_values(problem, self._values(first))
+                for problem, (first, count) in faults.items()
+            )
+        self._ids, self._kept = bytes(ids), kept or None
+
+    def _values(self, index: int) -> dict[str, Any]:
+        return {axis: self._value(axis, index) for axis in self._axes}
+
+    def _value(self, axis: str, index: int) -> Any:
+        for level, stride in zip(self._levels, self._strides, strict=True):
+            shown = level[index // stride % len(level)].shown
+            if axis in shown:
+                return shown[axis]
+        # What an entry of the list leaves as it is has no value of its own.
+        return self._seed if axis == "seed" else None
+
+    def _drafts(self, indices: Sequence[int]) -> Iterator[tuple[int, Draft]]:
+        """The numbers of the runs at `indices`, and what is written in their configurations."""
+
+        def walk(depth: int, first: int, draft: Draft, low: int, high: int) -> Iterator[tuple[int, Draft]]:
+            """Those of `indices[low:high]`, whose choices above `depth` are in `draft`, from the number `first` on."""
+            if depth == len(self._levels):
+                yield first, draft
+                return
+            for choice in self._levels[depth]:
+                end = bisect_left(indices, first + self._strides[depth], low, high)
+                if end > low:
+                    yield from walk(depth + 1, first, _written(draft, choice, self._origin), low, end)
+                low, first = end, first + self._strides[depth]
+
+        return walk(0, 0, self._base, 0, len(indices))
+
+    def _made(self, index: int, draft: Draft) -> SweepRun:
+        config = checked(draft, fitting=self._settings.run == "fit")
+        _check_limit(config, self._settings, self._origin)
+        # Errors have been found; places of keys would travel to the workers for nothing.
+        config._origin = Origin(self._origin.source)
+        id = _id_of(config, self._settings) if self._ids is None else self.id(index)
+        return SweepRun(id, self._values(index), config)
+
+
 class Sweep(NamedTuple):
-    """A sweep and all of its runs, in the order of its axes, the last of which changes first.
+    """A sweep and its runs.
 
     - `source`, `overrides`: what it was loaded from.
     """
 
     settings: SweepConfig
-    runs: tuple[SweepRun, ...]
+    runs: SweepRuns
     source: str
     overrides: tuple[str, ...] = ()
 
@@ -59,42 +206,37 @@ class Sweep(NamedTuple):
         return self.runs[0].config.name
 
 
-class _Choice(NamedTuple):
-    """What a run has on one axis, or several that go together: values by key, the keys' paths, and a label."""
-
-    values: Mapping[str, Any]
-    paths: Mapping[str, KeyPath]
-    label: str | None = None
-
-
-def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Sweep:
+def load_sweep(
+    path: str | os.PathLike[str],
+    overrides: Sequence[str] = (),
+    *,
+    check: bool = True,
+    progress: Progress | None = None,
+) -> Sweep:
     """The sweep in the YAML file `path`, with `overrides`; as `load_config`.
 
-    **Returns:** every run, each with its checked configuration. Equal files give equal runs in the same order.
+    **Arguments:**
+
+    - `check`: whether all runs are checked, which takes about a millisecond each, or the section `sweep` alone.
+    - `progress`: called while runs are checked.
+
+    **Returns:** the sweep. Equal files give equal runs in the same order.
 
     **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the runs.
     """
     draft = load_draft(path, overrides)
     settings = _settings_of(draft)
-    base = {key: value for key, value in draft.data.items() if key != "sweep"}
-    faults: dict[Problem, list[Mapping[str, Any]]] = {}
-    runs, count = [], 0
-    for values, written in _combined(settings, draft._replace(data=base)):
-        count += 1
-        try:
-            config = checked(written)
-            _check_limit(config, settings, draft.origin)
-        except ConfigError as error:
-            for problem in error.problems:
-                faults.setdefault(problem, []).append(values)
-            continue
-        # Errors have been told; places of keys would travel to the workers for nothing.
-        config._origin = Origin(draft.origin.source)
-        runs.append(SweepRun(_id_of(config, settings), values, config))
-    if faults:
-        # What is wrong with every run does not depend on the values.
-        raise ConfigError(p if len(held) == count else _with_values(p, held[0]) for p, held in faults.items())
-    return Sweep(settings, tuple(runs), draft.origin.source, tuple(overrides))
+    count = count_of(settings)
+    if count > _MOST_RUNS:
+        message = (
+            f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and has a folder; shorten "
+            "its lists, or write several sweeps"
+        )
+        raise ConfigError([Problem(draft.origin.place(("sweep",)), "sweep", message)])
+    runs = SweepRuns(settings, draft)
+    if check:
+        runs.check(progress)
+    return Sweep(settings, runs, draft.origin.source, tuple(overrides))
 
 
 def _settings_of(draft: Draft) -> SweepConfig:
@@ -111,90 +253,13 @@ def _settings_of(draft: Draft) -> SweepConfig:
     return SweepConfig.model_validate(draft.data["sweep"])
 
 
-def _combined(settings: SweepConfig, draft: Draft) -> Iterator[tuple[dict[str, Any], Draft]]:
-    """Every run's values on the axes, and the configuration with them."""
-    columns, own = settings.axes, draft.data.get("seed", 0)
-    for values, written in _nested(_levels(settings, own), {}, draft):
-        # What an entry of the list leaves as it is has no value of its own.
-        shown = {column: values.get(column) for column in columns}
-        shown["seed"] = written.data.get("seed", 0)
-        yield shown, written
-
-
-def _nested(
-    levels: Sequence[Sequence[_Choice]], values: Mapping[str, Any], draft: Draft
-) -> Iterator[tuple[Mapping[str, Any], Draft]]:
-    if not levels:
-        yield values, draft
-        return
-    for choice in levels[0]:
-        label = {} if choice.label is None else {LABEL: choice.label}
-        yield from _nested(levels[1:], {**values, **label, **choice.values}, _written(draft, choice))
-
-
-def _levels(settings: SweepConfig, seed: Any) -> list[list[_Choice]]:
-    """The choices on each axis, the slowest first."""
-    levels = []
-    if settings.list is not None:
-        levels.append([_entry(i, entry) for i, entry in enumerate(settings.list)])
-    for key, values in (settings.grid or {}).items():
-        levels.append([_Choice({key: v}, {key: ("sweep", "grid", key, i)}) for i, v in enumerate(values)])
-    if settings.zip:
-        rows = zip(*settings.zip.values(), strict=True)
-        levels.append(
-            [
-                _Choice(dict(zip(settings.zip, row, strict=True)), {k: ("sweep", "zip", k, i) for k in settings.zip})
-                for i, row in enumerate(rows)
-            ]
-        )
-    if settings.qmc is not None:
-        paths = {key: ("sweep", "qmc", "axes", key) for key in settings.qmc.axes}
-        levels.append([_Choice(point, paths) for point in _points(settings.qmc)])
-    if settings.repeats is not None and isinstance(seed, int):
-        levels.append([_Choice({"seed": seed + i}, {"seed": ("sweep", "repeats")}) for i in range(settings.repeats)])
-    if settings.seeds is not None:
-        levels.append([_Choice({"seed": s}, {"seed": ("sweep", "seeds", i)}) for i, s in enumerate(settings.seeds)])
-    return levels
-
-
-def _entry(index: int, entry: Mapping[str, Any]) -> _Choice:
-    values = {key: value for key, value in entry.items() if key != LABEL}
-    return _Choice(values, {key: ("sweep", "list", index, key) for key in values}, entry.get(LABEL))
-
-
-def _points(settings: QuasiRandomConfig) -> list[dict[str, Any]]:
-    """The points of the sequence, scaled to the axes' ranges."""
-    # Here, for SciPy takes long to load, and most sweeps do without.
-    from scipy.stats import qmc
-
-    make = {"sobol": qmc.Sobol, "halton": qmc.Halton}[settings.sequence]
-    sequence = make(len(settings.axes), scramble=True, rng=settings.seed)
-    if settings.sequence == "sobol":
-        # SciPy warns of any number that is no power of two.
-        unit = sequence.random_base2(math.ceil(math.log2(settings.count)))[: settings.count]
-    else:
-        unit = sequence.random(settings.count)
-    points = []
-    for row in unit.tolist():
-        point = {}
-        for share, (key, axis) in zip(row, settings.axes.items(), strict=True):
-            if axis.log:
-                value = axis.lower * (axis.upper / axis.lower) ** share
-            else:
-                value = axis.lower + (axis.upper - axis.lower) * share
-            value = min(max(value, axis.lower), axis.upper)
-            point[key] = round(value) if axis.integer else value
-        points.append(point)
-    return points
-
-
-def _written(draft: Draft, choice: _Choice) -> Draft:
-    """`draft` with the values of `choice`, whose places are those in the section `sweep`."""
+def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
+    """`draft` with the values of `choice`, whose places are those that `origin` has in the section `sweep`."""
     data, places, problems = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.problems)
     for key, value in choice.values.items():
         # JSON is YAML, so a value passes through an override as it is.
         override = f"{key}={json.dumps(value, ensure_ascii=False)}"
-        passed, place = Place(f"override {override!r}"), draft.origin.place(choice.paths[key])
+        passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
         problems += [
             replace(problem, place=place) if problem.place == passed else problem
             for problem in apply_overrides(data, places, [override])
@@ -204,13 +269,20 @@ def _written(draft: Draft, choice: _Choice) -> Draft:
 
 
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
-    suits = isinstance(config.filter, RandomDiskConfig) and isinstance(config.technique, ShadowMappingConfig)
-    if settings.limit_samples is None or suits:
+    if settings.limit_samples is None:
         return
-    message = (
-        f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; expected "
-        "shadow_map with random_disk, which has a limit; remove it, or such runs"
-    )
+    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, ShadowMappingConfig):
+        message = (
+            f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; "
+            "expected shadow_map with random_disk, which has a limit; remove it, or such runs"
+        )
+    elif (taps := settings.limit_samples * config.filter.pattern_size**2) > _MOST_LIMIT_TAPS:
+        message = (
+            f"is {settings.limit_samples}, and with filter.pattern_size {config.filter.pattern_size} there are "
+            f"{taps:,} taps of a tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
+        )
+    else:
+        return
     raise ConfigError([Problem(origin.place(("sweep", "limit_samples")), "sweep.limit_samples", message)])
 
 
@@ -220,7 +292,7 @@ def _with_values(problem: Problem, values: Mapping[str, Any]) -> Problem:
 
 
 def _id_of(config: Config, settings: SweepConfig) -> str:
-    data = config.model_dump(mode="json", exclude={"name", "output", "sweep"})
+    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep"})
     for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)
@@ -233,7 +305,7 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
         "limit_samples": settings.limit_samples,
         "config": data,
     }
-    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:_ID_DIGITS]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[: 2 * _ID_BYTES]
 
 
 @functools.cache

@@ -6,6 +6,10 @@ from pydantic import Field, Tag
 
 from ._section import Pair, Section, Size, Texels, Unit, by_type
 
+LEAST_WIDTH = 1e-6
+"""The least width of a soft compare, in texels: far less than single precision tells of depths, and still not 0 under
+1 / width."""
+
 Kernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
 """Shape of a soft compare's step."""
 
@@ -30,7 +34,9 @@ class ProjectiveTextureConfig(Section):
 
     type: Literal["projective_texture"] = "projective_texture"
     resolution: Annotated[Size, Unit("texels")] = Field(default=(512, 512), description="[height, width] in texels")
-    blur: Texels = Field(default=0.0, ge=0, le=256, description="radius of the kernel that blurs it, in texels")
+    blur: Annotated[float, Unit("texels")] = Field(
+        default=0.0, ge=0, le=256, description="radius of the kernel that blurs it, in texels"
+    )
     kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")
 
 
@@ -77,7 +83,7 @@ class SoftCompareConfig(Section):
     """A compare with a slope, so that it has a gradient."""
 
     type: Literal["soft"] = "soft"
-    width: Texels = Field(default=0.5, gt=0, description="width of the step, in texels of depth")
+    width: Texels = Field(default=0.5, ge=LEAST_WIDTH, description="width of the step, in texels of depth")
     kernel: Kernel = Field(default="logistic", description="shape of the step")
 
 

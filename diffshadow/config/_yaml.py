@@ -138,9 +138,12 @@ class _Reader:
 
     def scalar(self, node: yaml.Node, path: KeyPath) -> str | int | float | bool | None:
         text = node.value
+        if any("\ud800" <= c <= "\udfff" for c in text):
+            self.report(node, path, f"is {show(text)}, with half a character; expected whole ones; remove it")
+            return None
         if not isinstance(node, yaml.ScalarNode) or node.style is not None:
             return text
-        if _INTEGER.fullmatch(text) and len(text) > _LONGEST_INTEGER:
+        if len(text) > _LONGEST_INTEGER and any(form.fullmatch(text) for form in (_INTEGER, _OCTAL, _HEXADECIMAL)):
             self.report(node, path, f"is an integer of {len(text)} digits; expected a smaller one; check the number")
             return None
         return plain_scalar(text)

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from .._misc import as_int
+from ..raster import Overflow
 from ._parameters import Bounds
 
 
@@ -39,6 +40,11 @@ class Report(eqx.Module):
         jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=True)
 
 
+def report_overflow(token: Array, overflow: Overflow, y: Float[Array, " a"]) -> None:
+    """Tells the reporter that `token` names, when the program runs, whether drawing overflowed at the free values."""
+    jax.debug.callback(_dispatch_overflow, token, overflow, y)
+
+
 _REPORTERS: dict[int, "Reporter"] = {}
 _TOKENS = itertools.count()
 
@@ -47,6 +53,12 @@ def _dispatch(token, loss, y):
     reporter = _REPORTERS.get(int(token))
     if reporter is not None:
         reporter.add(float(loss), np.asarray(y))
+
+
+def _dispatch_overflow(token, overflow, y):
+    reporter = _REPORTERS.get(int(token))
+    if reporter is not None and overflow:
+        reporter.add_overflow(np.asarray(y))
 
 
 class Reporter:
@@ -59,6 +71,8 @@ class Reporter:
         self.token = as_int(self.number)
         self.start, self.phase, self.width, self.step, self.scale = 0, 0, 0.0, 0, 1.0
         self.held, self.active = np.zeros_like(self.lower), np.arange(self.lower.size)
+        self.overflowed: list[tuple[float, ...]] = []
+        self._known = len(history)
 
     def begin(self, phase: int, width: float, held: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
         """Steps from here on belong to `phase`, whose soft compare is `width` texels wide.
@@ -70,19 +84,32 @@ class Reporter:
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale
         self.held, self.active = np.array(held), active
+        self.overflowed.clear()
+        self._known = len(self.history)
+
+    def again(self) -> None:
+        """Forgets the steps of the present phase, which starts again."""
+        del self.history[self._known :]
+        self.overflowed.clear()
+        self.step = 0
 
     def add(self, loss: float, y: np.ndarray) -> None:
         """One more evaluation, of `loss` at the free values `y` (a,) of what is active."""
-        # In NumPy, for a callback must not wait for JAX.
-        lower, upper, free = self.lower, self.upper, self.held.copy()
-        free[self.active] = y
-        values = lower + (upper - lower) * (1 + np.sin(free)) / 2
-        loss = loss / self.scale**2
-        step = Step(self.phase, self.step, self.width, loss, tuple(values.tolist()), self.start)
+        step = Step(self.phase, self.step, self.width, loss / self.scale**2, self._values(y), self.start)
         self.step += 1
         self.history.append(step)
         if self.on_step is not None:
             self.on_step(step)
+
+    def add_overflow(self, y: np.ndarray) -> None:
+        """An evaluation at the free values `y` (a,) of what is active, for which a capacity was too small."""
+        self.overflowed.append(self._values(y))
+
+    def _values(self, y: np.ndarray) -> tuple[float, ...]:
+        # In NumPy, for a callback must not wait for JAX.
+        free = self.held.copy()
+        free[self.active] = y
+        return tuple((self.lower + (self.upper - self.lower) * (1 + np.sin(free)) / 2).tolist())
 
     def __enter__(self) -> "Reporter":
         _REPORTERS[self.number] = self

@@ -1,5 +1,6 @@
 """The phases that a fit runs through."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ..shadow import HardCompare, SoftCompare
 from ._arrangement import is_of_technique
-from ._parameters import Bounds
+from ._parameters import Bounds, with_values
 from ._poses import PoseProblem
 from ._residuals import Joint
 from ._settings import Anneal, levels_of
@@ -75,5 +76,13 @@ def prepared(joint: Joint, paths: Sequence[str], bounds: Bounds, initial: Float[
 
 
 def enlarged(joint: Joint, paths: Sequence[str], values: Float[Array, "k p"]) -> Joint:
-    """With twice the room, and at least what the arrangements with `values` (k, p) need."""
-    return joint.each(lambda p: p.with_twice_the_room().planned(paths, values))
+    """With capacity for the arrangements that have `values` (k, p) at `paths`, and as much again."""
+
+    def grown(problem: PoseProblem) -> PoseProblem:
+        for there in values:
+            arrangement = with_values(problem.arrangement, paths, there)
+            moved = dataclasses.replace(problem, arrangement=arrangement).planned(paths, there[None])
+            problem = dataclasses.replace(moved, arrangement=problem.arrangement)
+        return problem
+
+    return joint.each(grown)

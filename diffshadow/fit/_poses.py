@@ -16,7 +16,7 @@ from scipy.stats import norm
 from .._misc import normalize, round_up_to_power_of_two, sums_along
 from .._types import Mask, Resolution, Scalar, Visibility
 from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, SpotLight, merge
-from ..raster import Capacity, Cull, Surface, draw_surface, plan
+from ..raster import Capacity, Cull, Overflow, Surface, draw_surface, plan
 from ..shadow import ShadowMap, draw_shadow_map, plan_shadow_map
 from ._arrangement import Arrangement
 from ._parameters import with_values
@@ -126,9 +126,12 @@ class PoseProblem(eqx.Module):
         """How many pixels count."""
         return jnp.sum(self.weight)
 
-    def difference(self, arrangement: Arrangement) -> Float[Array, "h w"]:
-        """Visibility less reference, times the square root of the pixel's weight."""
-        shadow_map, surface = self.draw(arrangement)
+    def difference(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+        """Visibility less reference, times the square root of the pixel's weight.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
+        shadow_map, surface = self.draw(arrangement, overflows)
         visibility = arrangement.technique.visibility(shadow_map, surface) * cone_share(shadow_map.light, surface)
         counts = self.weight > 0
         root = jnp.sqrt(jnp.where(counts, self.weight, 1))
@@ -138,8 +141,11 @@ class PoseProblem(eqx.Module):
         """What counts of a difference: its blur."""
         return _blurred(difference, self.blur)
 
-    def draw(self, arrangement: Arrangement) -> tuple[ShadowMap, Surface]:
-        """The map and the surface of an arrangement."""
+    def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
+        """The map and the surface of an arrangement.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
         meshes = self._placed(arrangement)
         light = arrangement.lights[self.index].placed(self.light, _points(meshes))
         room = self.room or _Unplanned()
@@ -150,11 +156,12 @@ class PoseProblem(eqx.Module):
             edges=self._edges(),
             capacity=room.from_light,
             silhouette_capacity=room.silhouettes,
+            overflows=overflows,
             **self.settings.of_map(),
         )
         if self.surface is not None:
             return shadow_map, self.surface
-        return shadow_map, draw_surface(merge(meshes), self.camera, capacity=room.from_camera)
+        return shadow_map, draw_surface(merge(meshes), self.camera, capacity=room.from_camera, overflows=overflows)
 
     def at_level(self, level: int) -> "PoseProblem":
         """The problem seen with `level` x `level` pixels made one, and a map that is half as much coarser.
@@ -198,10 +205,6 @@ class PoseProblem(eqx.Module):
         room = room if self.room is None else self.room.grown_to(room)
         return dataclasses.replace(self, room=room, edges=edges)
 
-    def with_twice_the_room(self) -> "PoseProblem":
-        """With room for twice as much."""
-        return dataclasses.replace(self, room=None if self.room is None else self.room.doubled())
-
     @property
     def sides(self) -> tuple[int, ...]:
         """The sides of image and map, in pixels and texels."""
@@ -236,11 +239,6 @@ def _blurred(image: Float[Array, "h w"], deviation: float) -> Float[Array, "h w"
     # Else XLA would work out the first sums anew for each of the second.
     columns = lax.optimization_barrier(sums_along(jnp.pad(image, reach), weights, axis=0))
     return sums_along(columns, weights, axis=1)
-
-
-def is_overflow(error: RuntimeError) -> bool:
-    """Whether `error` says that there was too little room to draw."""
-    return "is too small for these" in str(error)
 
 
 def coarser(capacity: Capacity) -> Capacity:

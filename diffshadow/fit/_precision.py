@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 
 from .._types import HostArray
 
@@ -14,16 +15,30 @@ _LEAST_EFFECT = 1e-3
 _MOST_SPREAD = 0.1
 # A parameter belongs to a combination if its part is at least this share of the largest.
 _PART = 0.3
+# How far apart residuals may be and still be correlated, in standard deviations of the blur: it covers a texel, and
+# what a texel does to an outline is the same for all pixels that see it.
+_CORRELATED = 2
+# How far the Gaussian of the blur goes, in standard deviations.
+_REACH_OF_BLUR = 4
 
 
 class Precision(NamedTuple):
-    """The covariance of fitted values, to first order, from the Jacobian at the end of the last phase.
+    """The covariance of fitted values, to first order, from the Jacobian at the end of the phase that was chosen.
 
-    With `r` the pixels' residuals and `J` their derivatives it is (JᵀJ)⁻¹ Jᵀ diag(r²) J (JᵀJ)⁻¹ (White, "A
-    heteroskedasticity-consistent covariance matrix estimator", Econometrica 48, 1980): residuals and derivatives are
-    large at the same few pixels, those of the outlines. Where differences count blurred, by B, it is
-    (JᵀB²J)⁻¹ JᵀB² diag(r²) B²J (JᵀB²J)⁻¹. It takes pixels for independent before they are blurred, which neighbours on
-    one outline are only roughly.
+    With `r` the pixels' residuals, `J` their derivatives and `B` the blur under which they count, a fit of least
+    squares misses by (JᵀB²J)⁻¹ JᵀB² r, whose covariance is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of
+    the score g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. Residuals are errors of the model far more than noise of the reference: a texel
+    moves an outline by the same way wherever pixels see it, so neighbours are correlated. S is therefore the estimate
+    of Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999),
+
+        S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
+
+    the mean over all places of a grid of L x L pixels of what its cells, each summed up, would give as independent
+    draws. L is twice the blur's standard deviation, which covers a texel. With L = 1, without blur, it is that of
+    White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
+
+    Where pixels jump from lit to shadowed as poses move, a fit ends near the least squares rather than there. The
+    square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: one draw's estimate of how far off that is.
 
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; not a number for what is not determined.
@@ -39,27 +54,40 @@ class Precision(NamedTuple):
 
 def precision_of(
     names: Sequence[str],
-    triangle: Float[HostArray, "p p"],
-    scatter: Float[HostArray, "p p"],
+    differences: Sequence[Float[HostArray, "h w"]],
+    slopes: Sequence[Float[HostArray, "p h w"]],
+    blurs: Sequence[float],
     span: Float[HostArray, " p"],
 ) -> Precision:
-    """The precision of a least-squares fit.
+    """The precision of a least-squares fit to several images.
 
     **Arguments:**
 
-    - `triangle`: (p, p), the factor R of `BJ`, with `J` the Jacobian of the residuals with respect to each parameter's
-        share of the distance `span` (p,) between its bounds.
-    - `scatter`: (p, p), JᵀB² diag(r²) B²J.
+    - `differences`: (h, w), the residuals of each image before they are blurred.
+    - `slopes`: (p, h, w), their derivatives with respect to each parameter's share of the distance `span` (p,) between
+        its bounds.
+    - `blurs`: standard deviation, in pixels, of the Gaussian under which the residuals of each image count; 0 for none.
     """
-    used = [int(i) for i in np.flatnonzero(np.abs(triangle).max(axis=0) > 0)]
-    kept = tuple(names[i] for i in used)
-    if not used or not (np.isfinite(triangle).all() and np.isfinite(scatter).all()):
+    images = list(zip(differences, slopes, blurs, strict=True))
+    if not all(np.isfinite(difference).all() and np.isfinite(slope).all() for difference, slope, _ in images):
         return Precision((), {}, [], [])
-    _, effect, ways = np.linalg.svd(np.asarray(triangle, np.float64)[:, used], full_matrices=False)
+    used = [i for i in range(len(names)) if any(np.any(slope[i]) for slope in slopes)]
+    kept = tuple(names[i] for i in used)
+    if not used:
+        return Precision((), {}, [], [])
+    blurred = [np.stack([_blurred(slope[i], blur) for i in used]) for _, slope, blur in images]
+    columns = np.concatenate([each.reshape(len(used), -1) for each in blurred], axis=1).T
+    residual = np.concatenate([_blurred(difference, blur).ravel() for difference, _, blur in images])
+    scatter = sum(
+        _covariance_of_sum(difference * np.stack([_blurred(each, blur) for each in slope]), blur)
+        for (difference, _, blur), slope in zip(images, blurred, strict=True)
+    )
+    _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
     # Along the ways that the image tells best to worst, whose effects are independent. Where nothing is left to doubt,
     # the fit is exact and so are its values.
     inverse = 1 / np.maximum(effect, 1e-100) ** 2
-    along = inverse[:, None] * (ways @ np.asarray(scatter, np.float64)[np.ix_(used, used)] @ ways.T) * inverse
+    left = inverse * (ways @ (columns.T @ residual))
+    along = inverse[:, None] * (ways @ scatter @ ways.T) * inverse + np.outer(left, left)
     lost = (effect < _LEAST_EFFECT * effect[0]) | (np.sqrt(np.maximum(np.diag(along), 0)) > _MOST_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
@@ -72,3 +100,19 @@ def precision_of(
     correlation = np.divide(covariance, product, out=np.eye(len(used)), where=product > 0)
     deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
     return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)
+
+
+def _blurred(image: Float[HostArray, "h w"], deviation: float) -> Float[HostArray, "h w"]:
+    wide = np.asarray(image, np.float64)
+    return gaussian_filter(wide, deviation, mode="constant", truncate=_REACH_OF_BLUR) if deviation else wide
+
+
+def _covariance_of_sum(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p p"]:
+    """The covariance of the sum of `scores` over the pixels of an image, where neighbours are correlated."""
+    side = max(1, round(_CORRELATED * blur))
+    # Sums over every square of `side` x `side` pixels that meets the image, as differences of running sums.
+    padded = np.pad(scores, ((0, 0), (side, side - 1), (side, side - 1)))
+    running = padded.cumsum(axis=1).cumsum(axis=2)
+    rows = running[:, side:] - running[:, :-side]
+    sums = (rows[:, :, side:] - rows[:, :, :-side]).reshape(len(scores), -1)
+    return sums @ sums.T / side**2

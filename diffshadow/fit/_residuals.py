@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._types import Mask, Scalar, Visibility
-from ..raster import Surface
+from ..raster import Overflow, Surface
 from ..shadow import AbstractCompare, ShadowMap, ShadowMapping
 from ._arrangement import Arrangement
 from ._parameters import Bounds, resolve, with_values
@@ -44,8 +44,8 @@ class Problem(eqx.Module):
         """The mean square error over the pixels that count."""
         return jnp.sum(self.residual(technique) ** 2)
 
-    def difference(self, technique: ShadowMapping) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere."""
+    def difference(self, technique: ShadowMapping, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere. It draws nothing that could overflow."""
         visibility = technique.visibility(self.shadow_map, self.surface)
         return jnp.where(self.mask, visibility - self.reference, 0)
 
@@ -87,10 +87,13 @@ class Joint(eqx.Module):
             raise ValueError("got both a Problem and a PoseProblem to fit jointly; expected all of one kind")
         return cls(each[0].subject, each)
 
-    def differences(self, subject: Any) -> tuple[Float[Array, "h w"], ...]:
-        """Those of all problems, scaled so that the sum of all their squares is the mean square error."""
+    def differences(self, subject: Any, overflows: list[Overflow] | None = None) -> tuple[Float[Array, "h w"], ...]:
+        """Those of all problems, scaled so that the sum of all their squares is the mean square error.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
         count = jnp.maximum(sum(problem.count for problem in self.problems), 1)
-        return tuple(problem.difference(subject) / jnp.sqrt(count) for problem in self.problems)
+        return tuple(problem.difference(subject, overflows) / jnp.sqrt(count) for problem in self.problems)
 
     def compared(self, differences: Sequence[Float[Array, "h w"]]) -> tuple[Float[Array, "h w"], ...]:
         """What counts of all differences: of poses, their blur."""
@@ -100,10 +103,14 @@ class Joint(eqx.Module):
         """The mean square error over all pixels that count."""
         return _sum_of_squares(self.differences(subject))
 
-    def losses(self, subject: Subject) -> tuple[Scalar, Scalar]:
-        """The mean square of what counts of the differences, which a fit makes least, and that of all of them."""
-        differences = self.differences(subject)
-        return _sum_of_squares(self.compared(differences)), _sum_of_squares(differences)
+    def losses(self, subject: Subject) -> tuple[Scalar, Scalar, Overflow]:
+        """The mean square of what counts of the differences, which a fit makes least, and that of all of them.
+
+        **Returns** also whether a capacity was too small to draw them: they are wrong then.
+        """
+        overflows: list[Overflow] = []
+        differences = self.differences(subject, overflows)
+        return _sum_of_squares(self.compared(differences)), _sum_of_squares(differences), any_of(overflows)
 
     @property
     def technique(self) -> ShadowMapping:
@@ -126,6 +133,11 @@ class Joint(eqx.Module):
 
 
 AnyProblem = Problem | PoseProblem
+
+
+def any_of(overflows: Sequence[Overflow]) -> Overflow:
+    """Whether any capacity was too small."""
+    return jnp.any(jnp.asarray(overflows, bool))
 
 
 def _sum_of_squares(images: Sequence[Float[Array, "h w"]]) -> Scalar:

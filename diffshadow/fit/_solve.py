@@ -5,7 +5,7 @@ geometrically, each phase starting from the last. Where lights or meshes move, p
 fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the soft
 one, in the end. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
 the best of them is the result, so a fit never ends worse than it began. Of poses it sees blurred differences, as the
-phases do.
+phases do, and takes the last of those that differ by less than the loss jumps.
 """
 
 import time
@@ -21,16 +21,18 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._misc import as_float
+from ..raster import Overflow
 from ..shadow import ShadowMapping
 from ._adam import Adam
 from ._arrangement import Arrangement
-from ._history import Report, Reporter, Step
+from ._history import Report, Reporter, Step, report_overflow
 from ._levenberg_marquardt import LevenbergMarquardt
 from ._parameters import Bounds, Parameter, bounds_of, with_values
 from ._phases import Phase, enlarged, hard, phases_of, prepared
-from ._poses import is_overflow
+from ._poses import PoseProblem
 from ._precision import Precision, precision_of
-from ._residuals import AnyProblem, Joint, check_problem
+from ._programs import compiled
+from ._residuals import AnyProblem, Joint, any_of, check_problem
 from ._settings import Anneal, Solver, check_anneal, check_solver
 from ._starts import starts_within
 
@@ -39,10 +41,12 @@ _Images = tuple[Float[Array, "..."], ...]
 # Singular values of the Jacobian below this share of the largest count as zero: float32 knows no better.
 _LEAST_SINGULAR = 1e-6
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
-# How often a phase may be given more room to draw before its error is passed on.
+# How often a phase may be given a larger capacity to draw.
 _ENLARGEMENTS = 6
-# Of so many of the last evaluations it is counted how much room they take.
-_RECENT = 32
+_NEVER_ENOUGH = (
+    f"the capacity to draw is too small after {_ENLARGEMENTS} enlargements; expected it to settle: narrow the bounds "
+    "of what moves"
+)
 # By which share the loss of poses jumps as they move a little, and pixels go from lit to shadowed and back.
 _NOISE_OF_POSES = 0.25
 # Mean square errors are not told from 0 below this.
@@ -86,15 +90,16 @@ class FitResult(NamedTuple):
 
     - `technique`: the fitted technique, with the hard compare.
     - `initial`, `fitted`: values by name.
-    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best.
+    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best. Of
+        poses, whose loss jumps as they move, the last that is not worse by more than that.
     - `history`: every evaluation, in order.
     - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: where lights or meshes were fitted, all that was.
-    - `precision`: how well the values are determined; none if no phase ended where that can be told.
+    - `precision`: how well the values are determined; none if the start was best.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
-    - `enlargements`: how often a phase ran out of room to draw, and was given more.
-    - `problems`: those that were fitted, with room to draw what the bounds allow.
+    - `enlargements`: how often a phase was repeated with a larger capacity to draw.
+    - `problems`: those that were fitted, with the capacity to draw what the bounds allow.
     """
 
     technique: ShadowMapping
@@ -141,7 +146,8 @@ def fit(
     - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
         by the hard compare, after all phases but those of the last level, is gone on with.
     - `seed`: of the starts.
-    - `on_step`: called with every evaluation of the loss, while the fit runs.
+    - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
+        repeated with a larger capacity.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
@@ -160,7 +166,7 @@ def fit(
     run = _Run(parameters, hard(joint), phases_of(joint, paths, anneal, levels), solver, on_step)
     with run.reporter:
         path, tried = run.through(spread)
-    best = int(np.argmin(path.losses))
+    best = path.chosen(_NOISE_OF_POSES if joint.moves else 0.0)
     fitted = path.values[best]
     subject = with_values(run.judge.subject, paths, as_float(fitted))
     return FitResult(
@@ -174,7 +180,7 @@ def fit(
         seconds_compiling=run.seconds_compiling,
         seconds_running=time.perf_counter() - began - run.seconds_compiling,
         arrangement=subject if isinstance(subject, Arrangement) else None,
-        precision=run.precision(path),
+        precision=run.precision(path, best - 1),
         starts=tried,
         enlargements=run.enlargements,
         problems=run.judge.problems,
@@ -185,27 +191,39 @@ class _Solution(NamedTuple):
     """The end of a phase, as arrays.
 
     Derivatives are by each parameter's share of its bounds' distance: comparable, and free of the reparametrisation.
-    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `triangle` and
-    `scatter` are what `precision_of` takes.
+    `slope` is the length of a column of the residuals' Jacobian, 0 where a parameter changes nothing; `differences` and
+    `slopes` are images, before they are compared, of each problem: (h, w), and (a, h, w).
     """
 
     value: Float[Array, " a"]
     gradient: Float[Array, " a"]
     slope: Float[Array, " a"]
-    triangle: Float[Array, "a a"]
-    scatter: Float[Array, "a a"]
+    differences: _Images
+    slopes: _Images
     steps: Array
     result: optx.RESULTS
 
 
 class _Path(NamedTuple):
-    """Where a start has come to: the free values at the start and after each phase, and the judge's losses there."""
+    """Where a start has come to: the free values at the start and after each phase, and the judge's losses there.
+
+    `ends` holds the phases so far and their solutions.
+    """
 
     free: list[Float[Array, " p"]]
     values: list[tuple[float, ...]]
     losses: list[float]
     outcomes: list[Outcome]
-    last: tuple[Phase, _Solution] | None
+    ends: list[tuple[Phase, _Solution]]
+
+    def chosen(self, noise: float) -> int:
+        """The index of the best values: the last whose loss exceeds the least by no more than this share of it.
+
+        Losses within the noise tell nothing; what tells then is that the phase has no slope left at its end.
+        """
+        if not noise:
+            return int(np.argmin(self.losses))
+        return int(np.flatnonzero(np.asarray(self.losses) <= (1 + noise) * min(self.losses))[-1])
 
 
 class _Run:
@@ -244,15 +262,17 @@ class _Run:
         self.reporter.start = best
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
-    def precision(self, path: _Path) -> Precision | None:
-        """How well the last phase determines what it fitted."""
-        if path.last is None:
+    def precision(self, path: _Path, chosen: int) -> Precision | None:
+        """How well the chosen phase determines what it fitted; none if the start was better than all phases."""
+        if chosen < 0:
             return None
-        phase, solution = path.last
+        phase, solution = path.ends[chosen]
         active = np.asarray(phase.active)
         span = np.asarray(self.bounds.upper - self.bounds.lower)[active]
         names = [self.names[i] for i in phase.active]
-        return precision_of(names, np.asarray(solution.triangle), np.asarray(solution.scatter), span)
+        blurs = [p.blur if isinstance(p, PoseProblem) else 0.0 for p in phase.joint.problems]
+        on_host = lambda images: [np.asarray(image) for image in images]
+        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), blurs, span)
 
     def flat(self, path: _Path) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
@@ -266,7 +286,7 @@ class _Run:
                 "the visibility or the reference is not finite at the initial values; expected numbers: check "
                 "the mesh, the light and the reference"
             )
-        return _Path([self.bounds.to_free(initial)], [tuple(initial.tolist())], [loss], [], None)
+        return _Path([self.bounds.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
 
     def _along(self, numbers: Sequence[int], path: _Path) -> _Path:
         for number in numbers:
@@ -280,7 +300,7 @@ class _Run:
         # Errors of any size look alike to the solver, so that its tolerances mean the same for all.
         scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
-        solution = self._drawing(number, _run_phase, lambda phase: self._arguments(phase, free, scale))
+        solution = self._drawn_by_phase(number, free, scale)
         if bool(jnp.all(jnp.isfinite(solution.value))):
             free = free.at[active].set(solution.value)
         self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
@@ -292,7 +312,7 @@ class _Run:
             [*path.values, outcome.values],
             [*path.losses, loss],
             [*path.outcomes, outcome],
-            (self.phases[number], solution),
+            [*path.ends, (self.phases[number], solution)],
         )
 
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
@@ -305,37 +325,48 @@ class _Run:
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of what counts of the differences, and of all of them."""
-        loss, hard_loss = self._drawing(None, _losses, lambda _: (self.judge, self.paths, values))
+        loss, hard_loss = self._drawn_by_judge(values)
         finite = lambda loss: float(loss) if np.isfinite(loss) else np.inf
         return finite(loss), finite(hard_loss)
 
-    def _drawing(self, number: int | None, function: Any, arguments: Callable[[Any], tuple[Any, ...]]) -> Any:
-        """What the program of a phase, or the judge's, returns; it gets more room to draw where it runs out of it."""
-        for attempt in range(_ENLARGEMENTS + 1):
-            phase = None if number is None else self.phases[number]
-            key = None if phase is None else phase.program
-            try:
-                found = self._program(key, function, arguments(phase))(*arguments(phase))
-                jax.effects_barrier()
-                return jax.block_until_ready(found)
-            except RuntimeError as error:
-                if not is_overflow(error) or attempt == _ENLARGEMENTS:
-                    raise
-            self.enlargements += 1
-            self._programs.pop(key, None)
-            seen = as_float([step.values for step in self.history[-_RECENT:]] or [self.bounds.lower.tolist()])
-            if phase is None:
-                self.judge = enlarged(self.judge, self.paths, seen)
-            else:
-                assert number is not None
-                self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.paths, seen))
-        raise AssertionError
+    def _drawn_by_phase(self, number: int, free: Float[Array, " p"], scale: float) -> _Solution:
+        """What the program of a phase returns, repeated with a larger capacity until nothing is missing."""
+        for _ in range(_ENLARGEMENTS + 1):
+            phase = self.phases[number]
+            found = self._returned(phase.program, _run_phase, self._arguments(phase, free, scale))
+            if not self.reporter.overflowed:
+                return found
+            places = list(dict.fromkeys(self.reporter.overflowed))
+            self._forget(phase.program)
+            self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.paths, as_float(places)))
+            self.reporter.again()
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _drawn_by_judge(self, values: Float[Array, " p"]) -> tuple[Array, Array]:
+        """What the judge's program returns, likewise."""
+        for _ in range(_ENLARGEMENTS + 1):
+            loss, hard_loss, overflow = self._returned(None, _losses, (self.judge, self.paths, values))
+            if not overflow:
+                return loss, hard_loss
+            self._forget(None)
+            self.judge = enlarged(self.judge, self.paths, values[None])
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _returned(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
+        found = self._program(key, function, arguments)(*arguments)
+        jax.effects_barrier()
+        return jax.block_until_ready(found)
+
+    def _forget(self, key: Any) -> None:
+        """Drops a program whose capacity is too small."""
+        self.enlargements += 1
+        self._programs.pop(key, None)
 
     def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
         """The compiled program of the phases that `key` tells; `None` is the judge's."""
         if key not in self._programs:
             started = time.perf_counter()
-            self._programs[key] = function.lower(*arguments).compile()
+            self._programs[key] = compiled(function, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return self._programs[key]
 
@@ -349,9 +380,10 @@ def _phase(
         problem, bounds, scale = args
         share = bounds.share(y)
         fixed = jax.lax.stop_gradient(share)
-        differences, slopes = _with_slopes(problem, names, bounds, fixed)
-        slopes = jax.vmap(problem.compared)(slopes)
-        change = jnp.matmul(_columns(slopes), share - fixed, precision="highest")
+        differences, slopes, overflow = _with_slopes(problem, names, bounds, fixed)
+        if problem.moves:
+            report_overflow(token, overflow, y)
+        change = jnp.matmul(_columns(jax.vmap(problem.compared)(slopes)), share - fixed, precision="highest")
         return scale * (_flat(problem.compared(differences)) + change), (differences, slopes)
 
     solution = optx.least_squares(
@@ -365,15 +397,13 @@ def _phase(
         throw=False,
     )
     differences, slopes = solution.state.aux
-    end, jacobian = _flat(problem.compared(differences)), _columns(slopes)
-    # Pixels are independent before they are blurred, and each counts for all that it is spread over.
-    pulled = _flat(differences)[:, None] * _columns(jax.vmap(problem.compared)(slopes))
+    end, jacobian = _flat(problem.compared(differences)), _columns(jax.vmap(problem.compared)(slopes))
     return _Solution(
         value=solution.value,
         gradient=2 * jnp.matmul(end, jacobian, precision="highest"),
         slope=jnp.sqrt(jnp.sum(jacobian**2, axis=0)),
-        triangle=jnp.linalg.qr(jacobian, mode="r"),
-        scatter=jnp.matmul(pulled.T, pulled, precision="highest"),
+        differences=differences,
+        slopes=slopes,
         steps=solution.stats["num_steps"],
         result=solution.result,
     )
@@ -381,14 +411,19 @@ def _phase(
 
 def _with_slopes(
     problem: Joint, names: tuple[str, ...], bounds: Bounds, share: Float[Array, " p"]
-) -> tuple[_Images, _Images]:
+) -> tuple[_Images, _Images, Overflow]:
     """All differences where the parameters have gone so far (p,) between their bounds, and their derivatives by each.
 
-    **Returns:** images (h, w), and stacks of them (p, h, w).
+    **Returns:** images (h, w), stacks of them (p, h, w), and whether a capacity was too small to draw them.
     """
-    differences = lambda share: problem.differences(with_values(problem.subject, names, bounds.at(share)))
+
+    def differences(share: Array) -> tuple[_Images, Overflow]:
+        overflows: list[Overflow] = []
+        found = problem.differences(with_values(problem.subject, names, bounds.at(share)), overflows)
+        return found, any_of(overflows)
+
     # Few parameters, many pixels: forward.
-    pushed = jax.vmap(lambda way: jax.jvp(differences, (share,), (way,)), out_axes=(None, 0))
+    pushed = jax.vmap(lambda way: jax.jvp(differences, (share,), (way,), has_aux=True), out_axes=(None, 0, None))
     return pushed(jnp.eye(share.shape[0], dtype=share.dtype))
 
 

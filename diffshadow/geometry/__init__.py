@@ -8,6 +8,7 @@ from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
 from ._edges import Edges as Edges
 from ._edges import share_vertices as share_vertices
 from ._library import LIBRARY as LIBRARY
+from ._library import OptionError as OptionError
 from ._library import library_mesh as library_mesh
 from ._mesh import Mesh as Mesh
 from ._mesh import face_normals as face_normals

@@ -8,6 +8,7 @@ seen from outside.
 import difflib
 import inspect
 import math
+import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -22,12 +23,32 @@ from ._normals import crease_normals
 Number = float | int
 
 _SMOOTH, _SHARP = 180.0, 30.0
+# Normals are cross products of edges, and their lengths are squared: single precision holds the fourth powers of these.
+_LEAST_SIZE, _MOST_SIZE = 1e-6, 1e9
+# Two million triangles, about 200 MB.
+_MOST_QUADS = 1 << 20
+_MOST_SUBDIVISIONS = 8
+_MOST_SLATS = 10_000
+# Even the finest tube has but a few segments for each of so many windings.
+_MOST_WINDINGS = 1000
+_MOST_SEED = 2**32 - 1
+
+
+class OptionError(ValueError):
+    """An option that a piece of the library cannot be made with.
+
+    - `option`: its name; `what`: what was given, what was expected, and how to mend it.
+    """
+
+    def __init__(self, piece: str, option: str, what: str):
+        super().__init__(f"{piece}: {option} {what}")
+        self.option, self.what = option, what
 
 
 def plane(size: Number = 1.0, segments: int = 1) -> Mesh:
     """A square in y = 0 that faces `+y`: `size` world units wide, `segments` quads along each side. Open."""
     _check_positive("plane", size=size)
-    _check_count("plane", 1, segments=segments)
+    _check_count("plane", 1, math.isqrt(_MOST_QUADS), segments=segments)
     line = (np.arange(segments + 1) / segments - 0.5) * size
     x, z = np.meshgrid(line, line, indexing="ij")
     vertices = np.stack([x, np.zeros_like(x), z], axis=-1).reshape(-1, 3)
@@ -67,9 +88,11 @@ def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = 
 def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides: int = 32) -> Mesh:
     """A torus that lies on the ground: `radius` of its ring and of its `tube` in world units."""
     _check_positive("torus", radius=radius, tube=tube)
-    _check_count("torus", 3, segments=segments, sides=sides)
+    _check_tube("torus", segments, sides)
     if tube >= radius:
-        raise ValueError(f"torus: the tube's radius {tube} is not below the ring's, {radius}: make the tube thinner")
+        raise OptionError(
+            "torus", "tube", f"is {tube}, and radius is {radius}; expected less than that; make the tube thinner"
+        )
     angle = _turn(segments)
     outwards = np.stack([np.cos(angle), np.zeros(segments), -np.sin(angle)], axis=-1)
     upwards = np.broadcast_to([0.0, 1.0, 0.0], (segments, 3))
@@ -90,10 +113,11 @@ def torus_knot(
     - `segments`, `sides`: of the tube, along it and round it.
     """
     _check_positive("torus_knot", radius=radius, tube=tube)
-    _check_count("torus_knot", 3, segments=segments, sides=sides)
-    _check_count("torus_knot", 1, p=p, q=q)
+    _check_tube("torus_knot", segments, sides)
+    _check_count("torus_knot", 1, _MOST_WINDINGS, p=p, q=q)
     if math.gcd(p, q) != 1:
-        raise ValueError(f"torus_knot: p = {p} and q = {q} have a common divisor; expected none, as in p = 2, q = 3")
+        said = f"is {q}, which has a divisor in common with p, {p}; expected none; take numbers such as p = 2, q = 3"
+        raise OptionError("torus_knot", "q", said)
     t = _turn(segments)
     # ((2 + cos qt) cos pt, (2 + cos qt) sin pt, -sin qt) · radius / 2
     ring = (2 + np.cos(q * t)) * radius / 2
@@ -120,11 +144,13 @@ def fence(
     - `slat_width`, `thickness`: of each slat along x and z, world units.
     """
     _check_positive("fence", width=width, height=height, slat_width=slat_width, thickness=thickness)
-    _check_count("fence", 1, slats=slats)
+    _check_count("fence", 1, _MOST_SLATS, slats=slats)
     if slats * slat_width >= width and not (slats == 1 and slat_width == width):
-        raise ValueError(
-            f"fence: {slats} slats of {slat_width} leave no gaps in a width of {width}: "
-            "take fewer or narrower slats, or a wider fence"
+        raise OptionError(
+            "fence",
+            "slats",
+            f"is {slats}, which of a slat_width of {slat_width} leave no gaps in a width of {width}; expected gaps; "
+            "take fewer or narrower slats, or a wider fence",
         )
     parts = [
         _box((slat_width, height, thickness), (float(x), height / 2, 0.0))
@@ -152,9 +178,10 @@ def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, 
     - `seed`: which blob; one seed gives the same shape at any number of subdivisions.
     """
     _check_positive("blob", radius=radius)
-    _check_count("blob", 0, seed=seed)
+    _check_count("blob", 0, _MOST_SEED, seed=seed)
     if not 0 <= amplitude < 1:
-        raise ValueError(f"blob: the amplitude is {amplitude}; expected a share of the radius in [0, 1)")
+        said = f"is {amplitude}; expected a share of the radius, at least 0 and less than 1; change it"
+        raise OptionError("blob", "amplitude", said)
     directions, faces = _icosphere("blob", subdivisions)
     rng = np.random.default_rng(seed)
     # Plane waves of wavelengths near the radius; divided by their count's root they stay within about ±1.
@@ -173,10 +200,11 @@ LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType(
 """The pieces by name."""
 
 
-def library_mesh(name: str, **options: Any) -> Mesh:
+def library_mesh(name: str, /, **options: Any) -> Mesh:
     """The library's piece called `name`, made with `options`, the arguments of the function of that name.
 
-    **Raises** `ValueError` if there is no such piece or option, or an option's value does not suit it.
+    **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option, or the option's value
+    does not suit it.
     """
     if name not in LIBRARY:
         raise ValueError(
@@ -186,9 +214,9 @@ def library_mesh(name: str, **options: Any) -> Mesh:
     known = inspect.signature(LIBRARY[name]).parameters
     for option, value in options.items():
         if option not in known:
-            raise ValueError(
-                f"{name} has no option {option!r}{_suggestion(option, known)}; expected one of {', '.join(known)}"
-            )
+            near = difflib.get_close_matches(option, list(known), n=1)
+            mend = f"did you mean {near[0]!r}?" if near else "remove it"
+            raise OptionError(name, option, f"is no option of {name}; expected {', '.join(known)}; {mend}")
         _check_type(name, option, value, known[option].default)
     return LIBRARY[name](**options)
 
@@ -199,39 +227,49 @@ def _suggestion(word: str, words: Mapping[str, Any]) -> str:
 
 
 def _check_type(name: str, option: str, value: Any, default: Any) -> None:
-    """**Raises** `ValueError` unless `value` is of the kind that the option's default is of."""
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    is_number = is_whole or isinstance(value, float)
+    """**Raises** `OptionError` unless `value` is of the kind that the option's default is of."""
+    whole = lambda x: isinstance(x, int) and not isinstance(x, bool)
+    number = lambda x: whole(x) or isinstance(x, float)
     if isinstance(default, bool):
         suits, expected = isinstance(value, bool), "true or false"
     elif isinstance(default, int):
-        suits, expected = is_whole, "a whole number"
+        suits, expected = whole(value), "a whole number"
     elif isinstance(default, float):
-        suits, expected = is_number, "a number"
+        suits, expected = number(value), "a number"
     else:
-        suits = is_number or (isinstance(value, list | tuple) and all(isinstance(x, int | float) for x in value))
+        suits = number(value) or (isinstance(value, list | tuple) and all(map(number, value)))
         expected = "a number or three"
     if not suits:
-        raise ValueError(f"{name}: {option} is {value!r}; expected {expected}, such as the default, {default}")
+        given = reprlib.repr(value)
+        raise OptionError(name, option, f"is {given}; expected {expected}; give one such as the default, {default}")
 
 
 def _check_positive(piece: str, **sizes: Any) -> None:
     for option, value in sizes.items():
-        if not 0 < value < math.inf:
-            raise ValueError(f"{piece}: {option} is {value}; expected a positive number of world units")
+        if not _LEAST_SIZE <= value <= _MOST_SIZE:
+            expected = f"world units from {_LEAST_SIZE:g} to {_MOST_SIZE:g}"
+            raise OptionError(piece, option, f"is {value}; expected {expected}; change it")
 
 
-def _check_count(piece: str, least: int, **counts: int) -> None:
+def _check_count(piece: str, least: int, most: int, **counts: int) -> None:
     for option, value in counts.items():
-        if value < least:
-            raise ValueError(f"{piece}: {option} is {value}; expected {least} or more")
+        if not least <= value <= most:
+            raise OptionError(piece, option, f"is {value}; expected a whole number from {least} to {most}; change it")
+
+
+def _check_tube(piece: str, segments: int, sides: int) -> None:
+    _check_count(piece, 3, _MOST_QUADS // 3, segments=segments, sides=sides)
+    if segments * sides > _MOST_QUADS:
+        said = f"is {segments}, which with {sides} sides makes {2 * segments * sides:,} triangles"
+        raise OptionError(piece, "segments", f"{said}; expected at most {2 * _MOST_QUADS:,}; lower one of the two")
 
 
 def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[float, float, float]:
     values = [value] * 3 if isinstance(value, float | int) else list(value)
     if len(values) != 3:
-        raise ValueError(f"{piece}: {option} is {value}; expected one number, or three for x, y and z")
-    _check_positive(piece, **{f"{option} along {axis}": v for axis, v in zip("xyz", values, strict=True)})
+        raise OptionError(piece, option, f"has {len(values)} entries; expected one number, or three; give x, y and z")
+    for size in values:
+        _check_positive(piece, **{option: size})
     return float(values[0]), float(values[1]), float(values[2])
 
 
@@ -282,8 +320,7 @@ def _tube(
 
 def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
     """Unit vertices and faces of an icosahedron, each of whose triangles is cut in four `subdivisions` times."""
-    if not 0 <= subdivisions <= 8:
-        raise ValueError(f"{piece}: subdivisions is {subdivisions}; expected 0 (20 triangles) to 8 (1.3 million)")
+    _check_count(piece, 0, _MOST_SUBDIVISIONS, subdivisions=subdivisions)
     g = (1 + math.sqrt(5)) / 2
     rectangle = np.array([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]])
     vertices = _unit(np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)]))

@@ -16,6 +16,12 @@ _COSINE_SLACK = 1e-9
 # Pairs of corners compared at once; bounds the memory to a few hundred MB.
 _PAIRS_PER_CHUNK = 1 << 21
 
+# Vertices of the average cell, a little smaller than the tolerance, beyond which one stands for all of its cell: parts
+# far smaller than a mesh's extent have millions of pairs within the tolerance.
+_MOST_IN_CELL = 4
+# Odd numbers whose sums of products differ for different cells, but for a chance of one in 2⁶⁴.
+_CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2D])
+
 
 def weld(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], tolerance: float | int = 1e-6
@@ -30,7 +36,8 @@ def weld(
     - `vertices`: (v, 3), any unit.
     - `faces`: (f, 3), indices into `vertices`.
     - `tolerance`: vertices no farther apart than this share of the longest side of the bounding box are merged, and
-        so are chains of such vertices; 0 merges only equal ones.
+        so are chains of such vertices; 0 merges only equal ones. Where the tolerance is so large that dozens are
+        within it of the average vertex, some of these may stay apart.
 
     **Returns:** vertices (w, 3), float64, and faces (g, 3), int64. Faces that lose a corner by the merge are dropped,
     and so are vertices that no face uses; the order is otherwise kept, and a merged vertex stays where the first of
@@ -114,10 +121,16 @@ def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int
     """A group number for each point, equal for points to be merged."""
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.reshape(-1)
-    if tolerance == 0 or len(distinct) < 2:
+    # Below rounding, none but equal ones are meant.
+    if tolerance < np.finfo(np.float64).eps or len(distinct) < 2:
         return group
     # Distances rather than a grid of cells, whose borders would part neighbours.
     reach = tolerance * np.ptp(distinct, axis=0).max()
+    # Cells whose points are all within reach of one another.
+    cells = np.floor((distinct - distinct.min(axis=0)) * (3**0.5 / reach)).astype(np.int64)
+    if len(distinct) > _MOST_IN_CELL * len(np.unique(cells @ _CELL_HASH)):
+        _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        distinct, group = distinct[first], cell.reshape(-1)[group]
     pairs = KDTree(distinct).query_pairs(reach, output_type="ndarray")
     links = coo_array((np.ones(len(pairs), bool), pairs.T), shape=(len(distinct), len(distinct)))
     _, label = connected_components(links, directed=False)

@@ -1,5 +1,7 @@
 """Files: meshes and images in, images and cached results out."""
 
+from ._arrays import Layout as Layout
+from ._arrays import read_arrays as read_arrays
 from ._atomic import atomic_path as atomic_path
 from ._atomic import check_writable as check_writable
 from ._cache import cache_folder as cache_folder
@@ -7,6 +9,7 @@ from ._cache import cache_key as cache_key
 from ._cache import cached_arrays as cached_arrays
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError as FileError
+from ._errors import MeshWarning as MeshWarning
 from ._images import read_visibility as read_visibility
 from ._images import write_png as write_png
 from ._images import write_visibility as write_visibility

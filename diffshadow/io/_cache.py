@@ -10,8 +10,6 @@ import os
 import re
 import struct
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ import jax
 import numpy as np
 
 from .._types import HostArray
+from ._arrays import read_all_arrays
 from ._atomic import atomic_path
 from ._errors import FileError
 
@@ -29,7 +28,6 @@ CACHE_LIMIT = 2 << 30
 """Bytes beyond which the least recently used entries are removed."""
 # Entries, and the temporary files of writers that were killed. Nothing else in the folder is ours to remove.
 _ENTRY = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 
 
 def cached_arrays(
@@ -76,7 +74,9 @@ def cache_folder() -> Path:
     """The folder for cached results, from the environment; it may not exist yet."""
     chosen = os.environ.get("DIFFSHADOW_CACHE")
     if chosen:
-        return Path(chosen).expanduser()
+        # Of nobody else's home folder, which may be the root of the file system.
+        home = chosen == "~" or chosen.startswith("~/")
+        return Path(chosen).expanduser() if home else Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "diffshadow"
 
@@ -161,10 +161,9 @@ def _on_host(arrays: Mapping[str, Any]) -> dict[str, HostArray]:
 def _read(entry: Path) -> dict[str, HostArray] | None:
     """The entry's arrays, or `None` if it is missing or damaged."""
     try:
-        # Opened here, for `np.load` leaves a damaged file open.
-        with entry.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name.removeprefix("_"): stored[name] for name in stored.files}
-    except _UNREADABLE:
+        with entry.open("rb") as file:
+            arrays = {name.removeprefix("_"): array for name, array in read_all_arrays(file).items()}
+    except Exception:  # zip files and NumPy's headers raise what they like
         return None
     # The time of change is the time of last use, which pruning goes by. It may belong to somebody else.
     with contextlib.suppress(OSError):

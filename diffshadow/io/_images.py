@@ -4,8 +4,12 @@ In memory row 0 is the bottom row; image files (PNG, EXR) begin with the top row
 else. A `.npy` file holds the array as it is in memory. Values are linear: nothing here applies a gamma curve.
 """
 
+import contextlib
+import math
 import os
-from collections.abc import Callable, Mapping
+import struct
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +23,22 @@ from ._atomic import atomic_path
 from ._errors import FileError
 from ._paths import existing_file
 
+# What files of each kind begin with, by their usual suffix.
+_SIGNATURES = {
+    b"\x93NUMPY": ".npy",
+    b"\x89PNG\r\n\x1a\n": ".png",
+    b"v/1\x01": ".exr",
+    b"\xff\xd8\xff": ".jpg",
+    b"GIF8": ".gif",
+    b"BM": ".bmp",
+    b"II*\0": ".tif",
+    b"MM\0*": ".tif",
+    b"RIFF": ".webp",
+    b"#?RADIANCE": ".hdr",
+    b"PK\x03\x04": ".npz or .zip",
+}
+# 8192 squared: a picture larger by far than those that are compared, in a few hundred megabytes.
+_MOST_PIXELS = 1 << 26
 # Rounding may carry a mean of values in [0, 1] this far outside.
 _ROUNDING = 1e-5
 
@@ -52,11 +72,12 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
     file = existing_file(path, "visibility")
     read = _for_suffix(file, _READERS)
     try:
+        _check_signature(file)
         pixels = read(file)
     except FileError:
         raise
     except Exception as error:  # each format's reader raises what it likes
-        reason = str(error).strip() or type(error).__name__
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise FileError(
             f"the visibility file {file} is damaged or not of the format that its suffix says ({reason}); "
             "write it again"
@@ -83,7 +104,14 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
 
 
 def _read_png(file: Path) -> HostArray:
-    stored = iio.imread(file, extension=".png")
+    data = file.read_bytes()
+    # A file begins with its signature and the header's length and name, and then its width and height.
+    if len(data) < 24:
+        raise ValueError("its header is cut short")
+    columns, rows = struct.unpack_from(">II", data, 16)
+    _check_size(file, rows, columns)
+    # By name, since imageio would otherwise try all that it has, and speak of what it lacks.
+    stored = iio.imread(data, plugin="pillow")
     scale = 1 if stored.dtype == bool else np.iinfo(stored.dtype).max
     pixels = stored.astype(np.float32) / scale
     if pixels.ndim == 3 and 2 <= pixels.shape[-1] <= 4:
@@ -93,8 +121,19 @@ def _read_png(file: Path) -> HostArray:
 
 
 def _read_exr(file: Path) -> HostArray:
-    with OpenEXR.File(str(file), separate_channels=True) as exr:
-        channels = {name: np.asarray(channel.pixels, np.float32) for name, channel in exr.channels().items()}
+    try:
+        with _silent(), OpenEXR.File(str(file), header_only=True) as exr:
+            windows = [np.array(part.header["dataWindow"], np.int64) for part in exr.parts]
+    except Exception as error:
+        raise ValueError("its header is cut short or garbled") from error
+    for low, high in windows:
+        columns, rows = (high - low + 1).tolist()
+        _check_size(file, rows, columns)
+    try:
+        with _silent(), OpenEXR.File(str(file), separate_channels=True) as exr:
+            channels = {name: np.asarray(channel.pixels, np.float32) for name, channel in exr.channels().items()}
+    except Exception as error:
+        raise ValueError("its pixels are cut short or garbled") from error
     if "Y" in channels:
         chosen = [channels["Y"]]
     elif {"R", "G", "B"} <= channels.keys():
@@ -111,10 +150,40 @@ def _read_exr(file: Path) -> HostArray:
 def _read_npy(file: Path) -> HostArray:
     # Opened here, for `np.load` leaves a damaged file open.
     with file.open("rb") as stream:
-        stored = np.load(stream, allow_pickle=False)
-    if stored.dtype.kind not in "bfiu":
-        raise FileError(f"the visibility file {file} holds values of type {stored.dtype}; expected real numbers")
-    return stored
+        version = np.lib.format.read_magic(stream)
+        if version not in _NPY_HEADERS:
+            raise ValueError(f"its version is {version}; expected 1.0 or 2.0")
+        shape, _, dtype = _NPY_HEADERS[version](stream)
+        if dtype.kind not in "bfiu":
+            raise FileError(f"the visibility file {file} holds values of type {dtype}; expected real numbers")
+        # `np.load` takes the memory that the header asks for before it looks at what there is.
+        promised, there = math.prod(shape) * dtype.itemsize, file.stat().st_size - stream.tell()
+        if promised != there:
+            raise ValueError(f"it has {there} bytes of numbers; expected the {promised} of its shape {shape}")
+        stream.seek(0)
+        return np.load(stream, allow_pickle=False)
+
+
+def _check_size(file: Path, rows: int, columns: int) -> None:
+    """**Raises** `FileError` if there are no pixels, or more than are read."""
+    if not 0 < rows * columns <= _MOST_PIXELS:
+        raise FileError(
+            f"the visibility file {file} has {rows} x {columns} pixels; expected 1 to {_MOST_PIXELS:,} in all: scale it"
+        )
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keeps OpenEXR, which tells of a damaged file where nobody can catch it, from writing to the terminal."""
+    sys.stderr.flush()
+    errors = os.dup(2)
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(errors, 2)
+            os.close(errors)
 
 
 def _write_png16(file: Path, pixels: HostArray) -> None:
@@ -133,6 +202,7 @@ def _write_npy(file: Path, pixels: HostArray) -> None:
         np.save(stream, pixels, allow_pickle=False)
 
 
+_NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _READERS: Mapping[str, Callable[[Path], HostArray]] = {".npy": _read_npy, ".png": _read_png, ".exr": _read_exr}
 _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
     ".npy": _write_npy,
@@ -147,9 +217,23 @@ def _for_suffix[T](path: Path, table: Mapping[str, T]) -> T:
     return table[path.suffix.lower()]
 
 
+def _check_signature(file: Path) -> None:
+    """**Raises** `ValueError` if the file does not begin as its suffix says, and `FileError` if it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            start = stream.read(max(map(len, _SIGNATURES)))
+    except OSError as error:
+        raise FileError(f"cannot read the visibility file {file}: {error.strerror or error}") from error
+    found = next((kind for signature, kind in _SIGNATURES.items() if start.startswith(signature)), None)
+    if found != file.suffix.lower():
+        what = f"is a {found} file" if found else f"does not begin as a {file.suffix} file" if start else "is empty"
+        raise ValueError(f"it {what}")
+
+
 def _in_unit_range(pixels: HostArray, name: str, error: type[ValueError]) -> HostArray:
     """`pixels` in float32, what rounding carried outside [0, 1] put back."""
-    values = pixels.astype(np.float32)
+    with np.errstate(over="ignore"):  # what single precision cannot hold is refused as infinite
+        values = pixels.astype(np.float32)
     if not np.isfinite(values).all():
         raise error(f"{name} has {np.count_nonzero(~np.isfinite(values))} pixels that are NaN or infinite")
     low, high = float(values.min()), float(values.max())

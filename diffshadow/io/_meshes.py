@@ -1,92 +1,118 @@
 """Meshes from files."""
 
 import os
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from jaxtyping import Float, Int
-from trimesh.exchange.load import mesh_formats
+from jaxtyping import Float
 
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, weld
-from ._errors import FileError
+from ._errors import FileError, MeshError, MeshWarning, damaged
+from ._gltf import read_gltf
+from ._obj import read_obj
+from ._off import read_off
 from ._paths import existing_file
+from ._ply import read_ply
+from ._polygons import Polygons, triangulate
+from ._stl import read_stl
 
-# What trimesh calls the variants of a format that have no suffix of their own.
-_NO_SUFFIX = {"stl_ascii"}
+# Readers of what a file holds, given its folder too.
+_READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": lambda data, _: read_obj(data),
+    ".off": lambda data, _: read_off(data),
+    ".ply": lambda data, _: read_ply(data),
+    ".stl": lambda data, _: read_stl(data),
+}
+# Coordinates beyond this are infinite in single precision.
+_MOST = float(np.finfo(np.float32).max)
 
 
 def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) -> Mesh:
-    """The triangles of a mesh file, such as OBJ, PLY, STL, OFF, GLB or glTF.
+    """The triangles of a mesh file: OBJ, PLY, STL, OFF, GLB or glTF 2.0.
 
     A file with several objects gives one mesh of all of them, each where its node puts it. Vertices at the same
-    place are welded (files split them at texture seams), polygons are cut into triangles, and colours are left aside.
+    place are welded (files split them at texture seams), and polygons are cut into triangles, concave ones too.
+    Colours, materials and skins are left aside.
 
     **Arguments:**
 
-    - `path`: the file; its suffix names the format.
+    - `path`: the file; its suffix names the format. Text may be of any encoding.
     - `crease_angle`: degrees; an edge bent by more is shaded sharp. The file's own normals are not used.
 
     **Returns:** the mesh in the file's own units and axes; `fit_to_size` and `drop_to_ground` bring it to a scene's.
 
-    **Raises** `FileError` if the file is missing, of an unknown format or damaged, or holds no triangles or vertices
-    that are not finite.
+    **Warns** with `MeshWarning` if the file holds something else beside its triangles, such as lines.
+
+    **Raises** `FileError` if the file is missing, of an unknown format or damaged, needs an extension of its format
+    that is not read, has a polygon that crosses itself, or holds no triangles or vertices that are not finite.
     """
     file = existing_file(path, "mesh")
-    vertices, faces = _triangles(file, _read(file))
+    if file.suffix.lower() not in _READERS:
+        raise FileError(
+            f"cannot read the mesh file {file}: its suffix is {file.suffix!r}; "
+            f"expected one of {', '.join(_READERS)}: convert it"
+        )
     try:
-        vertices, faces = weld(vertices, faces)
-    except ValueError as error:
-        raise FileError(f"the mesh file {file} is damaged: {error}") from error
+        # Infinite and missing numbers are refused once all are read.
+        with np.errstate(all="ignore"):
+            polygons = _READERS[file.suffix.lower()](file.read_bytes(), file.parent)
+        _check(polygons)
+        triangles = triangulate(polygons)
+        vertices, faces = weld(polygons.vertices, triangles)
+    except MeshError as fault:
+        raise FileError(f"the mesh file {file} {fault}") from fault
+    except OSError as error:
+        raise FileError(f"cannot read the mesh file {file}: {error.strerror or error}") from error
     if len(faces) == 0:
         raise FileError(f"every triangle of the mesh file {file} has two corners in one place; check its export")
+    left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
+    if left_out:
+        warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
     return Mesh(vertices, faces, crease_normals(vertices, faces, crease_angle))
 
 
-def _read(file: Path) -> trimesh.Scene:
-    known = sorted(set(mesh_formats()) - _NO_SUFFIX)
-    if file.suffix.lower().removeprefix(".") not in known:
-        raise FileError(
-            f"cannot read the mesh file {file}: its suffix is {file.suffix!r}; "
-            f"expected one of {', '.join('.' + suffix for suffix in known)}: convert it"
+def _check(polygons: Polygons) -> None:
+    """**Raises** `MeshError` if there are no faces, or one of them has a vertex that cannot be."""
+    vertices, corners, sizes, _ = polygons
+    if not (sizes >= 3).any():
+        found = _left_out(polygons) or (f"{len(vertices)} points" if len(vertices) else "")
+        raise MeshError(
+            f"holds {f'{found} but ' if found else ''}no triangles; expected at least one triangle: check its export"
         )
-    try:
-        return trimesh.load_scene(file, process=False)
-    except Exception as error:  # trimesh's readers raise whatever their parsing trips over
-        reason = str(error).strip() or type(error).__name__
-        raise FileError(
-            f"the mesh file {file} is damaged or not of the format that its suffix says ({reason}); export it again"
-        ) from error
-
-
-def _triangles(file: Path, scene: trimesh.Scene) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
-    """All triangles of the scene in world space, float64."""
-    all_vertices, all_faces, start, points = [], [], 0, 0
-    for node in scene.graph.nodes_geometry:
-        to_world, name = scene.graph[node]
-        geometry = scene.geometry[name]
-        faces = np.asarray(getattr(geometry, "faces", np.zeros((0, 3))), np.int64)
-        if len(faces) == 0:
-            points += len(getattr(geometry, "vertices", ()))
-            continue
-        vertices = np.asarray(geometry.vertices, np.float64)
-        _check_indices(file, faces, len(vertices))
-        # A mirroring node turns the triangles inside out.
-        mirrored = np.linalg.det(to_world[:3, :3]) < 0
-        with np.errstate(invalid="ignore"):  # infinite vertices are refused later, with their number
-            all_vertices.append(vertices @ to_world[:3, :3].T + to_world[:3, 3])
-        all_faces.append((faces[:, ::-1] if mirrored else faces) + start)
-        start += len(vertices)
-    if not all_faces:
-        found = f"{points} points but no triangles" if points else "no triangles"
-        raise FileError(f"the mesh file {file} holds {found}; expected at least one triangle: check its export")
-    return np.concatenate(all_vertices), np.concatenate(all_faces)
-
-
-def _check_indices(file: Path, faces: Int[HostArray, "f 3"], count: int) -> None:
-    if faces.min() < 0 or faces.max() >= count:
-        raise FileError(
-            f"the mesh file {file} is damaged: its faces name vertices {faces.min()} to {faces.max()}, "
-            f"but it has {count}; export it again"
+    unknown = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
+    if len(unknown):
+        face = int(np.searchsorted(np.cumsum(sizes), unknown[0], side="right"))
+        raise damaged(f"face {face + 1} names vertex {corners[unknown[0]]}; expected 0 to {len(vertices) - 1}")
+    bad = np.unique(corners[~(np.abs(vertices) <= _MOST).all(axis=-1)[corners]])
+    if len(bad):
+        raise damaged(
+            f"{len(bad)} of the {len(vertices)} vertices are NaN or infinite in single precision "
+            f"(the first is vertex {bad[0]})"
         )
+
+
+def _tiny(triangles: Float[HostArray, "t 3 3"], left: int) -> int:
+    """How many triangles with three corners apart the weld has dropped, which has `left` so many."""
+    apart = (triangles != np.roll(triangles, 1, axis=1)).any(axis=-1).all(axis=-1)
+    return int(np.count_nonzero(apart)) - left
+
+
+def _left_out(polygons: Polygons, tiny: int = 0) -> str:
+    """What the file holds beside the triangles that are loaded, in words; empty if nothing."""
+    counts = {
+        **polygons.left_out,
+        "face of fewer than three corners": int((polygons.sizes < 3).sum()),
+        "triangle of a millionth of its extent": tiny,
+    }
+    words = [f"{count} {name if count == 1 else _plural(name)}" for name, count in counts.items() if count]
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def _plural(name: str) -> str:
+    first, of, rest = name.partition(" of ")
+    return f"{first}s{of}{rest}"

@@ -16,8 +16,10 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     absolute = Path(os.path.abspath(path))
     if absolute.is_dir():
         raise FileError(f"{absolute} is a folder; expected a {what} file: give the name of a file in it")
-    if absolute.exists():
+    if absolute.is_file():
         return absolute
+    if absolute.exists():
+        raise FileError(f"{absolute} is a device or a pipe; expected a {what} file: copy it to one")
     if not absolute.parent.is_dir():
         raise FileError(f"there is no {what} file {absolute}: the folder {absolute.parent} does not exist")
     try:

@@ -15,6 +15,7 @@ from ._interpolate import interpolate_corners as interpolate_corners
 from ._interpolate import interpolate_depth as interpolate_depth
 from ._rasterize import NO_FACE as NO_FACE
 from ._rasterize import Fragments as Fragments
+from ._rasterize import Overflow as Overflow
 from ._rasterize import plan as plan
 from ._rasterize import rasterize as rasterize
 from ._rasterize import rasterize_depth as rasterize_depth

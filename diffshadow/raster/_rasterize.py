@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float
 from .._types import ClipVertices, Faces, Resolution
@@ -21,6 +21,8 @@ _ROOM_FOR_PARTS = Capacity(large=256, candidates=1 << 16)
 _ROOM_TO_CLIP = _ROOM_FOR_PARTS._replace(clipped=64)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
+Overflow = Bool[Array, ""]
+"""Whether a capacity was too small, and something is missing from what was drawn."""
 
 
 class Fragments(eqx.Module):
@@ -66,6 +68,7 @@ def rasterize(
     polygon_offset: Any = None,
     behind: Int[Array, "*b h w"] | None = None,
     capacity: Capacity | None = None,
+    overflows: list[Overflow] | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -83,13 +86,16 @@ def rasterize(
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or none.
     - `behind`: (h, w), a face map: at each pixel its face is passed over. Given the result of a first call, the
         second-nearest layer is drawn.
-    - `capacity`: room for the triangles of each size. Left out, they are counted first, which needs concrete
+    - `capacity`: how many triangles of each size can be drawn. Left out, they are counted first, which needs concrete
         arguments; inside `jax.jit` it must be given, by `plan`.
+    - `overflows`: a list that is appended whether the capacity is too small, (), instead of an error. Triangles are
+        missing from the result then: it is for callers that throw it away and draw again.
 
     **Raises** `ValueError` for a resolution or depth test out of range, or where `capacity` is left out under a
-    trace; and a runtime error that names the capacity that is too small: no triangle is ever dropped in silence.
+    trace; and, without `overflows`, a runtime error that names the capacity that is too small: no triangle is ever
+    dropped in silence.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, capacity, with_face=True)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, capacity, True, overflows)
 
 
 def rasterize_depth(
@@ -101,12 +107,13 @@ def rasterize_depth(
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
     capacity: Capacity | None = None,
+    overflows: list[Overflow] | None = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, capacity, with_face=False)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, capacity, False, overflows)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, *, with_face) -> Any:
+def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face, overflows) -> Any:
     test = test or DepthTest()
     test.check()
     if not all(1 <= n <= 8192 for n in resolution):
@@ -122,7 +129,13 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
         capacity = plan(clip, faces, resolution, cull=cull)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face)
+    checked = overflows is None
+    drawn, overflow = _rasterize(
+        clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face, checked
+    )
+    if overflows is not None:
+        overflows.append(overflow)
+    return drawn
 
 
 @eqx.filter_jit
@@ -133,8 +146,10 @@ def _count(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull,
 
 @eqx.filter_jit
 def _rasterize(
-    clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face
-) -> Fragments | Float[Array, "*b h w"]:
+    clip, faces, resolution, cull, test, polygon_offset, behind, capacity, with_face, checked
+) -> tuple[Fragments | Float[Array, "*b h w"], Overflow]:
+    """What is drawn, and whether triangles are missing, which is an error if it is `checked`."""
+
     def prepare(clip: Array) -> tuple[Windows, Counts]:
         triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, capacity.classes)
         found = candidates(triangles, resolution, capacity)
@@ -148,35 +163,51 @@ def _rasterize(
         depth, face = write_depth_and_face(ready, resolution, test, behind)
         return Fragments(jnp.where(face < 0, no_face, face), decoded(depth))
 
+    def empty(counts: Counts) -> tuple[Array, Array]:
+        return empty_within_capacity(counts, capacity, test) if checked else _empty(test)
+
     if clip.ndim == 2:
         ready, counts = prepare(clip)
-        return write(ready, behind, empty_within_capacity(counts, capacity, test))
+        return write(ready, behind, empty(counts)), jnp.any(_exceeds(counts, capacity))
     ready, counts = jax.vmap(prepare)(clip)
     # As many chunks for each view as the fullest needs: a loop of one length can run over all views together.
     used, counts = jax.tree.map(lambda n: n.max(axis=0), (ready.used, counts))
     ready = eqx.tree_at(lambda ready: ready.used, ready, used)
     axes = eqx.tree_at(lambda ready: ready.used, jax.tree.map(lambda _: 0, ready), None)
     views = jax.vmap(write, in_axes=(axes, None if behind is None else 0, None))
-    return views(ready, behind, empty_within_capacity(counts, capacity, test))
+    return views(ready, behind, empty(counts)), jnp.any(_exceeds(counts, capacity))
+
+
+def _empty(test: DepthTest) -> tuple[Array, Array]:
+    """Face and depth of a pixel that sees nothing."""
+    return jnp.int32(NO_FACE), jnp.float32(test.clear)
+
+
+# Clipping and large triangles come before their parts, whose counts are too low if their own capacity is too small.
+_KINDS = ("clipped", "large", "candidates", "blocks")
+
+
+def _exceeds(counts: Counts, capacity: Capacity) -> Bool[Array, " k"]:
+    """Whether there are more of each kind than the capacity allows: of `_KINDS`, then of each size class."""
+    number = jnp.stack([*(getattr(counts, kind) for kind in _KINDS), *counts.windows])
+    most = [*(getattr(capacity, kind) for kind in _KINDS), *capacity.windows]
+    return number > jnp.asarray(most, jnp.int32)
 
 
 def empty_within_capacity(counts: Counts, capacity: Capacity, test: DepthTest) -> tuple[Array, Array]:
-    """What a pixel that sees nothing holds, face and depth, checked that there is room for all triangles.
+    """Face and depth of a pixel that sees nothing, after a check that the capacity suffices for all triangles.
 
-    The check hangs on these since either result needs its own, also where no triangle is read for want of room.
+    The check depends on these since either result needs its own, also where no triangle is read.
     """
-    # Clipping and large triangles come before their parts, whose counts are too low without room for them.
-    names = ("clipped", "large", "candidates", "blocks")
-    checks = [(name, getattr(counts, name), getattr(capacity, name)) for name in names]
-    checks += [
-        (f"windows[{k}] ({side} x {side} pixels)", counts.windows[k], room)
-        for k, (side, room) in enumerate(zip(WINDOWS, capacity.windows, strict=True))
+    named = [(kind, getattr(capacity, kind)) for kind in _KINDS]
+    named += [
+        (f"windows[{k}] ({side} x {side} pixels)", most)
+        for k, (side, most) in enumerate(zip(WINDOWS, capacity.windows, strict=True))
     ]
     messages = [
-        f"the rasterizer's capacity.{name} of {room} is too small for these triangles, and none may be dropped; "
+        f"the rasterizer's capacity.{name} of {most} is too small for these triangles, and none may be dropped; "
         "expected at least as many as there are: call plan(...) on them, or give a larger Capacity"
-        for name, _, room in checks
+        for name, most in named
     ]
-    short = jnp.stack([number > room for _, number, room in checks])
-    empty = (jnp.int32(NO_FACE), jnp.float32(test.clear))
-    return eqx.branched_error_if(empty, jnp.any(short), jnp.argmax(short), messages)
+    exceeds = _exceeds(counts, capacity)
+    return eqx.branched_error_if(_empty(test), jnp.any(exceeds), jnp.argmax(exceeds), messages)

@@ -8,7 +8,7 @@ from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Capacity, Cull
 from ._interpolate import barycentrics, interpolate, interpolate_corners
-from ._rasterize import rasterize
+from ._rasterize import Overflow, rasterize
 
 
 class Surface(eqx.Module):
@@ -33,16 +33,21 @@ class Surface(eqx.Module):
 
 
 def draw_surface(
-    mesh: Mesh, camera: AbstractCamera, *, cull: Cull = "none", capacity: Capacity | None = None
+    mesh: Mesh,
+    camera: AbstractCamera,
+    *,
+    cull: Cull = "none",
+    capacity: Capacity | None = None,
+    overflows: list[Overflow] | None = None,
 ) -> Surface:
     """The surface of `mesh` that `camera` sees at its pixel centres, differentiable but for which face is seen.
 
-    **Arguments:** `cull` and `capacity` as for `rasterize`.
+    **Arguments:** `cull`, `capacity` and `overflows` as for `rasterize`.
 
     **Raises** `ValueError` if `capacity` is left out under a trace.
     """
     clip = _clip(mesh, camera)
-    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, capacity=capacity).face
+    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, capacity=capacity, overflows=overflows).face
     return _surface(mesh, camera, face, clip)
 
 

@@ -5,13 +5,14 @@ scene lies in [-1, 1]³. There a float32 tracer's rounding has one size, whateve
 scaling itself rounds nothing.
 """
 
+import copy
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Bool, Float64, Int
 
 from .._types import HostArray
 from ..geometry import AbstractCamera, Mesh, View
@@ -53,6 +54,12 @@ class Triangles:
         normals = np.cross(b - a, c - a)
         self.areas = np.linalg.norm(normals, axis=-1) / 2
         self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
+
+    def only(self, faces: Bool[HostArray, "f"]) -> "Triangles":
+        """Those of `faces` (f,), in the same frame."""
+        some = copy.copy(self)
+        some.corners, some.normals, some.areas = self.corners[faces], self.normals[faces], self.areas[faces]
+        return some
 
     def to_frame(self, points: Float64[HostArray, "*n 3"]) -> Float64[HostArray, "*n 3"]:
         """World `points` in the tracing frame."""

@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
 from .._types import HostArray
-from ..geometry import Scene
+from ..geometry import AbstractLight, Scene
 from ._embree import EmbreeTracer
 from ._lamp import Lamp
-from ._rays import CameraRays, Hits, Triangles, hits_on_planes
+from ._rays import CameraRays, Hits, Rays, Triangles, hits_on_planes
 from ._reference import Reference
 from ._sampling import LightSampler, Sampler, check_sampling
 from ._tracer import AbstractTracer
 
 # Rays of one batch: few enough to stay in cache and to bound memory at some tens of megabytes a thread.
-_BATCH = 1 << 16
+BATCH = 1 << 16
 # Shadow rays stop this share of their way short of a light at a finite distance, so that a lamp that lies on a surface
 # is not hidden by it.
 _SHORT_OF_LIGHT = 2.0**-20
@@ -85,7 +85,7 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
             f"the visibility image holds values from {image.min()} to {image.max()}; expected finite values from "
             "0 (shadowed) to 1 (lit): divide 8-bit images by 255"
         )
-    job = _Job(EmbreeTracer, scene, None)
+    job = Job(EmbreeTracer, scene, None)
     job.run(None)
     return job.reference(samples=0, visibility=np.where(job.face >= 0, image.reshape(-1), np.float32(1)))
 
@@ -103,11 +103,10 @@ def trace_with(
     check_sampling(samples, sampler, supersampling)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
-    light, rays = scene.light, max(1, samples // supersampling**2)
-    sampling = LightSampler(light.domain, rays, sampler, int(seed)) if light.has_size else _CENTRE
+    sampling = sampling_of(scene.light, max(1, samples // supersampling**2), sampler, int(seed))
 
     def traced(scene: Scene) -> Reference:
-        job = _Job(make_tracer, scene, sampling)
+        job = Job(make_tracer, scene, sampling)
         job.run(progress)
         return job.reference(samples=sampling.samples, visibility=job.visibility)
 
@@ -115,7 +114,7 @@ def trace_with(
         return traced(scene)
     finer = tuple(supersampling * side for side in scene.camera.resolution)
     fine = traced(dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, resolution=finer)))
-    centres = _Job(make_tracer, scene, None)
+    centres = Job(make_tracer, scene, None)
     centres.run(None)
     return _averaged(fine, centres.reference(fine.samples * supersampling**2, centres.visibility), supersampling)
 
@@ -144,17 +143,23 @@ class _Centre:
         return np.zeros((len(chosen), 1, 2), dtype=np.float32)
 
 
-_CENTRE = _Centre()
+Sampling = LightSampler | _Centre
+"""Chooses the points of a light that shadow rays go to."""
 
 
-class _Job:
+def sampling_of(light: AbstractLight, samples: int, sampler: str, seed: int) -> Sampling:
+    """`samples` points a pixel, or the centre alone of a light without size."""
+    return LightSampler(light.domain, samples, sampler, seed) if light.has_size else _Centre()
+
+
+class Job:
     """One image being traced; images are kept as flat lists of pixels. No shadow rays where `sampling` is `None`."""
 
     def __init__(
         self,
         make_tracer: Callable[[Triangles], AbstractTracer],
         scene: Scene,
-        sampling: LightSampler | _Centre | None,
+        sampling: Sampling | None,
     ):
         self.scene, self.sampling = scene, sampling
         self.triangles = Triangles(scene.mesh)
@@ -170,7 +175,7 @@ class _Job:
 
     def run(self, progress: Callable[[float], None] | None) -> None:
         """Traces all pixels, batch by batch, on all cores; the tracer and NumPy run outside the interpreter lock."""
-        step = max(1, _BATCH // (self.sampling.samples if self.sampling else 1))
+        step = max(1, BATCH // (self.sampling.samples if self.sampling else 1))
         starts = range(0, self.size, step)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             batches = [pool.submit(self._trace, first, min(step, self.size - first)) for first in starts]
@@ -199,37 +204,46 @@ class _Job:
             standard_error=self.standard_error.reshape(shape),
         )
 
-    def _trace(self, first: int, count: int) -> None:
-        """Finds the surfaces of a batch of pixels and, where asked, how much of the light they see."""
+    def hits(self, first: int, count: int) -> tuple[Int[HostArray, "n"], Hits]:
+        """Which of the pixels from `first` on meet a surface, counted from there, and where."""
         rays = self.rays.pixels(first, count)
         face = self.tracer.closest(rays)
         seen = np.flatnonzero(face >= 0)
+        return seen, hits_on_planes(Rays(*(x[seen] for x in rays)), face[seen], self.triangles)
+
+    def _trace(self, first: int, count: int) -> None:
+        """Finds the surfaces of a batch of pixels and, where asked, how much of the light they see."""
+        seen, hits = self.hits(first, count)
         if not len(seen):
             return
-        hits = hits_on_planes(type(rays)(*(x[seen] for x in rays)), face[seen], self.triangles)
         pixel = first + seen
         self.face[pixel] = hits.face
         self.position[pixel] = self.triangles.to_world(hits.position)
         self.normal[pixel] = hits.normal
         if self.sampling is None:
             return
-        lit = self._lit(hits, self.sampling.points(first, count, seen))
+        above, hidden = self.shadowed(hits, self.sampling.points(first, count, seen), self.tracer)
+        lit = above & ~hidden
         self.visibility[pixel] = lit.mean(axis=1, dtype=np.float64)
         self.standard_error[pixel] = self._standard_error(lit)
 
-    def _lit(self, hits: Hits, samples: Float32[HostArray, "n s 2"]) -> Bool[HostArray, "n s"]:
-        """Which of `samples` (n, s, 2) of the light each of `hits` sees, (n, s)."""
+    def shadowed(
+        self, hits: Hits, samples: Float32[HostArray, "n s 2"], occluders: AbstractTracer
+    ) -> tuple[Bool[HostArray, "n s"], Bool[HostArray, "n s"]]:
+        """Which of `samples` (n, s, 2) of the light lie above the horizon of each of `hits`, (n, s), and to which of
+        these `occluders` bar the way, (n, s)."""
         start = self.tracer.start(hits)
         direction, height = self.lamp.vectors(start, hits.normal, samples.astype(self.tracer.dtype, copy=False))
         # What lies below the horizon is dark: no ray needed.
-        lit = height > 0
-        if lit.all():
-            which, direction = np.repeat(np.arange(len(lit)), lit.shape[1]), direction.reshape(-1, 3)
+        above = height > 0
+        if above.all():
+            which, direction = np.repeat(np.arange(len(above)), above.shape[1]), direction.reshape(-1, 3)
         else:
-            which, direction = np.nonzero(lit)[0], direction[lit]
+            which, direction = np.nonzero(above)[0], direction[above]
+        hidden = np.zeros_like(above)
         if len(which):
-            lit[lit] = ~self.tracer.occluded(start, hits.face, which, direction, self.reach)
-        return lit
+            hidden[above] = occluders.occluded(start, hits.face, which, direction, self.reach)
+        return above, hidden
 
     def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, "n"] | float:
         """From the two halves of the samples: var(mean) = (difference of halves)² · n₁ n₂ / (n₁ + n₂)²."""

@@ -10,7 +10,17 @@ from jaxtyping import Array, Float, Int
 from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, View
-from ..raster import Capacity, Cull, DepthTest, barycentrics, interpolate_depth, plan, rasterize, rasterize_depth
+from ..raster import (
+    Capacity,
+    Cull,
+    DepthTest,
+    Overflow,
+    barycentrics,
+    interpolate_depth,
+    plan,
+    rasterize,
+    rasterize_depth,
+)
 from ._silhouette_map import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
@@ -56,6 +66,7 @@ def draw_shadow_map(
     edges: Edges | None = None,
     capacity: Capacity | None = None,
     silhouette_capacity: int | None = None,
+    overflows: list[Overflow] | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
@@ -78,8 +89,9 @@ def draw_shadow_map(
         deeper by `factor · max(|dz/dx|, |dz/dy|) + units · r`, slopes per texel and `r` the least difference of depths
         that the format is sure to resolve.
     - `edges`: of the mesh, for a map with silhouettes, which holds the nearest surface with nothing culled.
-    - `capacity`, `silhouette_capacity`: room for triangles, and for silhouettes; needed under a trace, by
+    - `capacity`, `silhouette_capacity`: how many triangles, and silhouettes, can be drawn; needed under a trace, by
         `plan_shadow_map`.
+    - `overflows`: a list that is appended whether each capacity is too small, instead of an error; see `rasterize`.
 
     **Raises** `ValueError` if `layer` is unknown, if `edges` are given with another `layer` than `"nearest"` or with
     `cull`, and what `rasterize` raises.
@@ -105,6 +117,7 @@ def draw_shadow_map(
             polygon_offset=polygon_offset,
             behind=behind,
             capacity=capacity,
+            overflows=overflows,
         )
         depth = _depth(seen.face, clip, mesh.faces)
         return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
@@ -117,8 +130,13 @@ def draw_shadow_map(
         return ShadowMap(depth, light, depth_format)
     if silhouette_capacity is None:
         silhouette_capacity = _plan_silhouettes(clip, mesh, light, edges, resolution)
-    corners = rasterize_depth(_about_corners(clip, resolution), mesh.faces, _corners(resolution), capacity=capacity)
-    silhouettes = _silhouettes(depth, corners, clip, mesh, light, edges, silhouette_capacity)
+    about_corners, size = _about_corners(clip, resolution), _corners(resolution)
+    corners = rasterize_depth(about_corners, mesh.faces, size, capacity=capacity, overflows=overflows)
+    silhouettes, overflow = _silhouettes(
+        depth, corners, clip, mesh, light, edges, silhouette_capacity, overflows is None
+    )
+    if overflows is not None:
+        overflows.append(overflow)
     return ShadowMap(depth, light, depth_format, silhouettes)
 
 
@@ -181,11 +199,21 @@ def _silhouettes(
     mesh: Mesh,
     light: AbstractLight,
     edges: Edges,
-    room: int,
-) -> SilhouetteMap:
+    capacity: int,
+    checked: bool,
+) -> tuple[SilhouetteMap, Overflow]:
+    """The silhouettes in a map, and whether some are missing, which is an error if it is `checked`."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
-    return find_silhouettes(depth, corners.astype(depth.dtype), outline, room)
+    overflow = jnp.sum(outline.counts) > capacity
+    if checked:
+        outline = eqx.error_if(
+            outline,
+            overflow,
+            f"the shadow map's silhouette capacity of {capacity} is too small for these edges, and none may be "
+            "dropped; expected as much as there are sides of texels that they cross: call plan_shadow_map(...) on them",
+        )
+    return find_silhouettes(depth, corners.astype(depth.dtype), outline, capacity), overflow
 
 
 @eqx.filter_jit

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, normalize
+from .._misc import as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Mesh
 from ..raster import NO_FACE, Capacity, Surface, rasterize
@@ -65,7 +65,7 @@ class ProjectiveShadow(eqx.Module):
         light = texture.light
         cosine = dot(surface.normal, normalize(light.towards(surface.position)))
         seen = _seen(texture, *_project(texture, surface))
-        lit = jnp.where(casts[jnp.maximum(surface.face, 0)], 1, 1 - seen)
+        lit = in_unit_range(jnp.where(casts[jnp.maximum(surface.face, 0)], 1, 1 - seen))
         return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
 
     def covered(self, texture: ProjectiveTexture, surface: Surface) -> Mask:

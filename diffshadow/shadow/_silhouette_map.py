@@ -184,32 +184,24 @@ def find_silhouettes(
     depth: Float[Array, "*l h w"],
     corners: Float[Array, "*l H W"],
     outline: Outline,
-    room: int,
+    capacity: int,
 ) -> SilhouetteMap:
     """The silhouettes in a map.
 
     **Arguments:**
 
     - `depth`: (h, w), the map's; `corners`: (h + 1, w + 1), depth at the corners of its texels.
-    - `room`: for how many crossings.
-
-    **Raises** a runtime error if there are more.
+    - `capacity`: of how many crossings are looked at; compare it with `outline.counts`.
     """
     height, width = depth.shape[-2:]
     grid = _Grid(depth.size // (height * width), height, width)
     # Nothing can be read from an empty table.
-    room = max(room, 1)
-    outline = eqx.error_if(
-        outline,
-        jnp.sum(outline.counts) > room,
-        f"the shadow map's silhouette capacity of {room} is too small for these edges, and none may be dropped; "
-        "expected as much as there are sides of texels that they cross: call plan_shadow_map(...) on them",
-    )
-    sides, texel = _cross(outline, corners.reshape(-1), grid, room)
+    capacity = max(capacity, 1)
+    sides, texel = _cross(outline, corners.reshape(-1), grid, capacity)
     planes, inner, outer, follows, crosses = _contour(
         depth.reshape(-1), corners.reshape(-1), sides, jnp.minimum(texel, depth.size - 1), grid
     )
-    beside = jnp.arange(2 * room, dtype=jnp.int32)
+    beside = jnp.arange(2 * capacity, dtype=jnp.int32)
     slot = jnp.full(depth.size + 1, NO_SILHOUETTE, jnp.int32).at[jnp.where(crosses, texel, depth.size)].max(beside)[:-1]
     return SilhouetteMap(slot.reshape(depth.shape), planes, inner, outer, follows)
 

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .._misc import in_unit_range
 from .._types import Mask, Visibility
 from ..raster import Surface
 from ._compare import AbstractCompare, HardCompare
@@ -45,7 +46,7 @@ class ShadowMapping(eqx.Module):
         # each by itself, so that what carries no derivative stays without one.
         xy, lookup = jax.tree.map(lax.optimization_barrier, (xy, lookup))
         lookup = eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1))
-        lit = self.filter(shadow_map, lookup, self.compare)
+        lit = in_unit_range(self.filter(shadow_map, lookup, self.compare))
         return jnp.where(asked, lit, jnp.where(turned_away, 0, 1))
 
     def covered(self, shadow_map: ShadowMap, surface: Surface) -> Mask:

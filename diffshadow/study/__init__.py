@@ -1,5 +1,6 @@
 """Runs: from a configuration to a folder of numbers, images and a report."""
 
+from ._check import check as check
 from ._compare import compare as compare
 from ._fit_run import run_fit as run_fit
 from ._pose_run import pose_problems as pose_problems

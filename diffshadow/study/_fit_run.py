@@ -18,6 +18,7 @@ from . import _table as table
 from ._progress import Stages
 from ._remarks import remarks
 from ._run_folder import folder_of, write_whole
+from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
 from ._stored import stored, to_bytes
@@ -85,17 +86,16 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
         drawn = poses.with_cones(config, drawn)
         problems = poses.problems_of(config, plan, casting, drawn)
     stages.show("compiling")
-    with poses.quiet_callbacks():
-        result = fit.fit(
-            problems,
-            plan.parameters,
-            solver=plan.solver,
-            anneal=plan.anneal,
-            levels=plan.levels,
-            starts=plan.starts,
-            seed=config.seed,
-            on_step=_watch(stages, plan),
-        )
+    result = fit.fit(
+        problems,
+        plan.parameters,
+        solver=plan.solver,
+        anneal=plan.anneal,
+        levels=plan.levels,
+        starts=plan.starts,
+        seed=config.seed,
+        on_step=_watch(stages, plan),
+    )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
@@ -109,7 +109,8 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
             (before, *seen_before), (after, *seen_after) = (poses.images_at(moving, drawn, s) for s in subjects)
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
-    said = remarks(config, plan.parameters, result)
+    lit = [each.casting for each in drawn]
+    said = [*scene_remarks(config, lit, drawn[0].surface), *remarks(config, plan.parameters, result)]
     return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said, seen)
 
 

@@ -106,6 +106,6 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     page = environment.get_template(template).render(theme=style.THEME, nothing=style.NO_SURFACE, **values)
     with io.atomic_path(path) as temporary:
         try:
-            temporary.write_text(page, encoding="utf-8")
+            temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
         except OSError as error:
             raise io.FileError(f"cannot write {path}: {error.strerror or error}") from error

@@ -1,8 +1,6 @@
 """What a fit of lights and meshes does beyond one of a technique."""
 
-import contextlib
 import dataclasses
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -86,17 +84,6 @@ def _drawn(problem: fit.PoseProblem, arrangement: fit.Arrangement) -> tuple[Any,
     return image, shadow_map, surface
 
 
-@contextlib.contextmanager
-def quiet_callbacks() -> Iterator[None]:
-    """Keeps JAX from logging what a callback raises, for a fit gives drawing that ran out of room more, and goes on."""
-    logger = logging.getLogger("jax._src.callback")
-    was, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = was
-
-
 def errors_of(plan: FitPlan, result: fit.FitResult) -> dict[str, float]:
     """How far each fitted value is from the truth, where that is known."""
     return {name: result.fitted[name] - truth for name, truth in plan.truth.items()}
@@ -152,7 +139,7 @@ def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
             yield f"the image hardly determines {listed}: they can change together, and it fits as well"
     if result.enlargements:
-        yield f"the room for drawing was enlarged {result.enlargements} times on the way, which compiles anew each time"
+        yield f"the capacity for drawing was enlarged {result.enlargements} times on the way; each time compiles again"
 
 
 def _cause(config: Config, name: str) -> str:

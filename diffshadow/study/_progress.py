@@ -1,12 +1,23 @@
 """What a run shows while it works, and how long each of its stages took."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+# Seconds between updates of a bar.
+_PAUSE = 0.05
 
 
 class Stages:
@@ -49,3 +60,31 @@ class Stages:
         """Shows the stage `name` with `detail`, and a bar filled to `share` in [0, 1] if it is known."""
         total = None if share is None else 1.0
         self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=share)
+
+
+@contextmanager
+def counting(console: Console, name: str, total: int) -> Iterator[Callable[..., None]]:
+    """A bar that vanishes when the work is done. It is told how many things of `total` are, and perhaps a detail."""
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[detail]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    task = bar.add_task(escape(name), total=total, detail="")
+    shown = time.monotonic()
+
+    def progress(done: int, detail: str = "") -> None:
+        nonlocal shown
+        # Updates cost more than much of what is counted.
+        if time.monotonic() - shown > _PAUSE or done == total:
+            shown = time.monotonic()
+            bar.update(task, completed=done, detail=escape(detail))
+
+    with bar:
+        yield progress

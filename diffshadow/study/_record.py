@@ -104,7 +104,7 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
 
 def write_config(folder: Path, config: Config) -> None:
     """Writes `config.yaml`, with every default spelt out."""
-    (folder / "config.yaml").write_text(dump_resolved(config), encoding="utf-8")
+    (folder / "config.yaml").write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
 
 
 def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
@@ -117,7 +117,7 @@ def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
     whole = _plain({"schema_version": SCHEMA_VERSION, **record, "files": files})
     text = json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "result.json").write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _plain(value: Any) -> Any:

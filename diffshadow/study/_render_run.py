@@ -12,6 +12,7 @@ from . import _record as record
 from . import _table as table
 from ._progress import Stages
 from ._run_folder import folder_of, write_whole
+from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
 from ._stored import stored, to_bytes
@@ -21,13 +22,14 @@ SUFFIX = "-render"
 
 
 class Rendered(NamedTuple):
-    """A finished render: what was drawn, and visibility and errors of each light."""
+    """A finished render: what was drawn, visibility and errors of each light, and remarks on the scene."""
 
     config: Config
     technique: Technique
     drawn: list[Drawn]
     visibility: list[Float32[HostArray, "h w"]]
     errors: list[dict[str, float]]
+    remarks: list[str]
 
 
 def run_render(config: Config, *, console: Console, debug: bool = False) -> Path:
@@ -50,6 +52,7 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
     named = zip(rendered.drawn, rendered.errors, strict=True)
     table.print_errors(console, config.name, {each.key: errors for each, errors in named})
     table.print_lines(console, [table.noise_text(record.noise(rendered.drawn))])
+    table.print_lines(console, rendered.remarks, warn=True)
     return folder
 
 
@@ -58,7 +61,8 @@ def render_drawn(config: Config, technique: Technique, drawn: list[Drawn], stage
     with stages.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
-    return Rendered(config, technique, drawn, visibility, errors)
+    said = scene_remarks(config, [each.casting for each in drawn], drawn[0].surface)
+    return Rendered(config, technique, drawn, visibility, errors, said)
 
 
 def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
@@ -117,6 +121,7 @@ def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict
                 for each, e in zip(drawn, errors, strict=True)
             ],
         },
+        "warnings": rendered.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
         "versions": record.versions(),
         "seed": config.seed,

@@ -1,72 +1,90 @@
 """The report of a sweep: what came out for each combination of values, its figure, and what failed."""
 
+import contextlib
 import math
+import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
+import pyarrow as pa
+from pyarrow import parquet
 
 from .. import io
-from ..config import PlotConfig, Row, describe, load_config
+from ..config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
 from ._stored import REPORT, read_result
 from ._sweep_curves import curves_of, unit_of, with_unit
-from ._sweep_table import MISSING, RESULTS
+from ._sweep_table import MISSING, RESULTS, metric_columns
 from ._sweep_work import FAILED, FIGURES, OK, RUNS
 
 Runs = Any
 """A data frame with a row for each run; pandas' own types tell a checker too little."""
 _SEED = "seed"
-_OWN_COLUMNS = ("run", "id", "status", "error", _SEED)
-# More combinations, pictures of runs and values of an axis than these are not shown.
-_MOST_ROWS, _MOST_PICTURES, _MOST_VALUES = 2000, 24, 12
+# As a folder of a run is called.
+_ID = re.compile("[0-9a-f]{16}")
+# No sweep has more. What a table claims is not believed beyond this.
+_MOST_RUNS = 1 << 24
+# The greatest number of single precision.
+_MOST = float(np.finfo(np.float32).max)
+# More combinations, pictures of runs, values of an axis and errors than these are not shown.
+_MOST_ROWS, _MOST_PICTURES, _MOST_VALUES, _MOST_ERRORS = 2000, 24, 12, 50
 # What stands for a run among the figures that it wrote.
 _RUN_PICTURES = ("comparison*.png", "difference*.png")
 
 
 class Summary(NamedTuple):
-    """The results by combination: names of axes and metrics, and for each combination their texts and its runs."""
+    """The results by combination: names of axes and metrics, and for each combination their texts and its runs.
+
+    - `total`: how many combinations there are; perhaps more than `rows`.
+    """
 
     axes: list[str]
     metrics: list[str]
     rows: list[tuple[list[str], list[str], int]]
+    total: int
 
 
 def report_sweep(folder: Path, form: str | None = None) -> Path:
     """Writes the page of the sweep in `folder`, and where `form` says so its figure. **Returns** the page.
 
-    **Raises** `FileError` if the sweep's table is missing or damaged.
+    **Raises** `FileError` if the sweep's table is missing, damaged or another sweep's.
     """
     from ._page import file_pictures, write_page
 
     result = read_result(folder)
-    runs = _read_table(folder)
-    axes = [axis for axis in _axes(result["settings"]) if axis in runs.columns]
+    sweep = SweepConfig.model_validate(result["settings"])
+    runs = _read_table(folder, sweep)
+    axes = [axis for axis in sweep.axes if axis != _SEED]
     settings = _settings(folder, runs)
-    figure = _figure(folder, result, runs, settings, form)
+    figure = _figure(folder, sweep.plot, runs, settings, form)
     good = runs[runs["status"] == OK]
-    summary = _summary(good, axes)
+    summary = _summary(good, axes, metric_columns(sweep, list(runs.columns)))
+    failures, more_failures = _failures(runs, axes)
     loose = [path for path in _pictures(folder) if figure is None or path.stem != "plot"]
     write_page(
         folder / REPORT,
         "sweep.html.j2",
         name=result["name"],
-        kind=result["settings"].get("run", "render"),
+        kind=sweep.run,
         total=len(runs),
         done=len(good),
+        failed=int((runs["status"] == FAILED).sum()),
         missing=int((runs["status"] == MISSING).sum()),
         axes=[(axis, _listed(runs[axis].dropna().unique().tolist()), unit_of(settings, axis)) for axis in axes],
-        summary=summary._replace(rows=summary.rows[:_MOST_ROWS]),
+        summary=summary,
         heads=[with_unit(settings, axis) for axis in axes],
-        left_out=max(len(summary.rows) - _MOST_ROWS, 0),
-        seeds=int(good[_SEED].nunique()) if _SEED in good else 1,
+        left_out=summary.total - len(summary.rows),
+        seeds=int(good[_SEED].nunique()),
         figure=figure,
         pictures=[
             p._replace(title=title) for path, title in _of_runs(folder, runs, axes) for p in file_pictures([path])
         ],
         files=file_pictures(loose),
-        failures=_failures(runs, axes),
+        failures=failures,
+        more_failures=more_failures,
         settings=settings,
         environment=[(name, value, "") for name, value in result.get("versions", {}).items()],
         command=result.get("command", ""),
@@ -74,36 +92,65 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
     return folder / REPORT
 
 
-def _read_table(folder: Path) -> Runs:
+def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
     file = folder / RESULTS
     if not file.is_file():
         raise io.FileError(f"{folder} holds only a part of a sweep: it has no {RESULTS}; expected it: sweep again")
     try:
-        runs = pd.read_parquet(file)
-        return runs.assign(status=runs["status"], error=runs["error"], id=runs["id"])
+        with parquet.ParquetFile(file) as stored:
+            if stored.metadata.num_rows > _MOST_RUNS:
+                raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MOST_RUNS:,}")
+            _check_columns(stored.schema_arrow, sweep)
+            runs = stored.read().to_pandas()
+        _check_values(runs)
+        return runs
     except Exception as error:  # Arrow raises what it likes
-        raise io.FileError(f"{file} is damaged ({error}); expected a sweep's table: sweep again") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise io.FileError(f"{file} is damaged ({reason}); expected a sweep's table: sweep again") from error
 
 
-def _axes(settings: Mapping[str, Any]) -> list[str]:
-    """The columns of what was swept, the seed apart."""
-    entries = [key for entry in settings.get("list") or () for key in entry]
-    ranges = (settings.get("qmc") or {}).get("axes", {})
-    every = dict.fromkeys([*entries, *(settings.get("grid") or ()), *(settings.get("zip") or ()), *ranges])
-    return [key for key in every if key != _SEED]
+def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
+    """**Raises** `ValueError` unless a table has the columns of a sweep."""
+    if len(set(schema.names)) < len(schema.names):
+        raise ValueError("it has two columns of one name")
+    for name in ("id", "status", "error", *sweep.axes):
+        if name not in schema.names:
+            raise ValueError(f"it has no column {name}")
+    numbers = lambda kind: pa.types.is_floating(kind) or pa.types.is_integer(kind)
+    for name in schema.names:
+        kind = schema.field(name).type
+        if name in ("id", "status", "error"):
+            # Where no run has failed, there is no telling.
+            if not pa.types.is_string(kind) and name != "error":
+                raise ValueError(f"its column {name} holds {kind}; expected text")
+        elif not (numbers(kind) or (name in sweep.axes and (pa.types.is_string(kind) or pa.types.is_boolean(kind)))):
+            raise ValueError(f"its column {name} holds {kind}; expected numbers")
 
 
-def _summary(good: Runs, axes: Sequence[str]) -> Summary:
+def _check_values(runs: Runs) -> None:
+    """**Raises** `ValueError` unless identifiers, errors and numbers of a table are such."""
+    if not all(_ID.fullmatch(id) for id in runs["id"]):
+        raise ValueError("its column id holds something else than identifiers of runs")
+    if not all(isinstance(error, str) or pd.isna(error) for error in runs["error"]):
+        raise ValueError("its column error holds something else than text")
+    for name in runs.select_dtypes("number").columns:
+        if (runs[name].abs() > _MOST).any():
+            raise ValueError(f"its column {name} holds {runs[name].abs().max():g}; expected numbers up to {_MOST:g}")
+
+
+def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
     """Means over all runs of one combination, which differ in their seeds, and the standard errors of these means."""
-    numbers = good.select_dtypes("number").columns
-    metrics = [name for name in numbers if name not in (*_OWN_COLUMNS, *axes)]
-    groups = good.groupby(list(axes), sort=False, dropna=False) if axes else [((), good)]
+    # Without axes, all runs are of one combination.
+    by = list(axes) or [np.zeros(len(good))]
+    groups = good.groupby(by, sort=False, dropna=False)
+    runs = groups.size()
+    means, deviations = groups[list(metrics)].mean(), groups[list(metrics)].sem()
     rows = []
-    for key, runs in groups:
-        mean, error = runs[metrics].mean(), runs[metrics].sem()
-        texts = [_mean(mean[name], error[name]) for name in metrics]
-        rows.append(([_text(value) for value in key], texts, len(runs)))
-    return Summary(list(axes), metrics, rows)
+    for i in range(min(len(runs), _MOST_ROWS)):
+        key = runs.index[i] if len(axes) > 1 else (runs.index[i],)
+        texts = [_mean(means[name].iloc[i], deviations[name].iloc[i]) for name in metrics]
+        rows.append(([_text(value) for value in key] if axes else [], texts, int(runs.iloc[i])))
+    return Summary(list(axes), list(metrics), rows, len(runs))
 
 
 def _mean(mean: float, error: float) -> str:
@@ -128,37 +175,38 @@ def _listed(values: Sequence[Any]) -> str:
     return ", ".join(map(_text, values[:_MOST_VALUES])) + more
 
 
-def _failures(runs: Runs, axes: Sequence[str]) -> list[tuple[str, int, str]]:
-    """Each error, how many runs it befell, and the first of these."""
+def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
+    """Each error, how many runs it befell, and the first of these; and how many more errors there are."""
     failed = runs[runs["status"] == FAILED]
-    return [(str(error), len(each), _values(each.iloc[0], axes)) for error, each in failed.groupby("error", sort=False)]
+    counts = failed["error"].value_counts(sort=False)
+    firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
+    shown = [(run["error"], int(counts[run["error"]]), _values(run, axes)) for _, run in firsts.iterrows()]
+    return shown, len(counts) - len(shown)
 
 
 def _values(run: Runs, axes: Sequence[str]) -> str:
-    shown = [*axes, *([_SEED] if _SEED in run.index else [])]
-    return ", ".join(f"{axis} = {_text(run[axis])}" for axis in shown if not pd.isna(run[axis]))
+    return ", ".join(f"{axis} = {_text(run[axis])}" for axis in (*axes, _SEED) if not pd.isna(run[axis]))
 
 
 def _settings(folder: Path, runs: Runs) -> list[Row]:
-    """The settings of the first run that has been done."""
+    """The settings of the first run that has been done, and whose configuration can be read."""
     for id in runs["id"]:
         file = folder / RUNS / id / "config.yaml"
         if file.is_file():
-            return describe(load_config(file, []))
+            with contextlib.suppress(ConfigError):
+                return describe(load_config(file, [], files=False))
     return []
 
 
-def _figure(
-    folder: Path, result: Mapping[str, Any], runs: Runs, settings: Sequence[Row], form: str | None
-) -> str | None:
+def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequence[Row], form: str | None) -> str | None:
     """The sweep's figure for the page, if it has one; written to the folder, too, where `form` says so."""
     from . import style
     from ._sweep_figures import write_plot
 
-    if result["settings"].get("plot") is None:
+    if plot is None:
         return None
-    plot = PlotConfig.model_validate(result["settings"]["plot"])
-    columns = {name: [None if pd.isna(v) else v for v in runs[name].tolist()] for name in runs.columns}
+    needed = [str(name) for name in runs.columns if name in (plot.x, plot.y, plot.lines, plot.panels, _SEED)]
+    columns = {name: [None if pd.isna(value) else value for value in runs[name].tolist()] for name in needed}
     try:
         curves = curves_of(columns, plot)
     except ValueError:
@@ -173,13 +221,17 @@ def _figure(
 
 def _pictures(folder: Path) -> list[Path]:
     """All pictures that lie in the folder itself."""
-    return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg"))
+    return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
 
 
 def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:
-    """A picture of each run that wrote some, and the run's values."""
+    """A picture of each run that wrote some, and the run's values; no more than a page has place for."""
     found = []
-    for _, run in runs.iterrows():
+    for number in range(len(runs) if (folder / FIGURES).is_dir() else 0):
+        run = runs.iloc[number]
         for pattern in _RUN_PICTURES:
-            found += [(path, _values(run, axes)) for path in sorted((folder / FIGURES).glob(f"{run['id']}*/{pattern}"))]
+            paths = sorted((folder / FIGURES).glob(f"{run['id']}*/{pattern}"))
+            found += [(path, _values(run, axes)) for path in paths if path.is_file()]
+        if len(found) >= _MOST_PICTURES:
+            break
     return found[:_MOST_PICTURES]

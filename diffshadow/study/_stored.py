@@ -1,8 +1,6 @@
 """A run as its folder holds it: what reports, comparisons and figures are made of."""
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +12,15 @@ from .. import io
 from .._types import HostArray
 from ..config import Config, Row, describe, load_config
 from ._run_folder import RESULT
+from ._schema import check_result, read_json
 
 ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
 """The images of each kind of run: their titles, and the arrays that hold them."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
+# Rounding takes visibility a little out of its range.
+_SLACK = 1e-3
 
 
 class LightImages(NamedTuple):
@@ -94,28 +95,25 @@ class StoredRun(NamedTuple):
 def read_run(folder: Path) -> StoredRun:
     """The run in `folder`.
 
-    **Raises** `FileError` if there is no folder, or it holds no finished fit or render, or only a part of one.
+    **Raises** `FileError` if there is no folder, or it holds no finished fit or render, only a part of one, or files
+    that are damaged or of different runs; `ConfigError` if its configuration cannot be read.
     """
     result = read_result(folder)
     if result["kind"] not in KINDS:
         raise io.FileError(f"{folder} holds a {result['kind']}; expected the folder of a {' or a '.join(KINDS)}")
-    settings = describe(load_config(_existing(folder, CONFIG), []))
+    # A report is made of the run's own files: meshes and reference images may have gone.
+    config = load_config(_existing(folder, CONFIG), [], files=False)
+    _check_same(folder, result, config)
     file = _existing(folder, ARRAYS)
-    try:
-        # Opened here, for `np.load` leaves a damaged file open.
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
-        run = StoredRun(folder, result, arrays, settings)
-        _check(run)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, LookupError, TypeError) as error:
-        raise _damaged(f"{file} or {RESULT}", f"{type(error).__name__}: {error}") from error
-    return run
+    arrays = io.read_arrays(file, _layouts(result, config))
+    _check_values(file, result, arrays)
+    return StoredRun(folder, result, arrays, describe(config))
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
-    """What `result.json` in `folder` holds.
+    """What `result.json` in `folder` holds, all of which that is read anywhere is as a run writes it.
 
-    **Raises** `FileError` if there is none, or it is not that of a fit, a render or a sweep.
+    **Raises** `FileError` if there is none, it is not that of a fit, a render or a sweep, or it is damaged.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -123,16 +121,14 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     file = folder / RESULT
     if not file.is_file():
         raise io.FileError(f"{folder} holds no run: it has no {RESULT}; expected the folder of a finished run")
-    try:
-        result = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise _damaged(str(file), str(error)) from error
+    result = read_json(file)
     kind = result.get("kind") if isinstance(result, dict) else None
     if kind not in (*KINDS, SWEEP):
         raise io.FileError(
             f"{file} is of no fit, render or sweep; expected one of them: of the runs inside a sweep only numbers are "
             "kept, unless sweep.figures is true"
         )
+    check_result(result, file)
     return result
 
 
@@ -145,7 +141,9 @@ def add_files(run: StoredRun, names: Sequence[str]) -> None:
     """Has the result of `run` name more files as its own, so that its next run replaces them with the others."""
     result = {**run.result, "files": sorted({*run.result.get("files", ()), *names})}
     with io.atomic_path(run.folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
 
 def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:
@@ -159,21 +157,67 @@ def _existing(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def _check(run: StoredRun) -> None:
-    """Looks at everything once, so that nothing is found missing later."""
-    errors = [dict(measured) for _, measured in run.errors]
-    for light in run.lights:
-        errors += [dict(measured) for measured in light.errors]
-        for _, image in [("", light.mask), *light.images]:
-            if image.shape != light.reference.shape or image.ndim != 2:
-                raise ValueError(f"images of the shapes {image.shape} and {light.reference.shape}")
-    if any("rmse" not in measured for measured in errors):
-        raise KeyError("rmse")
+def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None:
+    """Checks that result and configuration are of one run."""
+    lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
+    named = {"lights": (lights, [light["light"] for light in result["metrics"]["lights"]])}
+    if result["kind"] == "fit":
+        named["parameters"] = list(config.fit.parameters), list(result["fitted"])
+    for what, (ours, theirs) in named.items():
+        if ours != theirs:
+            raise io.FileError(
+                f"{folder} holds files of different runs: {CONFIG} has the {what} {', '.join(ours)}, and {RESULT} has "
+                f"{', '.join(theirs)}; expected the same: run it again"
+            )
+
+
+def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
+    """What the arrays that reports and figures need look like."""
+    height, width = config.scene.camera.resolution
+    lights = len(result["metrics"]["lights"])
+    images = (height, width) if lights == 1 else (lights, height, width)
+    states = [name for _, name in KINDS[result["kind"]]]
+    layouts = {
+        **dict.fromkeys(("reference", *states), io.Layout("f", images, bytes=4)),
+        "mask": io.Layout("b", images),
+        **{
+            f"shaded_{name}": io.Layout("u", (height, width, 3), required=False, bytes=1)
+            for name in ("reference", *states)
+        },
+    }
+    if result["kind"] == "fit":
+        layouts |= {
+            "history_phase": io.Layout("iu", (None,)),
+            "history_start": io.Layout("iu", (None,), required=False),
+            "history_loss": io.Layout("f", (None,), bytes=4),
+            "history_values": io.Layout("f", (None, len(result["fitted"])), bytes=4),
+        }
+    return layouts
+
+
+def _check_values(file: Path, result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> None:
+    """Checks what the arrays hold."""
+    for name in ("reference", *(name for _, name in KINDS[result["kind"]])):
+        low, high = float(arrays[name].min()), float(arrays[name].max())
+        # Not a number is in no range.
+        if not (low >= -_SLACK and high <= 1 + _SLACK):
+            raise _damaged(file, f"the array {name} holds values from {low:g} to {high:g}; expected 0 to 1")
+    counted, pixels = int(arrays["mask"].sum()), result["metrics"]["pixels"]
+    if counted != pixels:
+        raise _damaged(file, f"{counted:,} pixels count in the array mask; expected the {pixels:,} of {RESULT}")
+    if result["kind"] == "fit":
+        lengths = {name: len(array) for name, array in arrays.items() if name.startswith("history_")}
+        if len(set(lengths.values())) > 1:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise _damaged(file, f"the arrays differ in length: {told}; expected one length")
+        phases = len(result["solver"]["phases"])
+        if not ((arrays["history_phase"] >= 0) & (arrays["history_phase"] < phases)).all():
+            raise _damaged(file, f"the array history_phase names phases beyond the {phases} of {RESULT}")
 
 
 def _errors_key(kind: str, name: str) -> str:
     return "errors" if kind == "render" else name
 
 
-def _damaged(what: str, reason: str) -> io.FileError:
-    return io.FileError(f"{what} is damaged ({reason}); expected what a run wrote: run it again")
+def _damaged(file: Path, reason: str) -> io.FileError:
+    return io.FileError(f"{file} is damaged: {reason}: run it again")

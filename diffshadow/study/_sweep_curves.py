@@ -39,6 +39,12 @@ class Curve(NamedTuple):
     error: float | None
 
 
+def columns_for(plot: PlotConfig, table: Any) -> dict[str, list[Any]]:
+    """Those columns of an Arrow table of results that `plot` needs and the table has."""
+    needed = {plot.x, plot.y, plot.lines, plot.panels, "seed"}
+    return {name: table[name].to_pylist() for name in table.column_names if name in needed}
+
+
 def curves_of(columns: Mapping[str, Sequence[Any]], plot: PlotConfig) -> list[Curve]:
     """The curves of `plot`, from a table of results by column; runs that failed are left out.
 
@@ -89,8 +95,10 @@ def _slope(x: HostArray, y: HostArray) -> float | None:
 def _error_of_slope(
     columns: Mapping[str, Sequence[Any]], plot: PlotConfig, rows: Sequence[int], place: Mapping[Any, float]
 ) -> float | None:
-    seeds = dict.fromkeys(columns["seed"][i] for i in rows)
-    each = [_slope(*_mean(columns, plot, [i for i in rows if columns["seed"][i] == seed], place)) for seed in seeds]
+    of_seed: dict[Any, list[int]] = {}
+    for i in rows:
+        of_seed.setdefault(columns["seed"][i], []).append(i)
+    each = [_slope(*_mean(columns, plot, of_one, place)) for of_one in of_seed.values()]
     slopes = [slope for slope in each if slope is not None]
     return float(np.std(slopes, ddof=1) / np.sqrt(len(slopes))) if len(slopes) > 1 else None
 

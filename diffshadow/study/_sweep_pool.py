@@ -7,11 +7,12 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any
 
+from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._sweep_work import FAILED, Batch, Outcome, work, write_outcome
 
 # XLA makes a pool of as many threads as NPROC says, and reads both when JAX is first used.
@@ -26,8 +27,8 @@ _BYTES_A_WORKER = 1_500_000_000
 _PATIENCE = 15
 # Seconds to wait for a worker once all have died: a busy machine takes long to start one.
 _WORKERS_PATIENCE = 120
-# Seconds between looks at what is finished.
-_POLL = 0.1
+# Batches for each worker that are under way at once: enough that none waits, few enough that a million runs fit.
+_AHEAD = 4
 
 
 class InProcess:
@@ -35,7 +36,7 @@ class InProcess:
 
     workers = 1
 
-    def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
+    def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, as they come."""
         for batch in batches:
             for run in batch.runs:
@@ -43,17 +44,22 @@ class InProcess:
 
 
 class OnCluster:
-    """Does the runs on the workers of a Dask client."""
+    """Does the runs on the workers of a Dask client.
 
-    def __init__(self, client: Any):
-        self._client = client
+    **Arguments:**
+
+    - `interrupted`: called while it waits, to raise what ends it.
+    """
+
+    def __init__(self, client: Any, interrupted: Callable[[], None] = lambda: None):
+        self._client, self._interrupted = client, interrupted
 
     @property
     def workers(self) -> int:
         """Runs that can be under way at once."""
         return sum(self._client.nthreads().values())
 
-    def outcomes(self, batches: Sequence[Batch]) -> Iterator[Outcome]:
+    def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, as they come. What a worker that dies had begun is done by another.
 
         **Raises** `OSError` if the scheduler or all workers are lost or one cannot write, `ValueError` if one lacks
@@ -61,9 +67,22 @@ class OnCluster:
         """
         from distributed import KilledWorker, as_completed
 
-        waiting = {self._submit(batch): batch for batch in batches}
-        finished = as_completed(list(waiting))
+        to_come = iter(batches)
+        waiting: dict[Any, Batch] = {}
+        finished = as_completed()
+
+        def submit(batch: Batch) -> None:
+            future = self._client.submit(work, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
+            waiting[future] = batch
+            finished.add(future)
+
+        def fill() -> None:
+            while len(waiting) < _AHEAD * max(self.workers, 1) and (batch := next(to_come, None)) is not None:
+                self._interrupted()
+                submit(batch)
+
         try:
+            fill()
             while waiting:
                 future = self._next(finished)
                 batch = waiting.pop(future)
@@ -72,13 +91,10 @@ class OnCluster:
                 except KilledWorker:
                     if len(batch.runs) == 1:
                         yield _killed(batch)
-                        continue
-                    # One of them kills its worker; alone, the others get through.
-                    for run in batch.runs:
-                        alone = batch._replace(runs=(run,))
-                        again = self._submit(alone)
-                        waiting[again] = alone
-                        finished.add(again)
+                    else:
+                        # One of them kills its worker; alone, the others get through.
+                        for run in batch.runs:
+                            submit(batch._replace(runs=(run,)))
                 except CancelledError:
                     raise ConnectionError(
                         "the Dask scheduler is gone; expected it to stay until the sweep ends: start the sweep again, "
@@ -89,6 +105,7 @@ class OnCluster:
                         f"a Dask worker cannot load this package ({error}); expected diffshadow of this version to be "
                         "installed wherever workers run"
                     ) from error
+                fill()
         finally:
             self._client.cancel(list(waiting))
 
@@ -96,7 +113,8 @@ class OnCluster:
         """The next run's future. **Raises** `OSError` if workers die and none comes: Dask would wait for ever."""
         last_seen = time.monotonic()
         while not finished.has_ready():
-            time.sleep(_POLL)
+            self._interrupted()
+            time.sleep(POLL)
             if self.workers:
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > _WORKERS_PATIENCE:
@@ -106,9 +124,6 @@ class OnCluster:
                     "is done"
                 )
         return next(finished)
-
-    def _submit(self, batch: Batch) -> Any:
-        return self._client.submit(work, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
 
 
 @contextmanager
@@ -127,15 +142,17 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
     if scheduler is None and workers == 0:
         yield InProcess()
         return
+    with deferred_interrupts() as interrupted:
+        opened = lambda: _local(most, workers) if scheduler is None else _reached(scheduler)
+        with out_of_reach(opened, interrupted) as client:
+            yield OnCluster(client, interrupted)
+
+
+@contextmanager
+def _local(most: int, workers: int | None) -> Iterator[Any]:
+    """A client of workers on this machine."""
     from distributed import Client, LocalCluster
 
-    if scheduler is not None:
-        with _reached(scheduler, Client) as client:
-            # XLA asks the C library for it. Too late, and harmless, where a worker has used JAX before.
-            for name, value in _ONE_THREAD.items():
-                client.run(os.putenv, name, value)
-            yield OnCluster(client)
-        return
     with (
         LocalCluster(
             n_workers=min(_workers(), most) if workers is None else workers,
@@ -149,7 +166,7 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
         ) as cluster,
         Client(cluster) as client,
     ):
-        yield OnCluster(client)
+        yield client
 
 
 def _workers() -> int:
@@ -160,9 +177,12 @@ def _workers() -> int:
 
 
 @contextmanager
-def _reached(scheduler: str, connect: Any) -> Iterator[Any]:
+def _reached(scheduler: str) -> Iterator[Any]:
+    """A client of the scheduler at an address."""
+    from distributed import Client
+
     try:
-        client = connect(scheduler, timeout=_PATIENCE)
+        client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:
         raise ValueError(
             f"there is no Dask scheduler at {scheduler!r} ({error}); expected an address such as tcp://host:8786: "
@@ -176,6 +196,9 @@ def _reached(scheduler: str, connect: Any) -> Iterator[Any]:
                 f"the Dask scheduler at {scheduler} has no workers; expected at least one: start it with dask worker "
                 f"{scheduler} --nthreads 1"
             ) from error
+        # XLA asks the C library for it. Too late, and harmless, where a worker has used JAX before.
+        for name, value in _ONE_THREAD.items():
+            client.run(os.putenv, name, value)
         yield client
 
 

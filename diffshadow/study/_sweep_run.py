@@ -4,15 +4,16 @@ import contextlib
 import fcntl
 import itertools
 import json
+import os
 import shlex
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
+import pyarrow as pa
+import pyarrow.compute as pc
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -20,12 +21,13 @@ from .. import io
 from ..config import Sweep, SweepRun, describe
 from . import _record as record
 from . import _table as table
+from ._progress import counting
 from ._report_sweep import report_sweep
-from ._run_folder import RESULT, folder_of, write_whole
-from ._sweep_curves import Curve, curves_of
+from ._run_folder import RESULT, folder_of, remove, write_whole
+from ._sweep_curves import Curve, columns_for, curves_of
 from ._sweep_pool import pool
-from ._sweep_table import RESULTS, write_tables
-from ._sweep_work import FAILED, OK, RUNS, Batch, Outcome, drawing_of, read_outcome, shape_of
+from ._sweep_table import MISSING, RESULTS, gather, metric_columns, write_tables
+from ._sweep_work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, shape_of
 
 SUFFIX = "-sweep"
 """Ends the name of a sweep's folder."""
@@ -35,7 +37,11 @@ _LOCK = ".lock"
 _BATCH = 16
 # Batches for each worker at least, so that none is left with much to do when the others have ended.
 _BATCHES_A_WORKER = 8
+# Runs that are made at a time, to be shared out among the workers.
+_MOST_AT_ONCE = 4096
 _MOST_SHOWN = 8
+MOST_LISTED = 4096
+"""Runs of a sweep whose plan says of each whether it is done."""
 
 
 def run_sweep(
@@ -48,8 +54,8 @@ def run_sweep(
 ) -> Path:
     """Does every run of `sweep` that is not done yet, prints what came out, and writes tables and a figure.
 
-    A run that fails is recorded with its error, and tried again next time. Runs that share programs and drawings are
-    done by the same worker, one after another.
+    A run that fails is recorded with its error, and tried again next time; so is one whose folder is damaged. Runs that
+    share programs and drawings are done by the same worker, one after another.
 
     **Arguments:**
 
@@ -67,49 +73,78 @@ def run_sweep(
     _begin(folder, sweep)
     with _alone(folder):
         _remove_drafts(folder)
-        missing = missing_runs(sweep, folder)
-        todo = missing[:limit]
+        with counting(console, "looking for results", len(sweep.runs)) as progress:
+            todo = missing_runs(sweep, folder, progress)[:limit]
         if todo:
-            _work(folder, sweep, todo, console, scheduler, workers)
-            # Those of workers that died meanwhile.
-            _remove_drafts(folder)
-        found = ((run.id, read_outcome(folder, run.id, failed=True)) for run in sweep.runs)
-        outcomes = {id: outcome for id, outcome in found if outcome is not None}
-        results = write_tables(folder, sweep, outcomes)
-        curves, remarks = _plotted(folder, sweep, results.to_pydict())
-        _write_record(folder, sweep, outcomes)
+            try:
+                _work(folder, sweep, todo, console, scheduler, workers)
+            finally:
+                # Those of workers that have died.
+                _remove_drafts(folder)
+        with counting(console, "gathering results", len(sweep.runs)) as progress:
+            tables = gather(sweep, folder, progress)
+        write_tables(folder, sweep, tables)
+        curves, remarks = _plotted(folder, sweep, tables.results)
+        counts = _counts_of(tables.results)
+        _write_record(folder, sweep, counts)
         report_sweep(folder)
-    _print(console, sweep, outcomes, curves)
-    table.print_lines(console, _counts(sweep, outcomes, todo))
-    table.print_lines(console, [*remarks, *_failures(sweep, outcomes)], warn=True)
+    _print(console, sweep, tables.results, curves)
+    table.print_lines(console, _said(sweep, counts, len(todo)))
+    table.print_lines(console, [*remarks, *_failures(tables.results)], warn=True)
     return folder
 
 
-def missing_runs(sweep: Sweep, folder: Path) -> list[SweepRun]:
-    """The runs that have no good result in `folder`, each once."""
-    return [run for run in {run.id: run for run in sweep.runs}.values() if read_outcome(folder, run.id) is None]
+def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> list[int]:
+    """The numbers of the runs that have no good result in `folder`; of equal runs, the first.
+
+    **Arguments:**
+
+    - `progress`: called with how many runs have been looked for.
+    """
+    seen, missing = set(), []
+    for index in range(len(sweep.runs)):
+        id = sweep.runs.id(index)
+        if id not in seen and read_outcome(folder, id, sweep.settings) is None:
+            missing.append(index)
+        seen.add(id)
+        progress(index + 1)
+    return missing
 
 
 def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None:
-    """What `run_sweep` would do: the axes, and the first of the runs that are missing. Writes nothing."""
-    folder = Path(sweep.runs[0].config.output).expanduser() / f"{sweep.name}{SUFFIX}"
-    missing = missing_runs(sweep, folder)
+    """What `run_sweep` would do: the axes, and the first of the runs that are missing. Writes nothing.
+
+    Of a large sweep, neither all runs are checked nor their results looked for, which would take minutes.
+    """
+    folder = sweep.runs[0].config.output_folder / f"{sweep.name}{SUFFIX}"
     axes = Table("axis", "values", "", title=Text(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
     for axis in sweep.settings.axes:
-        values = list(dict.fromkeys(_shown(run.values[axis]) for run in sweep.runs))
+        values = [_shown(value) for value in sweep.runs.choices(axis)]
         more = ", …" if len(values) > _MOST_SHOWN else ""
         axes.add_row(Text(axis), f"{len(values)}", Text(", ".join(values[:_MOST_SHOWN]) + more))
     console.print(axes)
-    for run in missing[: min(limit or _MOST_SHOWN, _MOST_SHOWN)]:
-        shown = ", ".join(f"{axis} = {_shown(value)}" for axis, value in run.values.items() if value is not None)
-        console.print(Text(f"{run.id}  {shown}"), soft_wrap=True)
-    unique = len({run.id for run in sweep.runs})
-    number = len(missing[:limit])
-    console.print(
-        Text(f"{len(sweep.runs):,} runs, of which {unique - len(missing):,} are done; {number:,} would be done now"),
-        soft_wrap=True,
-    )
+    count, shown = len(sweep.runs), min(limit or _MOST_SHOWN, _MOST_SHOWN)
+    if count <= MOST_LISTED:
+        with counting(console, "checking", count) as progress:
+            sweep.runs.check(lambda done, _: progress(done))
+        missing = missing_runs(sweep, folder)
+        unique = len({sweep.runs.id(index) for index in range(count)})
+        number = len(missing[:limit])
+        said = f"{count:,} runs, of which {unique - len(missing):,} are done; {number:,} would be done now"
+    else:
+        missing = range(count)
+        said = f"{count:,} runs, too many to look at each of them here; {_results_in(folder)}"
+    for run in sweep.runs.at(missing[:shown]):
+        values = ", ".join(f"{axis} = {_shown(value)}" for axis, value in run.values.items() if value is not None)
+        console.print(Text(f"{run.id}  {values}"), soft_wrap=True)
+    console.print(Text(said), soft_wrap=True)
+
+
+def _results_in(folder: Path) -> str:
+    runs = folder / RUNS
+    there = sum(not entry.name.startswith(".") for entry in os.scandir(runs)) if runs.is_dir() else 0
+    return f"{folder} has {there:,} folders of runs"
 
 
 def _shown(value: Any) -> str:
@@ -118,9 +153,13 @@ def _shown(value: Any) -> str:
 
 
 def _begin(folder: Path, sweep: Sweep) -> None:
-    """Makes the sweep's folder, if it is not there yet."""
+    """Makes the sweep's folder, if it is not there yet.
+
+    **Raises** `FileError` if the folder of the runs cannot be made in it.
+    """
     if not (folder / RESULT).exists():
         write_whole(folder, lambda draft: _write_record(draft, sweep, {}))
+    io.check_writable(folder / RUNS)
     (folder / RUNS).mkdir(exist_ok=True)
 
 
@@ -142,66 +181,66 @@ def _remove_drafts(folder: Path) -> None:
     """Removes what runs that were killed left half written."""
     for entry in (folder / RUNS).iterdir():
         if entry.name.startswith("."):
-            shutil.rmtree(entry, ignore_errors=True)
+            remove(entry)
 
 
 def _work(
     folder: Path,
     sweep: Sweep,
-    todo: Sequence[SweepRun],
+    todo: Sequence[int],
     console: Console,
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=40),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[detail]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    total = len({run.id for run in sweep.runs})
+    """Does the runs of the numbers `todo`."""
     failed = 0
     # Of one batch or two, compiling is most of the work: several workers would do it twice.
     useful = len(todo) if sweep.settings.run == "fit" else -(-len(todo) // _BATCH)
-    with bar, pool(scheduler, workers, useful) as where:
-        task = bar.add_task(sweep.name, total=total, completed=total - len(todo), detail="")
-        for outcome in where.outcomes(_batches(folder, sweep, todo, where.workers)):
+    with (
+        counting(console, sweep.name, len(todo)) as progress,
+        pool(scheduler, workers, useful) as where,
+    ):
+        outcomes = where.outcomes(_batches(folder, sweep, todo, where.workers))
+        for done, outcome in enumerate(outcomes, start=1):
             failed += outcome.status == FAILED
-            bar.update(task, advance=1, detail=f"{failed} failed" if failed else "")
+            progress(done, f"{failed} failed" if failed else "")
 
 
-def _batches(folder: Path, sweep: Sweep, todo: Sequence[SweepRun], workers: int) -> list[Batch]:
-    """The runs by what they share: programs first, then drawings. Those that are likely to take longest come first.
+def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:
+    """The runs of the numbers `todo`, by what they share; as many at a time as there is memory for."""
+    size = max(1, min(_BATCH, len(todo) // (_BATCHES_A_WORKER * workers)))
+    # What a worker need not know may be long.
+    settings = sweep.settings.model_copy(update=dict.fromkeys(("list", "grid", "zip", "qmc", "seeds", "plot")))
+    batch = Batch(str(folder), settings, (), jax.config.jax_compilation_cache_dir)
+    for start in range(0, len(todo), _MOST_AT_ONCE):
+        runs = list(sweep.runs.at(todo[start : start + _MOST_AT_ONCE]))
+        yield from (batch._replace(runs=together) for together in _together(runs, size, workers))
+
+
+def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tuple[SweepRun, ...]]:
+    """Up to `size` runs each that share programs, then drawings. Those that are likely to take longest come first.
 
     Workers that start together begin with different programs: what one has compiled, the others find in the cache.
     """
     shapes: dict[str, list[SweepRun]] = {}
-    for run in todo:
+    for run in runs:
         shapes.setdefault(shape_of(run.config), []).append(run)
-    size = max(1, min(_BATCH, len(todo) // (_BATCHES_A_WORKER * workers)))
-    programs = jax.config.jax_compilation_cache_dir
     groups = []
-    for runs in sorted(shapes.values(), key=lambda runs: -getattr(runs[0].config.filter, "samples", 0)):
-        runs = sorted(runs, key=lambda run: drawing_of(run.config))
-        parts = [tuple(runs[start : start + size]) for start in range(0, len(runs), size)]
-        groups.append([Batch(str(folder), sweep.settings, part, programs) for part in parts])
-    together = [groups[start : start + workers] for start in range(0, len(groups), workers)]
-    layers = [layer for some in together for layer in itertools.zip_longest(*some)]
-    return [batch for layer in layers for batch in layer if batch is not None]
+    for alike in sorted(shapes.values(), key=lambda alike: -getattr(alike[0].config.filter, "samples", 0)):
+        alike = sorted(alike, key=lambda run: drawing_of(run.config))
+        groups.append([tuple(alike[start : start + size]) for start in range(0, len(alike), size)])
+    beside = [groups[start : start + workers] for start in range(0, len(groups), workers)]
+    layers = [layer for some in beside for layer in itertools.zip_longest(*some)]
+    return (together for layer in layers for together in layer if together is not None)
 
 
-def _plotted(folder: Path, sweep: Sweep, columns: Mapping[str, list[Any]]) -> tuple[list[Curve], list[str]]:
+def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve], list[str]]:
     """The curves of the sweep's figure, which is written; and what is to be said where it cannot be."""
     plot = sweep.settings.plot
     if plot is None:
         return [], []
     try:
-        curves = curves_of(columns, plot)
+        curves = curves_of(columns_for(plot, results), plot)
     except ValueError as error:
         return [], [f"there is no figure: {error}"]
     from ._sweep_figures import write_plot
@@ -211,24 +250,32 @@ def _plotted(folder: Path, sweep: Sweep, columns: Mapping[str, list[Any]]) -> tu
     return curves, []
 
 
-def _write_record(folder: Path, sweep: Sweep, outcomes: Mapping[str, Outcome]) -> None:
+def _counts_of(results: pa.Table) -> dict[str, int]:
+    """How many runs have each status."""
+    found = results["status"].value_counts().to_pylist()
+    return {each["values"]: each["counts"] for each in found}
+
+
+def _write_record(folder: Path, sweep: Sweep, counts: Mapping[str, int]) -> None:
     whole = {
         "schema_version": record.SCHEMA_VERSION,
         "name": sweep.name,
         "kind": "sweep",
         "source": sweep.source,
         "runs": len(sweep.runs),
-        "done": sum(outcome.status == OK for outcome in outcomes.values()),
-        "failed": sum(outcome.status == FAILED for outcome in outcomes.values()),
+        "done": counts.get(OK, 0),
+        "failed": counts.get(FAILED, 0),
         "settings": sweep.settings.model_dump(mode="json"),
         "versions": record.versions(),
         "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
     }
     with io.atomic_path(folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
 
-def _print(console: Console, sweep: Sweep, outcomes: Mapping[str, Outcome], curves: Sequence[Curve]) -> None:
+def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:
     """What the sweep's figure shows, in numbers; where there is none, the range of each metric."""
     plot = sweep.settings.plot
     if plot is not None and curves:
@@ -244,29 +291,26 @@ def _print(console: Console, sweep: Sweep, outcomes: Mapping[str, Outcome], curv
             shown.add_row(Text(panel), Text(curve.line), f"{curve.y[0]:.4g}", f"{curve.y[-1]:.4g}", slope, error)
     else:
         shown = Table("metric", "least", "mean", "greatest", title=Text(sweep.name), title_justify="left")
-        every = [outcome.metrics for outcome in outcomes.values()]
-        for name in dict.fromkeys(name for metrics in every for name in metrics):
-            values = [v for metrics in every if (v := metrics.get(name)) is not None]
-            if values:
-                numbers = min(values), sum(values) / len(values), max(values)
-                shown.add_row(Text(name), *(f"{number:.4g}" for number in numbers))
+        for name in metric_columns(sweep.settings, results.column_names):
+            values = results[name].drop_null().to_numpy()
+            if values.size:
+                shown.add_row(Text(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max())))
     console.print(shown)
 
 
-def _counts(sweep: Sweep, outcomes: Mapping[str, Outcome], todo: Sequence[SweepRun]) -> list[str]:
-    done = [outcomes.get(run.id) for run in sweep.runs]
-    good = sum(outcome is not None and outcome.status == OK for outcome in done)
-    lines = [f"{good:,} of {len(sweep.runs):,} runs are done, {len(todo):,} of them tried now; all are in {RESULTS}"]
-    if any(outcome is None for outcome in done):
+def _said(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
+    lines = [
+        f"{counts.get(OK, 0):,} of {len(sweep.runs):,} runs are done, {tried:,} of them tried now; all are in {RESULTS}"
+    ]
+    if counts.get(MISSING, 0):
         lines.append("the same command does the rest")
     return lines
 
 
-def _failures(sweep: Sweep, outcomes: Mapping[str, Outcome]) -> list[str]:
-    failed = [o for run in sweep.runs if (o := outcomes.get(run.id)) is not None and o.status == FAILED]
-    errors = dict.fromkeys(outcome.error for outcome in failed)
-    if not failed:
+def _failures(results: pa.Table) -> list[str]:
+    errors = results.filter(pc.field("status") == FAILED)["error"]
+    if not len(errors):
         return []
-    first = next(iter(errors))
-    more = f", and {len(errors) - 1} other errors" if len(errors) > 1 else ""
-    return [f"{len(failed):,} runs failed, and are tried again by the same command: {first}{more}"]
+    first, kinds = errors[0].as_py(), len(errors.unique())
+    more = f", and {kinds - 1} other errors" if kinds > 1 else ""
+    return [f"{len(errors):,} runs failed, and are tried again by the same command: {first}{more}"]

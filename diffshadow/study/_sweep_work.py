@@ -1,5 +1,6 @@
 """What a sweep does in a worker process: runs, one after another, that share programs, drawings and limits."""
 
+import dataclasses
 import gc
 import json
 import os
@@ -24,12 +25,17 @@ from . import _record as record
 from . import _render_run as render_run
 from ._fit_run import fit_technique, write_fit
 from ._progress import Stages
-from ._run_folder import RESULT, folder_of, write_whole
+from ._run_folder import RESULT, folder_of, remove, write_whole
+from ._schema import is_outcome, read_json
 from ._setup import Drawn, draw, load, visibility_of
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
 """The folders, inside a sweep's own, of the runs, of their figures, and of filters' limits."""
 OK, FAILED = "ok", "failed"
+FITTED = "fitted."
+"""Begins the names of the metrics that are what a fit has found."""
+WHOLE = frozenset({"steps", "pixels"})
+"""The metrics that are whole numbers."""
 # Bytes of drawings and limits that a process keeps for further runs.
 _MOST_KEPT = 256 << 20
 # Programs pile up in a process, which may hold only so many mappings of memory.
@@ -79,18 +85,38 @@ def work(batch: Batch) -> list[Outcome]:
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
         jax.config.update("jax_compilation_cache_dir", batch.programs)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    return [read_outcome(batch.folder, run.id) or _do(batch, run) for run in batch.runs]
+    return [read_outcome(batch.folder, run.id, batch.settings) or _do(batch, run) for run in batch.runs]
 
 
-def read_outcome(folder: str | os.PathLike[str], id: str, *, failed: bool = False) -> Outcome | None:
-    """How the run `id` ended; `None` if it has not, or has failed and `failed` is not asked for."""
+def read_outcome(
+    folder: str | os.PathLike[str], id: str, settings: SweepConfig, *, failed: bool = False
+) -> Outcome | None:
+    """How the run `id` ended; `None` if it has not, what its folder holds is damaged, or it failed.
+
+    **Arguments:**
+
+    - `settings`: of the sweep in `folder`, which say what is measured.
+    - `failed`: whether to return the outcome of a run that failed, too.
+    """
     try:
-        text = (Path(folder) / RUNS / id / RESULT).read_text(encoding="utf-8")
-        stored = json.loads(text)
-        outcome = Outcome(**{name: stored[name] for name in Outcome._fields})
-    except (OSError, ValueError, KeyError, TypeError):
+        stored = read_json(Path(folder) / RUNS / id / RESULT)
+    except io.FileError:
         return None
+    if not is_outcome(stored, id, *_measured(settings)):
+        return None
+    outcome = Outcome(**{name: stored[name] for name in Outcome._fields})
     return outcome if outcome.status == OK or failed else None
+
+
+def _measured(settings: SweepConfig) -> tuple[dict[str, type], str]:
+    """The metrics that every good run of a sweep has, with their kinds, and what begins the names of others."""
+    errors = [field.name for field in dataclasses.fields(metrics.ShadowErrors)]
+    if settings.run == "fit":
+        names = [*(f"{when}.{name}" for when in ("before", "after") for name in errors), "steps"]
+    else:
+        names = [*errors, *([] if settings.limit_samples is None else [LIMIT_ERROR])]
+    names += ["reference_noise_floor", "pixels"]
+    return {name: int if name in WHOLE else float for name in names}, FITTED if settings.run == "fit" else ""
 
 
 def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome) -> None:
@@ -100,19 +126,25 @@ def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcom
         record.write_config(draft, run.config)
         record.write_result(draft, outcome._asdict())
 
-    write_whole(Path(folder) / RUNS / run.id, write)
+    place = Path(folder) / RUNS / run.id
+    # The names of runs are the sweep's own. A file or a link to nothing in such a place is no run.
+    if not place.is_dir():
+        remove(place)
+    write_whole(place, write)
 
 
 def shape_of(config: Config) -> str:
     """What the compiled programs of a run depend on, as text: all but real numbers, the pattern and the seed."""
-    data = config.model_dump(mode="json", exclude={"name", "output", "seed", "sweep", "shading"})
+    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "seed", "sweep", "shading"})
     data["filter"].pop("pattern", None)
     return json.dumps(_without_reals(data), sort_keys=True)
 
 
 def drawing_of(config: Config) -> str:
     """What the drawings and the reference of a run depend on, as text: all that comes before its taps."""
-    data = config.model_dump(mode="json", exclude={"name", "output", "sweep", "filter", "fit", "shading"})
+    data = config.model_dump(
+        mode="json", warnings=False, exclude={"name", "output", "sweep", "filter", "fit", "shading"}
+    )
     return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
 
 
@@ -163,7 +195,7 @@ def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
         with stages.stage("figures"):
             write_fit(folder_of(config), fitted, stages.seconds)
     return {
-        **{f"fitted.{name}": value for name, value in fitted.result.fitted.items()},
+        **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
         **{f"before.{name}": value for name, value in fitted.errors_before.items()},
         **{f"after.{name}": value for name, value in fitted.errors_after.items()},
         "steps": fitted.result.steps,

@@ -64,7 +64,8 @@ class _Row(AbstractRow):
         row, below = _lower_edge(sites.y, sites.radius)
         columns = [_covered(left, sites.radius, i) for i in range(self.texels)]
         own = _covered(below, sites.radius, step)
-        return Footprint(column, row, columns, [own._replace(weight=own.weight / (2 * sites.radius) ** 2)], step)
+        area = _width(left, sites.radius) * _width(below, sites.radius)
+        return Footprint(column, row, columns, [own._replace(weight=own.weight / area)], step)
 
     def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
         return sites.radius
@@ -77,6 +78,14 @@ def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tu
     edge = position - own - radius
     first = jnp.floor(edge)
     return own + first, edge - first
+
+
+def _width(edge: Float[Array, "*n"], radius: Float[Array, "..."]) -> Float[Array, "*n"]:
+    """The width of a box as rounded, which is the sum of what it covers of all texels.
+
+    A narrow box is a small difference of larger numbers: its covered parts would not add up to exactly `2 · radius`.
+    """
+    return (edge + 2 * radius) - edge
 
 
 def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Span:

@@ -1,0 +1,103 @@
+"""The section that says what is fitted, and how."""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from ._fitted import outside
+from ._poses import is_pose
+from ._section import Conflict, Count, Form, Section, Texels, Unit, as_list, fault, is_number, ordered
+from ._technique import LEAST_WIDTH, Kernel
+
+
+class FitParameterConfig(Section):
+    """A number to fit, in the unit of the key that it names, and its bounds.
+
+    Of the scene's numbers, those that light and meshes have by `scene` are the truth, if the reference is traced.
+    """
+
+    initial: float | None = Field(
+        default=None, description="where the fit starts; default: the value of the key it names"
+    )
+    lower: float = Field(description="least value")
+    upper: float = Field(description="greatest value")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from ordered(cls, data, "lower", "upper")
+        initial, lower, upper = (data.get(key) for key in ("initial", "lower", "upper"))
+        if is_number(initial) and is_number(lower) and is_number(upper) and lower < upper:
+            yield from ((("initial",), what) for what in outside(initial, lower, upper))
+
+
+class SolverConfig(Section):
+    """The optimizer."""
+
+    type: Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"] = Field(
+        default="levenberg_marquardt", description="the method"
+    )
+    # Days, at a second a step.
+    max_steps: Annotated[int, Unit("steps")] = Field(default=30, ge=1, le=100_000, description="most steps in a phase")
+    rtol: float = Field(default=1e-4, gt=0, lt=1, description="relative change at which a phase ends")
+    atol: float = Field(default=1e-6, gt=0, lt=1, description="absolute change at which a phase ends")
+    learning_rate: float = Field(
+        default=0.05,
+        gt=0,
+        le=math.pi,
+        description="of adam alone: length of its first steps, where the bounds lie pi apart",
+    )
+
+
+class AnnealConfig(Section):
+    """The soft compare's width during a fit: from `start` to `end` in geometric steps."""
+
+    start: Texels = Field(default=2.0, ge=LEAST_WIDTH, description="width in the first phase, in texels")
+    end: Texels = Field(default=0.05, ge=LEAST_WIDTH, description="width in the last phase, in texels")
+    phases: int = Field(default=4, ge=1, le=100, description="number of phases")
+    kernel: Kernel = Field(default="logistic", description="shape of the soft compare's step")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from ordered(cls, data, "end", "start", equal=True)
+
+
+UPPER = 10.0
+"""The upper bound of the constant bias where a fit names no parameters, in texels; or more, to hold its start."""
+
+
+def _default_parameters() -> dict[str, FitParameterConfig]:
+    return {"bias.constant": FitParameterConfig(lower=0.0, upper=UPPER)}
+
+
+class FitConfig(Section):
+    """What is fitted, and how."""
+
+    parameters: dict[str, FitParameterConfig] = Field(
+        default_factory=_default_parameters, description="numbers to fit, by the key they are set with"
+    )
+    solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
+    anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
+    levels: Annotated[tuple[Count, ...], as_list, Form("a list of whole numbers that fall to 1")] | None = Field(
+        default=None,
+        description="of lights and meshes: how many pixels a side make one, phase by phase; default: [8, 1]",
+    )
+    multistart: Annotated[int, Unit("starts")] = Field(
+        default=1, ge=1, le=1024, description="starts that are tried: the initial values, and others over the bounds"
+    )
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        parameters, levels = data.get("parameters"), data.get("levels")
+        if parameters == {}:
+            mend = "add 'bias.constant: {lower: 0, upper: 10}'"
+            yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
+        if isinstance(levels, list | tuple) and all(isinstance(n, int) for n in levels):
+            if not levels or levels[-1] != 1 or any(a <= b for a, b in itertools.pairwise(levels)):
+                said = "does not fall to 1" if levels else "is empty"
+                yield ("levels",), fault(said, "whole numbers that do", "write a list such as [8, 1]")
+            elif not any(is_pose(str(name)) for name in parameters or ()):
+                mend = "remove the key, or name a number of the scene, such as scene.light.azimuth"
+                yield ("levels",), fault("is given, and nothing moves", "a parameter of light or mesh with it", mend)

@@ -1,0 +1,175 @@
+"""glTF 2.0 files, as JSON and as GLB.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 3.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import DracoPy
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from .._types import HostArray
+from ._errors import MeshError, damaged
+from ._gltf_data import Buffers, NoDataError, chunks, item, unread
+from ._gltf_schema import DRACO, Document, Node, Primitive, parse
+from ._polygons import Polygons, strip_triangles
+
+_Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"]]
+
+# Modes of primitives that are no triangles: what to call them, and how many n vertices make.
+_OTHERS = {
+    0: ("point", lambda n: n),
+    1: ("line", lambda n: n // 2),
+    2: ("line", lambda n: n),
+    3: ("line", lambda n: max(n - 1, 0)),
+}
+_LIST, _STRIP, _FAN = 4, 5, 6
+_INSTANCES = "EXT_mesh_gpu_instancing"
+
+
+def read_gltf(data: bytes, folder: Path) -> Polygons:
+    """The triangles of a file's scene, each mesh where its nodes put it, morphed by its weights; skins are not applied.
+
+    **Arguments:**
+
+    - `data`: what the file holds.
+    - `folder`: where it lies, with the files that it needs.
+
+    **Raises** `MeshError` if the file is damaged, or its triangles are kept in a way that cannot be read.
+    """
+    text, binary = chunks(data)
+    document = parse(text)
+    buffers = Buffers(document, binary, folder)
+    vertices, faces, start = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    left_out: Counter[str] = Counter()
+    for node, to_world in _nodes(document):
+        if node.mesh is None:
+            continue
+        mesh = item(document.meshes, node.mesh, "mesh")
+        left_out["skin"] += node.skin is not None
+        left_out["instanced node"] += _INSTANCES in node.extensions
+        for primitive in mesh.primitives:
+            if primitive.mode in _OTHERS:
+                name, count = _OTHERS[primitive.mode]
+                left_out[name] += count(_count(primitive, buffers))
+                continue
+            weights = mesh.weights if node.weights is None else node.weights
+            points, triangles = _triangles(primitive, weights, buffers)
+            # A mirroring node turns the triangles inside out.
+            mirrored = np.linalg.det(to_world[:3, :3]) < 0
+            vertices.append(points @ to_world[:3, :3].T + to_world[:3, 3])
+            faces.append((triangles[:, ::-1] if mirrored else triangles) + start)
+            start += len(points)
+    corners = np.concatenate(faces)
+    return Polygons(np.concatenate(vertices), corners.reshape(-1), np.full(len(corners), 3), left_out)
+
+
+def _nodes(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
+    """The nodes of the scene, each with its matrix to world space.
+
+    That is the scene which the file names, or its first one, or all of a file without scenes.
+    """
+    if document.scene is not None or document.scenes:
+        roots = item(document.scenes, document.scene or 0, "scene").nodes
+    else:
+        children = {child for node in document.nodes for child in node.children}
+        roots = [i for i in range(len(document.nodes)) if i not in children]
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    while waiting:
+        index, parent = waiting.pop()
+        node = item(document.nodes, index, "node")
+        if index in seen:
+            raise damaged(f"its node {index} has two parents, or is its own ancestor")
+        seen.add(index)
+        to_world = parent @ _matrix(node, index)
+        yield node, to_world
+        waiting += [(child, to_world) for child in reversed(node.children)]
+
+
+def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
+    """From the node's space to its parent's: section 3.5.3."""
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T
+    matrix = np.eye(4)
+    try:
+        matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
+    except ValueError as error:
+        raise damaged(f"its node {index} is rotated by {list(node.rotation)}, which is no rotation") from error
+    matrix[:3, 3] = node.translation
+    return matrix
+
+
+def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers) -> _Triangles:
+    """The vertices and triangles of a primitive: section 3.7.2.1 for their order."""
+    if "POSITION" not in primitive.attributes:
+        raise damaged("a primitive has no positions")
+    try:
+        points = buffers.values(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
+        triangles = _ordered(_indices(primitive, buffers), primitive.mode)
+    except NoDataError:
+        points, triangles = _decompressed(primitive, buffers)
+    if triangles.max(initial=-1) >= len(points):
+        raise damaged(f"a primitive names vertex {triangles.max()}, but has {len(points)}")
+    for weight, target in zip(weights, primitive.targets, strict=False):
+        if weight and "POSITION" in target:
+            points += weight * _moved(target["POSITION"], len(points), primitive, buffers)
+    return points, triangles
+
+
+def _ordered(indices: Int[HostArray, "n"], mode: int) -> Int[HostArray, "t 3"]:
+    if mode == _STRIP:
+        return strip_triangles(indices)
+    if mode == _FAN:
+        middle = np.broadcast_to(indices[:1], indices[2:].shape)
+        return np.stack([indices[1:-1], indices[2:], middle], axis=-1)
+    if len(indices) % 3:
+        raise damaged(f"a primitive of triangles has {len(indices)} corners; expected three for each")
+    return indices.reshape(-1, 3)
+
+
+def _decompressed(primitive: Primitive, buffers: Buffers) -> _Triangles:
+    """What KHR_draco_mesh_compression has in place of accessors."""
+    compressed = primitive.extensions.get(DRACO)
+    if compressed is None:
+        raise unread(primitive.extensions) or damaged("a primitive has an accessor without data")
+    view = compressed.get("bufferView") if isinstance(compressed, Mapping) else None
+    if not isinstance(view, int) or view < 0:
+        raise damaged(f"a primitive's {DRACO} has no bufferView")
+    try:
+        mesh = DracoPy.decode(bytes(buffers.view(view)))
+        return np.array(mesh.points, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+    except MeshError:
+        raise
+    except Exception as error:  # point clouds have no faces, and DracoPy's exceptions no base of their own
+        raise damaged(f"its compressed triangles cannot be decoded ({error})") from error
+
+
+def _moved(accessor: int, count: int, primitive: Primitive, buffers: Buffers) -> Float[HostArray, "v 3"]:
+    """Where a morph target moves the vertices."""
+    try:
+        moved = buffers.values(accessor, "VEC3")
+    except NoDataError:
+        raise unread(primitive.extensions) or damaged("a morph target has an accessor without data") from None
+    if len(moved) != count:
+        raise damaged(f"a morph target has {len(moved)} vertices; expected {count}")
+    return moved
+
+
+def _indices(primitive: Primitive, buffers: Buffers) -> Int[HostArray, "n"]:
+    if primitive.indices is None:
+        return np.arange(_count(primitive, buffers))
+    indices = buffers.values(primitive.indices, "SCALAR")[:, 0]
+    if indices.dtype.kind != "u":
+        raise damaged(f"a primitive's indices are of type {indices.dtype}; expected unsigned integers")
+    return indices.astype(np.int64)
+
+
+def _count(primitive: Primitive, buffers: Buffers) -> int:
+    """The number of a primitive's corners."""
+    accessor = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices
+    return 0 if accessor is None else buffers.count(accessor)

@@ -1,0 +1,178 @@
+"""The numbers in a glTF file's buffers.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.6 and 4.4.
+"""
+
+import base64
+import struct
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Literal
+from urllib.parse import unquote, unquote_to_bytes
+
+import numpy as np
+from jaxtyping import Shaped
+
+from .._types import HostArray
+from ._errors import MeshError, damaged
+from ._gltf_schema import Document, unknown
+from ._text import excerpt, listed
+
+_MAGIC = b"glTF"
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC3": 3}
+# A sparse accessor may stand for any number of zeros; none that is in use has as many.
+_MOST_ZEROS = 2**24
+
+
+def chunks(data: bytes) -> tuple[bytes, bytes | None]:
+    """The JSON of a glTF or GLB file, and the buffer that a GLB file may hold.
+
+    **Raises** `MeshError` if a GLB file is damaged or of another version.
+    """
+    if not data.startswith(_MAGIC):
+        return data, None
+    if len(data) < 12:
+        raise damaged("it ends within its header")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise MeshError(f"is of glTF version {version}, which cannot be read; convert it to glTF 2.0")
+    if length > len(data):
+        raise damaged(f"it has {len(data)} bytes; expected {length}")
+    found: dict[int, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + size > length:
+            raise damaged("it ends within a chunk")
+        found.setdefault(kind, data[at + 8 : at + 8 + size])
+        at += 8 + size
+    if _JSON not in found:
+        raise damaged("it has no chunk of JSON")
+    return found[_JSON], found.get(_BINARY)
+
+
+def item[T](items: Sequence[T], index: int, what: str) -> T:
+    """**Raises** `MeshError` if there is no such item."""
+    if index >= len(items):
+        raise damaged(f"it names {what} {index}, but has {len(items)}")
+    return items[index]
+
+
+class NoDataError(Exception):
+    """An accessor's numbers are left to an extension."""
+
+
+class Buffers:
+    """What a file's accessors stand for. Only buffers that are needed are loaded."""
+
+    def __init__(self, document: Document, binary: bytes | None, folder: Path):
+        self._document = document
+        self._folder = folder
+        self._binary = binary
+        self._loaded: dict[int, bytes] = {}
+
+    def values(self, index: int, form: Literal["SCALAR", "VEC3"]) -> Shaped[HostArray, "n width"]:
+        """The accessor's n rows; integers that are normalized are mapped to [-1, 1] or [0, 1].
+
+        **Raises** `MeshError` if they cannot be had, and `NoDataError` if an extension has them.
+        """
+        accessor = item(self._document.accessors, index, "accessor")
+        if accessor.type != form:
+            raise damaged(f"its accessor {index} holds {excerpt(accessor.type)}; expected {form}")
+        kind, width = np.dtype(_COMPONENTS[accessor.component_type]), _WIDTHS[form]
+        sparse = accessor.sparse
+        if accessor.buffer_view is not None:
+            rows = self._rows(accessor.buffer_view, accessor.byte_offset, kind, accessor.count, width)
+        elif sparse is None:
+            raise NoDataError
+        elif accessor.count > _MOST_ZEROS:
+            raise damaged(f"its accessor {index} stands for {accessor.count} zeros")
+        else:
+            rows = np.zeros((accessor.count, width), kind)
+        if sparse is not None:
+            at, new = sparse.indices, sparse.values
+            places = self._rows(
+                at.buffer_view, at.byte_offset, np.dtype(_COMPONENTS[at.component_type]), sparse.count, 1
+            )
+            if places.max() >= accessor.count:
+                raise damaged(f"its accessor {index} replaces row {places.max()}, but has {accessor.count}")
+            rows = rows.copy()
+            rows[places[:, 0]] = self._rows(new.buffer_view, new.byte_offset, kind, sparse.count, width)
+        if accessor.normalized and kind.kind in "iu":
+            return np.maximum(rows / np.iinfo(kind).max, -1)
+        return rows
+
+    def view(self, index: int) -> memoryview:
+        """The bytes of a buffer view.
+
+        **Raises** `MeshError` if they cannot be had.
+        """
+        view = item(self._document.buffer_views, index, "buffer view")
+        buffer = self._buffer(view.buffer, view.extensions)
+        end = view.byte_offset + view.byte_length
+        if end > len(buffer):
+            raise damaged(f"buffer view {index} ends beyond its buffer, which has {len(buffer)} bytes")
+        return memoryview(buffer)[view.byte_offset : end]
+
+    def count(self, index: int) -> int:
+        """The number of the accessor's rows."""
+        return item(self._document.accessors, index, "accessor").count
+
+    def _rows(
+        self, view_index: int, offset: int, kind: np.dtype, count: int, width: int
+    ) -> Shaped[HostArray, "n width"]:
+        view, data = item(self._document.buffer_views, view_index, "buffer view"), self.view(view_index)
+        row = kind.itemsize * width
+        stride = view.byte_stride or row
+        end = offset + (count - 1) * stride + row
+        if end > view.byte_length:
+            raise damaged(f"an accessor needs {end} bytes of buffer view {view_index}, which has {view.byte_length}")
+        return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
+
+    def _buffer(self, index: int, extensions: Iterable[str]) -> bytes:
+        """The buffer's bytes; `extensions` are those of the view on it, which explain why it may have none."""
+        if index not in self._loaded:
+            buffer = item(self._document.buffers, index, "buffer")
+            if buffer.uri is None:
+                content = self._binary if index == 0 else None
+            else:
+                content = _embedded(buffer.uri) if buffer.uri.startswith("data:") else self._beside(buffer.uri)
+            if content is None:
+                raise unread(extensions) or damaged(f"its buffer {index} has no data")
+            if len(content) < buffer.byte_length:
+                raise damaged(f"its buffer {index} has {len(content)} bytes; expected {buffer.byte_length}")
+            self._loaded[index] = content
+        return self._loaded[index]
+
+    def _beside(self, uri: str) -> bytes:
+        """The content of another file."""
+        if "://" in uri:
+            raise MeshError(f"keeps its data at {excerpt(uri)}; download them, and name that file instead")
+        # Some writers forget to quote special characters.
+        for name in (unquote(uri), uri):
+            try:
+                return (self._folder / name).read_bytes()
+            except FileNotFoundError:
+                continue
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or str(error)
+                raise MeshError(f"needs the file {excerpt(uri)} beside it, which cannot be read: {reason}") from error
+        raise MeshError(f"needs the file {excerpt(uri)} beside it, which does not exist; put it there")
+
+
+def unread(extensions: Iterable[str]) -> MeshError | None:
+    """The message that data are given by `extensions` alone; `None` if none of these gives any."""
+    names = listed(unknown(extensions))
+    return MeshError(f"keeps triangles by {names}, which cannot be read; export it without") if names else None
+
+
+def _embedded(uri: str) -> bytes:
+    head, _, payload = uri.partition(",")
+    if not head.endswith(";base64"):
+        return unquote_to_bytes(payload)
+    try:
+        return base64.b64decode(unquote(payload))
+    except ValueError as error:
+        raise damaged(f"a buffer within it is not in base64 ({error})") from error

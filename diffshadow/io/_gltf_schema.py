@@ -1,0 +1,145 @@
+"""The part of a glTF 2.0 file's JSON that says where its triangles are.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 5. Defaults are the specification's.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.alias_generators import to_camel
+
+from ._errors import MeshError, damaged
+from ._text import decode, excerpt, listed
+
+_Index = Annotated[int, Field(ge=0)]
+_Extensions = Mapping[str, Any]
+# Extensions that change how triangles look, but not where they are.
+_OF_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp")
+_OF_LOOKS += ("EXT_texture_", "EXT_lights_", "MSFT_texture_", "MSFT_packing_")
+DRACO = "KHR_draco_mesh_compression"
+# Extensions that are read: positions may be integers, and triangles compressed.
+_READ = ("KHR_mesh_quantization", DRACO)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(alias_generator=to_camel, frozen=True, coerce_numbers_to_str=True)
+
+
+class Asset(_Part):
+    version: str
+
+
+class Header(_Part):
+    """What tells a file's version, since all else differs between versions."""
+
+    asset: Asset
+
+
+class Buffer(_Part):
+    byte_length: _Index
+    uri: str | None = None
+
+
+class BufferView(_Part):
+    buffer: _Index
+    byte_offset: _Index = 0
+    byte_length: _Index
+    byte_stride: Annotated[int, Field(ge=1)] | None = None
+    extensions: _Extensions = {}
+
+
+class SparseIndices(_Part):
+    buffer_view: _Index
+    byte_offset: _Index = 0
+    component_type: Literal[5121, 5123, 5125]
+
+
+class SparseValues(_Part):
+    buffer_view: _Index
+    byte_offset: _Index = 0
+
+
+class Sparse(_Part):
+    count: Annotated[int, Field(ge=1)]
+    indices: SparseIndices
+    values: SparseValues
+
+
+class Accessor(_Part):
+    buffer_view: _Index | None = None
+    byte_offset: _Index = 0
+    component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    normalized: bool = False
+    count: Annotated[int, Field(ge=1)]
+    type: str
+    sparse: Sparse | None = None
+
+
+class Primitive(_Part):
+    attributes: Mapping[str, _Index]
+    indices: _Index | None = None
+    mode: Annotated[int, Field(ge=0, le=6)] = 4
+    targets: list[Mapping[str, _Index]] = []
+    extensions: _Extensions = {}
+
+
+class Mesh(_Part):
+    primitives: list[Primitive]
+    weights: list[float] = []
+
+
+class Node(_Part):
+    children: list[_Index] = []
+    mesh: _Index | None = None
+    skin: _Index | None = None
+    weights: list[float] | None = None
+    matrix: Annotated[list[float], Field(min_length=16, max_length=16)] | None = None
+    rotation: Annotated[list[float], Field(min_length=4, max_length=4)] = [0.0, 0.0, 0.0, 1.0]
+    scale: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
+    translation: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    extensions: _Extensions = {}
+
+
+class Scene(_Part):
+    nodes: list[_Index] = []
+
+
+class Document(_Part):
+    """All of these, which refer to one another by their indices."""
+
+    accessors: list[Accessor] = []
+    buffer_views: list[BufferView] = []
+    buffers: list[Buffer] = []
+    extensions_required: list[str] = []
+    meshes: list[Mesh] = []
+    nodes: list[Node] = []
+    scene: _Index | None = None
+    scenes: list[Scene] = []
+
+
+def parse(text: bytes) -> Document:
+    """**Raises** `MeshError` if this is no JSON, breaks the specification, or needs an extension that is not read."""
+    try:
+        content = json.loads(decode(text))
+    except (ValueError, RecursionError) as error:
+        raise damaged(f"it is no JSON ({error})") from error
+    try:
+        version = Header.model_validate(content).asset.version
+        if version.partition(".")[0] != "2":
+            raise MeshError(f"is of glTF version {excerpt(version)}, which cannot be read; convert it to glTF 2.0")
+        document = Document.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise damaged(f"{listed([where])}: {first['msg']}") from error
+    needed = unknown(document.extensions_required)
+    if needed:
+        raise MeshError(f"needs {listed(needed)}, which cannot be read; export it without")
+    return document
+
+
+def unknown(extensions: Iterable[str]) -> list[str]:
+    """Those of `extensions` that may say where triangles are, and are not read."""
+    return [name for name in extensions if not name.startswith(_OF_LOOKS) and name not in _READ]

@@ -1,0 +1,241 @@
+"""PLY files: https://paulbourke.net/dataformats/ply/."""
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._types import HostArray
+from ._errors import MeshError, damaged
+from ._polygons import Polygons, strip_triangles
+from ._text import decode, excerpt, is_number, listed, numbers
+
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float": "f4",
+    "double": "f8",
+    "float32": "f4",
+    "float64": "f8",
+}
+_Order = Literal["=", "<", ">"]
+_ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+# What writers call the list of a face's corners.
+_CORNERS = ("vertex_indices", "vertex_index")
+# A float64 has no fraction from here on.
+_LONGEST = 2.0**53
+
+
+class _Property(NamedTuple):
+    name: str
+    type: np.dtype
+    # The type of a list's length.
+    length: np.dtype | None
+
+
+class _Element(NamedTuple):
+    name: str
+    rows: int
+    properties: list[_Property]
+
+
+class _Column(NamedTuple):
+    """The values of a property, one row after another, and how many each row has."""
+
+    values: HostArray
+    sizes: Int[HostArray, "n"]
+
+
+def read_ply(data: bytes) -> Polygons:
+    """The faces, and the triangles of strips.
+
+    **Raises** `MeshError` if the file is damaged.
+    """
+    order, elements, body = _header(data)
+    if order == "=":
+        body = _as_binary(body)
+        elements = [element._replace(properties=_in_doubles(element.properties)) for element in elements]
+    columns: dict[str, Mapping[str, _Column]] = {}
+    start = 0
+    for element in elements:
+        columns[element.name], start = _read(body, start, element)
+    corners, sizes = _lists(columns, "face")
+    strips = _strips(*_lists(columns, "tristrips"))
+    edges = sum(element.rows for element in elements if element.name == "edge")
+    return Polygons(
+        _vertices(columns.get("vertex", {})),
+        np.concatenate([corners, strips.reshape(-1)]),
+        np.concatenate([sizes, np.full(len(strips), 3)]),
+        {"edge": edges},
+    )
+
+
+def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
+    """The order of bytes, what the file holds, and the data below."""
+    if not data.startswith(b"ply"):
+        data = decode(data).encode("latin-1", errors="replace")
+    first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
+    if first is None:
+        raise damaged(f"it begins with {excerpt(data[:80].decode('latin-1'))}; expected a line that says ply")
+    newline = first[1]
+    last = re.search(newline + rb"[ \t]*end_header[ \t]*(?:" + newline + rb"|\Z)", data)
+    if last is None:
+        raise damaged("its header has no end_header")
+    elements: list[_Element] = []
+    order: _Order | None = None
+    # Comments may be of any encoding, and some writers forget to begin them as comments.
+    lines = data[first.end() : last.start()].decode("latin-1").split(newline.decode())
+    for number, line in enumerate(lines, start=2):
+        try:
+            match line.split():
+                case ["format", form, *_]:
+                    order = _ORDERS[form]
+                case ["element", name, rows] if rows.isascii() and rows.isdigit():
+                    elements.append(_Element(name, int(rows), []))
+                case ["property", "list", length, kind, name] if order is not None:
+                    types = [np.dtype(_TYPES[each]).newbyteorder(order) for each in (kind, length)]
+                    elements[-1].properties.append(_Property(name, *types))
+                case ["property", kind, name] if order is not None:
+                    elements[-1].properties.append(_Property(name, np.dtype(_TYPES[kind]).newbyteorder(order), None))
+                case ["format" | "element" | "property", *_]:
+                    raise KeyError
+        except (KeyError, IndexError, ValueError):
+            raise damaged(f"line {number} of its header is {excerpt(line)}, which cannot be read") from None
+    if order is None:
+        raise damaged(f"its header has no line of a format; expected one of {', '.join(_ORDERS)}")
+    return order, elements, data[last.end() :]
+
+
+def _as_binary(text: bytes) -> bytes:
+    """The numbers of a text as float64, so that both kinds of file are read alike."""
+    words = text.split()
+    try:
+        return numbers(words).tobytes()
+    except ValueError:
+        word = next(word for word in words if not is_number(word))
+        raise damaged(f"it has {excerpt(word.decode('latin-1'))} below its header; expected numbers") from None
+
+
+def _in_doubles(properties: Sequence[_Property]) -> list[_Property]:
+    double = np.dtype(np.float64)
+    return [p._replace(type=double, length=None if p.length is None else double) for p in properties]
+
+
+def _read(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int]:
+    """The element's columns, and where the next one begins."""
+    if element.rows == 0 or not element.properties:
+        return {}, start
+    # Every row takes a byte at least.
+    if element.rows > len(data) - start:
+        raise _too_short(element)
+    return _read_alike(data, start, element) or _read_rows(data, start, element)
+
+
+def _read_alike(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int] | None:
+    """As `_read`, where the lists of all rows are as long as the first one's."""
+    fields, lengths, at = [], [], start
+    for i, p in enumerate(element.properties):
+        lengths.append(1 if p.length is None else _length(data, at, p.length, element))
+        if p.length is not None:
+            fields.append((f"length {i}", p.length))
+            at += p.length.itemsize
+        at += lengths[i] * p.type.itemsize
+        if at > len(data):
+            raise _too_short(element)
+        fields.append((f"values {i}", p.type, (lengths[i],)))
+    row = np.dtype(fields)
+    if element.rows * row.itemsize > len(data) - start:
+        return None
+    rows = np.frombuffer(data, row, element.rows, start)
+    for i, p in enumerate(element.properties):
+        if p.length is not None and (rows[f"length {i}"] != lengths[i]).any():
+            return None
+    columns = {
+        p.name: _Column(rows[f"values {i}"].reshape(-1), np.full(element.rows, lengths[i]))
+        for i, p in enumerate(element.properties)
+    }
+    return columns, start + element.rows * row.itemsize
+
+
+def _read_rows(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int]:
+    """As `_read`, row by row."""
+    places: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    at = start
+    for _ in range(element.rows):
+        for name, kind, length in element.properties:
+            size = 1
+            if length is not None:
+                size = _length(data, at, length, element)
+                at += length.itemsize
+            places[name].append(at)
+            sizes[name].append(size)
+            at += size * kind.itemsize
+        if at > len(data):
+            raise _too_short(element)
+    columns = {}
+    for name, kind, _ in element.properties:
+        rows = [np.frombuffer(data, kind, n, i) for i, n in zip(places[name], sizes[name], strict=True)]
+        columns[name] = _Column(np.concatenate(rows), np.asarray(sizes[name]))
+    return columns, at
+
+
+def _length(data: bytes, at: int, kind: np.dtype, element: _Element) -> int:
+    if at + kind.itemsize > len(data):
+        raise _too_short(element)
+    order = kind.byteorder if kind.byteorder in "<>" else "="
+    (length,) = struct.unpack_from(order + kind.char, data, at)
+    if not 0 <= length < _LONGEST or length != int(length):
+        raise damaged(f"one of its {listed([element.name])} elements has a list of length {length:g}")
+    return int(length)
+
+
+def _too_short(element: _Element) -> MeshError:
+    return damaged(
+        f"it ends before the last of the {element.rows} {listed([element.name])} elements that its header promises"
+    )
+
+
+def _vertices(columns: Mapping[str, _Column]) -> Float[HostArray, "v 3"]:
+    if not columns:
+        return np.zeros((0, 3))
+    if any(name not in columns or (columns[name].sizes != 1).any() for name in "xyz"):
+        raise damaged(f"its vertices have {listed(columns)}; expected x, y and z")
+    return np.stack([columns[name].values for name in "xyz"], axis=-1).astype(np.float64)
+
+
+def _lists(
+    columns: Mapping[str, Mapping[str, _Column]], element: str
+) -> tuple[Int[HostArray, "c"], Int[HostArray, "f"]]:
+    """The indices that the rows of `element` list, and how many each does."""
+    if not columns.get(element):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    found = [columns[element][name] for name in _CORNERS if name in columns[element]]
+    if not found:
+        raise damaged(f"its {element} elements have {listed(columns[element])}; expected {_CORNERS[0]}")
+    values, sizes = found[0]
+    if (values.dtype.kind == "f" and not (np.abs(values) < _LONGEST).all()) or (values != np.trunc(values)).any():
+        raise damaged(f"its {element} elements name vertices by numbers that are not whole")
+    return values.astype(np.int64), sizes.astype(np.int64)
+
+
+def _strips(corners: Int[HostArray, "c"], sizes: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
+    """The triangles of lists of strips, with -1 between those of one list."""
+    triangles = [np.zeros((0, 3), np.int64)]
+    for strips in np.split(corners, np.cumsum(sizes)):
+        for strip in np.split(strips, np.flatnonzero(strips == -1)):
+            triangles.append(strip_triangles(strip[strip != -1]))
+    return np.concatenate(triangles)

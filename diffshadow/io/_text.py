@@ -1,0 +1,100 @@
+"""Lines of text in any encoding, and the numbers on them."""
+
+import codecs
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._types import HostArray
+from ._errors import damaged
+
+# UTF-32 first, since its mark begins as that of UTF-16 does.
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+# Characters of a line that a message quotes.
+_EXCERPT = 40
+# Characters of a list of names in a message.
+_LIST = 160
+
+
+def decode(data: bytes) -> str:
+    """Text that begins with an ASCII character, of unknown encoding.
+
+    That is what its byte order mark says; UTF-16 where every other byte is zero; UTF-8 where it can be; and Latin-1,
+    which any bytes are, otherwise. Characters that are not ASCII matter in comments and names only.
+    """
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return data[len(mark) :].decode(encoding, errors="replace")
+    if len(data) >= 2 and 0 in data[:2] and data[:2] != b"\0\0":
+        return data.decode("utf-16-le" if data[1] == 0 else "utf-16-be", errors="replace")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def split_lines(text: str) -> list[str]:
+    """The lines of `text`, without comments, which begin with a hash, without space round them, and without tabs."""
+    # `splitlines` would also split at characters that Latin-1 comments hold.
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").replace("\t", " ").split("\n")
+    if "#" in text:
+        lines = [line.partition("#")[0] for line in lines]
+    return [line.strip() for line in lines]
+
+
+def excerpt(line: str) -> str:
+    """`line` quoted, cut short."""
+    return repr(_short(line, _EXCERPT))
+
+
+def listed(names: Iterable[str]) -> str:
+    """`names` one after another, cut short where they are too long for a message."""
+    return _short(", ".join(names), _LIST)
+
+
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else text[:most] + "..."
+
+
+def read_points(lines: Sequence[str], at: Sequence[int], first: int) -> Float[HostArray, "n 3"]:
+    """The three numbers, from the word `first` on, of each of the n lines whose indices are `at`.
+
+    **Raises** `MeshError` if a line has fewer, or a word that is no number.
+    """
+    words = [word for i in at for word in lines[i].split(None, first + 3)[first : first + 3]]
+    try:
+        return numbers(words).reshape(len(at), 3)
+    except ValueError:
+        for i in at:
+            row = lines[i].split()[first : first + 3]
+            if len(row) < 3 or not all(map(is_number, row)):
+                raise damaged(f"line {i + 1} is {excerpt(lines[i])}; expected three numbers") from None
+        raise
+
+
+def numbers(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, "n"]:
+    """**Raises** `ValueError` if one of the words is no number."""
+    return np.fromiter(map(float, words), np.float64, len(words))
+
+
+def integers(words: Sequence[str]) -> Int[HostArray, "n"]:
+    """**Raises** `ValueError` if one of the words is no whole number, or one beyond 64 bits."""
+    try:
+        return np.fromiter(map(int, words), np.int64, len(words))
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
+
+
+def is_number(word: str | bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,18 @@
+"""Fixed-point depth formats, at every one of their steps."""
+
+import jax
+import numpy as np
+import pytest
+
+from diffshadow.raster import DepthTest
+
+STEPS = {"unorm16": 2**16 - 1, "unorm24": 2**24 - 1}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_decoded_depths_are_the_nearest_floats_and_encode_to_their_own_step(name):
+    test, stored = DepthTest(name), np.arange(STEPS[name] + 1, dtype=np.float32)
+    decoded, encoded = jax.jit(lambda u: (test.decode(u), test.encode(test.decode(u))))(stored)
+    np.testing.assert_array_equal(decoded, (stored.astype(np.float64) / STEPS[name]).astype(np.float32))
+    np.testing.assert_array_equal(encoded, stored)
+    np.testing.assert_array_equal(test.encode(decoded), stored)

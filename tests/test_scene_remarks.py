@@ -1,0 +1,61 @@
+"""Remarks on scenes: meshes that contribute nothing to the picture, and what was left out of mesh files."""
+
+import pytest
+
+from diffshadow.config import build_casting, parse_config
+from diffshadow.raster import draw_surface
+from diffshadow.study._scene_remarks import scene_remarks
+
+SCENE = """
+scene:
+  meshes:
+    - {{path: builtin:plane, options: {{size: 4}}}}
+    - {{path: builtin:box}}
+    - {{{mesh}}}
+  camera: {{eye: [0, 3, 5], target: [0, 0, 0], resolution: [24, 24]}}
+  light: {{type: directional, azimuth: 30, elevation: 60}}
+"""
+COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
+
+
+def remarks(mesh, folder):
+    config = parse_config(SCENE.format(mesh=mesh), folder=folder)
+    casting = build_casting(config)
+    return scene_remarks(config, [casting], draw_surface(casting.scene.mesh, casting.scene.camera))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "cause"),
+    [
+        ("path: builtin:box, scale: 1.0e-6, translate: [1, 0.1, 1]", "another unit, so set its size"),
+        ("path: builtin:box, size: 1.0e-6, translate: [1, 0.1, 1]", "change its size or scale"),
+        ("path: builtin:box, translate: [0, 3, 12]", "behind the camera"),
+        ("path: builtin:box, translate: [9, -3, 0]", "outside the picture"),
+        ("path: line.obj, translate: [0, 0.5, 0]", "no area"),
+    ],
+)
+def test_a_mesh_that_contributes_nothing_is_named_with_its_cause(mesh, cause, tmp_path):
+    (tmp_path / "line.obj").write_text(COLLINEAR)
+    (remark,) = remarks(mesh, tmp_path)
+    assert remark.startswith("scene.meshes.2 (")
+    assert "covers no pixel and casts no shadow into the picture: " in remark
+    assert cause in remark
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        "path: builtin:box, translate: [1, 0, 1]",
+        # Out of the picture, with a shadow in it; and seen, but too low to cast one.
+        "path: builtin:box, translate: [2, 6, 3.464]",
+        "path: builtin:plane, options: {size: 1}, translate: [1, 0.001, 1]",
+    ],
+)
+def test_a_mesh_that_is_seen_or_whose_shadow_is_seen_gets_no_remark(mesh, tmp_path):
+    assert remarks(mesh, tmp_path) == []
+
+
+def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):
+    (tmp_path / "cage.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nl 1 3\nl 2 4\n")
+    (remark,) = remarks("path: cage.obj, translate: [1, 0.2, 1]", tmp_path)
+    assert remark == f"the mesh file {tmp_path / 'cage.obj'} is loaded without its 2 lines"

@@ -1,0 +1,116 @@
+"""Visibility lies in [0, 1], whatever the technique, its numbers and the map."""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scenes import apply, drawn, floor_and_card, random_lookups, shadows, sun
+
+from diffshadow._misc import in_unit_range
+from diffshadow.geometry import Edges
+from diffshadow.shadow import (
+    Bias,
+    Bilinear,
+    Castano,
+    ExponentialShadowMap,
+    ExponentialVarianceShadowMap,
+    FourTap,
+    HardCompare,
+    MomentShadowMap,
+    PercentageCloser,
+    PercentageCloserSoft,
+    RandomDisk,
+    ShadowMapping,
+    SoftCompare,
+    Tent,
+    VarianceShadowMap,
+    draw_shadow_map,
+    stratified,
+)
+
+REACH = 3.0
+HARD, LINEAR, GAUSSIAN = HardCompare(), SoftCompare(1.0, "linear"), SoftCompare(1.0, "gaussian")
+# Each is compiled once: hypothesis draws the numbers.
+FILTERS = {
+    "box": (PercentageCloser(1.0, REACH), LINEAR),
+    "tent": (Tent(1.0, REACH), HARD),
+    "disk": (RandomDisk(1.0, stratified((2, 4))), GAUSSIAN),
+    "four taps": (FourTap(1.0), HARD),
+    "Castaño": (Castano(7), LINEAR),
+    "bilinear": (Bilinear(), GAUSSIAN),
+    "PCSS": (PercentageCloserSoft(2.0, stratified((2, 4)), stratified((2, 4))), HARD),
+    "VSM": (VarianceShadowMap(1.0, REACH), HARD),
+    "ESM": (ExponentialShadowMap(1.0, REACH, "tent"), HARD),
+    "EVSM": (ExponentialVarianceShadowMap(1.0, REACH), HARD),
+    "MSM": (MomentShadowMap(1.0, REACH, "gaussian"), HARD),
+}
+# Narrow kernels are differences of larger numbers, where rounding shows most.
+radii = st.one_of(st.sampled_from([0.0, 1e-3, 0.5, REACH]), st.floats(0, REACH, width=32))
+biases = st.floats(0, 2, width=32)
+widths = st.floats(2.0**-20, 10, width=32)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def with_numbers(kernel, compare, radius, width):
+    if hasattr(kernel, "radius"):
+        kernel = eqx.tree_at(lambda f: f.radius, kernel, jnp.float32(radius))
+    if isinstance(compare, SoftCompare):
+        compare = eqx.tree_at(lambda c: c.width, compare, jnp.float32(width))
+    return kernel, compare
+
+
+def random_depths(seed, shape):
+    """Depths as a map may hold them: smooth or noisy, partly empty, or all the same."""
+    rng = np.random.default_rng(seed)
+    noise, level = rng.random() ** 4, rng.choice([0.0, 0.5, 1.0, rng.random()])
+    depth = np.clip(level + noise * rng.normal(size=shape), 0, 1)
+    return jnp.asarray(np.where(rng.random(shape) < rng.choice([0, 0.2, 1]), 1.0, depth), jnp.float32)
+
+
+def assert_in_unit_range(visibility, tolerance=0.0):
+    visibility = np.asarray(visibility, np.float64)
+    assert np.isfinite(visibility).all()
+    assert visibility.min() >= -tolerance
+    assert visibility.max() <= 1 + tolerance
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@settings(max_examples=60, deadline=None)
+@given(radius=radii, width=widths, seed=seeds)
+@example(radius=0.0, width=1.0, seed=0)
+def test_weights_of_a_filter_carry_its_mean_out_of_the_range_by_rounding_alone(name, radius, width, seed):
+    _, shadow_map = drawn("directional", 24, 16)
+    shadow_map = dataclasses.replace(shadow_map, depth=random_depths(seed, (16, 16)))
+    kernel, compare = with_numbers(*FILTERS[name], radius, width)
+    lookup = random_lookups(np.random.default_rng(seed), (16, 24), (16, 16))
+    assert_in_unit_range(apply(kernel, shadow_map, lookup, compare), tolerance=1e-6)
+
+
+@pytest.mark.parametrize("silhouettes", [False, True], ids=["whole texels", "silhouettes"])
+@settings(max_examples=30, deadline=None)
+@given(radius=radii, constant=biases, slope=biases, width=widths)
+@example(radius=0.0, constant=0.0, slope=0.0, width=1.0)
+def test_visibility_lies_in_the_unit_range_exactly(silhouettes, radius, constant, slope, width):
+    surface, shadow_map = drawn("directional", 24, 16)
+    kernel, compare = with_numbers(PercentageCloser(1.0, REACH), LINEAR, radius, width)
+    technique = ShadowMapping(kernel, Bias(jnp.float32(constant), jnp.float32(slope)), compare)
+    assert_in_unit_range(shadows(technique, outlined() if silhouettes else shadow_map, surface))
+
+
+@functools.cache
+def outlined():
+    mesh = floor_and_card()
+    return draw_shadow_map(mesh, sun(mesh), (16, 16), edges=Edges.of(mesh))
+
+
+def test_a_mean_beyond_the_range_keeps_its_derivative():
+    means = jnp.array([-1e-7, 0.0, 0.5, 1.0, 1 + 1e-6])
+    values, tangents = jax.jvp(in_unit_range, (means,), (jnp.ones(5),))
+    np.testing.assert_array_equal(values, [0, 0, 0.5, 1, 1])
+    np.testing.assert_array_equal(tangents, 1)
