@@ -1,6 +1,7 @@
 """The command `diffshadow`.
 
-It imports as little as it can: a mistake in a configuration is told in a fraction of a second, before JAX is loaded.
+It imports as little as it can: a mistake in a configuration is reported in a fraction of a second, before JAX is
+loaded.
 """
 
 import contextlib
@@ -239,8 +240,8 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs the command with `arguments`, by default the process's, and exits.
 
-    The exit code is 0 on success, 2 on a mistake of the user's, which is told in one message on stderr, and 130 after
-    an interrupt. Any other error is a fault of the program, and keeps its traceback.
+    The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
+    after an interrupt. Any other error is a fault of the program, and keeps its traceback.
     """
     errors = _Console(stderr=True, highlight=False)
     for stream in (sys.stdout, sys.stderr):

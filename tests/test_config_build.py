@@ -1,5 +1,6 @@
 """Configurations: the modules that they stand for."""
 
+import json
 import math
 
 import jax.numpy as jnp
@@ -7,7 +8,11 @@ import numpy as np
 import pytest
 
 from diffshadow.config import (
+    AdaptiveBiasConfig,
+    BiasConfig,
     ConfigError,
+    ReceiverPlaneConfig,
+    SoftCompareConfig,
     build_casting,
     build_fit,
     build_scene,
@@ -18,6 +23,7 @@ from diffshadow.config import (
     parse_config,
 )
 from diffshadow.config._fitted import FILTERS
+from diffshadow.config._marks import Limits, marked
 from diffshadow.fit import resolve
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -239,6 +245,30 @@ def test_every_filter_s_settings_reach_its_module():
                 continue
             given, found = getattr(config.filter, key), getattr(built, key)
             assert found == given or float(found) == pytest.approx(given), (kind, key)
+
+
+def at_the_limits(section) -> list[dict[str, float]]:
+    """The keys of `section` that are numbers, all at their least values, and all at their greatest."""
+    fields = {key: Limits.of(marked(field)[1]) for key, field in section.model_fields.items() if key != "type"}
+    fields = {key: limits for key, limits in fields.items() if limits.low is not None and key not in LARGE}
+    return [{key: limits[end] for key, limits in fields.items()} for end in (0, 1)]
+
+
+# Patterns of so many taps take seconds to make.
+LARGE = ("samples", "search_samples", "pattern_size")
+
+
+def test_modules_take_what_their_keys_may_be_set_to():
+    for kind, section in FILTERS.items():
+        for values in at_the_limits(section):
+            technique_of(f"filter={json.dumps({'type': kind, **values})}")
+    for holder in (BiasConfig, ReceiverPlaneConfig, AdaptiveBiasConfig):
+        for values in at_the_limits(holder):
+            plane = {} if holder is BiasConfig else {"type": holder.model_fields["type"].default}
+            bias = {"plane": {**plane, **values}} if plane else values
+            technique_of(f"bias={json.dumps(bias)}", "filter={type: nearest}")
+    for values in at_the_limits(SoftCompareConfig):
+        technique_of(f"compare={json.dumps({'type': 'soft', **values})}")
 
 
 @pytest.mark.parametrize("pattern", ["stratified", "uniform", "poisson", "vogel", "sobol", "halton"])

@@ -41,6 +41,8 @@ NOTHING = surface_at([0, 0, 0], seen=False)
         ),
         ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1, far: 2}", "what it looks at is 5.2 world units away"),
         ("{eye: [3, 3, 3], target: [0, 0.5, 0]}", "no triangle covers one"),
+        ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1e-30}", "single precision tells no depths apart"),
+        ("{eye: [1e9, 1e9, 1e9], target: [0, 0, 0]}", "no triangle covers one"),
     ],
 )
 def test_camera_that_sees_nothing_names_the_cause(camera, cause):
@@ -76,6 +78,7 @@ def test_camera_that_sees_a_surface_has_no_cause():
             "2 lie beside its beam;",
             "outer_angle",
         ),
+        ("{type: spot, position: [1e9, 1e9, 0]}", "none is within its beam, for single precision", "move it nearer"),
         ("{type: point, position: [0, 5, 0], near: 1, far: 2}", "2 lie beyond its far;", "raise its far"),
     ],
 )
@@ -84,6 +87,12 @@ def test_light_that_misses_what_is_seen_names_the_cause(light, cause, mend):
     assert cause in said
     assert mend in said
     assert "and the scene's size 5.74 world units; expected a surface that both see" in said
+
+
+def test_bias_that_moves_receivers_out_of_the_beam_is_named():
+    said = blind_light(*scene_of("bias.normal_offset=4000"), surface_at([0, 1, 0]))
+    assert "a normal_offset of 4000 texels moves all out of its beam" in said
+    assert "lower bias.normal_offset" in said
 
 
 def test_point_beside_or_below_a_mesh_is_not_inside_it():

@@ -254,6 +254,72 @@ def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
     assert f"override {override!r}: {said}" in str(caught.value)
 
 
+def test_million_runs_are_counted_without_making_them(monkeypatch):
+    from diffshadow.config import _sweep_runs as sweep_runs
+
+    made = []
+    check = sweep_runs.checked
+    monkeypatch.setattr(sweep_runs, "checked", lambda *args, **options: made.append(1) or check(*args, **options))
+    Path("t.yaml").write_text(f"{BASE}sweep: {{grid: {{filter.radius: [1, 2, 3, 4]}}, qmc: {QMC}, repeats: 4096}}\n")
+    sweep = load_sweep(Path("t.yaml"), check=False)
+    assert len(sweep.runs) == 4 * 64 * 4096 == 2**20
+    out = text_io.StringIO()
+    study.print_plan(Console(file=out, width=120), sweep)
+    assert len(made) < 20
+    assert "1,048,576 runs, too many to look at each of them here" in out.getvalue()
+    assert len([line for line in out.getvalue().splitlines() if "bias.slope = " in line]) == 8
+    # Any of them can be had.
+    last = sweep.runs[-1]
+    assert (last.values["filter.radius"], last.values["seed"]) == (4, 4095)
+    assert last.config.bias.slope == last.values["bias.slope"]
+    with pytest.raises(ConfigError, match=r"t\.yaml:12: sweep: makes 2,097,152 runs; expected at most 1,048,576"):
+        load_sweep(Path("t.yaml"), ["sweep.repeats=8192"])
+
+
+QMC = "{count: 64, axes: {bias.slope: {lower: 0, upper: 4}}}"
+
+
+def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
+    section = "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.radius: [1, 2, 3]}, repeats: 4}"
+    small = sweep_of(section)
+    monkeypatch.setattr("diffshadow.config._sweep_runs._MOST_KEPT", 0)
+    told = []
+    Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
+    large = load_sweep(Path("t.yaml"), progress=lambda done, total: told.append((done, total)))
+    assert told == [(done, 24) for done in range(1, 25)]
+    assert list(large.runs) == list(small.runs)
+    assert large.runs[5] is not large.runs[5]
+    assert large.runs[3:20:4] == small.runs[3:20:4]
+    assert large.runs[20:3:-4] == small.runs[20:3:-4]
+    assert list(large.runs.at([2, 3, 11, 23])) == [small.runs[i] for i in (2, 3, 11, 23)]
+    assert [large.runs.id(i) for i in range(24)] == [run.id for run in small.runs]
+    for axis in small.settings.axes:
+        assert large.runs.column(axis) == [run.values[axis] for run in small.runs]
+        assert large.runs.choices(axis) == list(dict.fromkeys(v for v in large.runs.column(axis) if v is not None))
+    with pytest.raises(IndexError):
+        large.runs[24]
+
+
+def test_so_many_faults_are_not_all_told():
+    with pytest.raises(ConfigError) as caught:
+        sweep_of(f"{{grid: {{filter.radius: {list(range(-300, 0))}}}, repeats: 9}}")
+    assert len(caught.value.problems) == 100
+
+
+def test_axes_without_a_choice_may_be_many():
+    """They are one level, for each level is a call inside another."""
+    from diffshadow.config import SweepConfig
+    from diffshadow.config._sweep_choices import count_of, levels_of
+
+    settings = SweepConfig(grid={f"a{i}": (i, -i) if i == 700 else (i,) for i in range(1500)}, repeats=1)
+    before, chosen, after = levels_of(settings, seed=5)
+    assert count_of(settings) == 2
+    assert [len(level) for level in (before, chosen, after)] == [1, 2, 1]
+    assert dict(before[0].values) == {f"a{i}": i for i in range(700)}
+    assert after[0].values == {**{f"a{i}": i for i in range(701, 1500)}, "seed": 5}
+    assert after[0].paths["a800"] == ("sweep", "grid", "a800", 0)
+
+
 def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
     with pytest.raises(ConfigError, match=r"s\.yaml:\d+: sweep: makes many runs.*diffshadow sweep.*sweep=null"):
         load_config(Path("s.yaml"))
@@ -420,6 +486,23 @@ def test_sweep_that_is_started_again_does_only_what_is_missing(quick):
     assert len(quick) == 12
 
 
+def test_sweep_in_parts_gives_the_same_table(quick, monkeypatch):
+    whole, _ = run(load_sweep(Path("s.yaml")))
+    monkeypatch.setattr("diffshadow.config._sweep_runs._MOST_KEPT", 0)
+    monkeypatch.setattr("diffshadow.study._sweep_run._MOST_AT_ONCE", 3)
+    parts, _ = run(load_sweep(Path("s.yaml"), ["output=other"]))
+    assert len(quick) == 16
+    assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()
+
+
+def test_numbers_of_any_size_have_a_column():
+    from diffshadow.study._sweep_table import _column
+
+    assert _column([1, None, 2]).to_pylist() == [1, None, 2]
+    assert _column([10**30, 1.5, None]).to_pylist() == [1e30, 1.5, None]
+    assert _column([2**63, 1]).to_pylist() == [2.0**63, 1.0]
+
+
 def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):
     from diffshadow.study import _sweep_work as sweep_work
 
@@ -535,6 +618,26 @@ def test_cluster_gives_the_same_table(finished, cluster):
     sweep = load_sweep(Path("s.yaml"))
     there = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     assert (there / "results.parquet").read_bytes() == (folder / "results.parquet").read_bytes()
+
+
+def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypatch):
+    from distributed import Client
+
+    from diffshadow.study import _sweep_pool as sweep_pool
+    from diffshadow.study._sweep_work import Batch
+
+    taken = []
+
+    def batches():
+        for number in range(40):
+            taken.append(number)
+            yield Batch("", *[None] * (len(Batch._fields) - 1))
+
+    monkeypatch.setattr(sweep_pool, "work", lambda batch: [batch])
+    with Client(cluster) as client:
+        for done, _ in enumerate(sweep_pool.OnCluster(client).outcomes(batches())):
+            assert len(taken) - done <= sweep_pool._AHEAD
+    assert len(taken) == 40
 
 
 def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monkeypatch):

@@ -93,7 +93,7 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
             path: KeyPath = ("fit", "parameters", name, "upper")
             reach += bounds[name].upper - now
     if bounds and path[0] != "fit":
-        # The reach is that of every run, and is told as such.
+        # `run_faults` names a reach that every run has.
         return
     half = min(config.shadow_map.resolution) / 2
     for key, light in config.scene.each_light.items():

@@ -52,7 +52,7 @@ class DirectionalLightConfig(Section):
     angular_radius: Degrees = Field(
         default=1.0,
         ge=0,
-        lt=90,
+        le=90 - NARROWEST,
         description="half the angle under which the light is seen, in degrees; 0 is a hard light",
     )
     frame: Literal["scene", "casters"] = Field(
@@ -119,7 +119,7 @@ class SpotLightConfig(_AimedLightConfig):
     inner_angle: Degrees | None = Field(
         default=None,
         ge=0,
-        lt=90,
+        le=90 - NARROWEST,
         description="half the cone's part of full light, in degrees; default: shading does not obey the cone",
     )
     radius: WorldUnits = Field(default=0.0, ge=0, description="of the disk that shines, in world units; 0 is a point")

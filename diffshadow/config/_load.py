@@ -124,7 +124,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
     problems = [*draft.problems, *(missing if files else ())]
-    # Of the data, whose numbers are told as they were written.
+    # From the data, so that messages quote numbers as they were written.
     of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
     try:
         config = Config.model_validate(data)
@@ -158,15 +158,16 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
         place = origin.place(path)
         # An override is written by someone who stands in the current folder.
         base = folder if place.line is not None else Path()
+        file = Path(holder["path"])
         try:
             file = Path(os.path.abspath(base / path_of(holder["path"])))
             holder["path"] = str(file)
             what = None if file.is_file() else _missing(file)
-            str(file).encode()
+            holder["path"].encode()
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
-            what = f"is {file}, whose name is not UTF-8; expected a name of letters; rename the file or its folder"
+            what = f"is {holder['path']}, whose name is not UTF-8; expected one that is; rename the file or a folder"
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None:

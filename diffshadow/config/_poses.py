@@ -7,7 +7,7 @@ from pydantic_core import PydanticCustomError
 
 from ._errors import did_you_mean, listing
 from ._marks import Limits
-from ._section import FARTHEST, MOST_DEGREES, fault, is_index, look
+from ._section import FARTHEST, MOST_DEGREES, NARROWEST, fault, is_index, look
 
 _AXES = ("x", "y", "z")
 _DEGREES, _WORLD = "degrees", "world units"
@@ -38,7 +38,7 @@ class Pose(NamedTuple):
     def limits(self) -> Limits:
         """Those of the bounds of its fit, which are the same as the limits of the keys of such numbers."""
         if self.unit == _DEGREES:
-            return Limits(0, 90, below_high=True) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
+            return Limits(0, 90 - NARROWEST) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
         return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
 
     @property

@@ -200,7 +200,7 @@ def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     for i, (label, run) in enumerate(runs):
         colour, told = style.CYCLE[i % len(style.CYCLE)], history(run.arrays)
         ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(told))]
-        axes.plot(told["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=label)
+        axes.plot(told["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
         hard = _hard_errors(run.result)[: len(ends)]
         axes.plot(ends[: len(hard)], hard, color=colour, marker="D", markersize=4.5, linestyle="none")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup
 
 from .. import io
 from .._types import HostArray
+from ..config import printable
 from . import style
 
 # A picture with more pixels along a side is shown smaller, so that pages stay a few megabytes.
@@ -91,6 +93,11 @@ def data_uri(content: bytes, suffix: str) -> str:
     return f"data:{_MEDIA[suffix]};base64,{base64.b64encode(content).decode('ascii')}"
 
 
+def _shown(value: Any) -> Any:
+    """`value` with what is not printable escaped, unless it is a part of the page already."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
 def write_page(path: Path, template: str, **values: Any) -> None:
     """Writes the page that `template` makes of `values` to `path`, whole or not at all.
 
@@ -99,6 +106,7 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("diffshadow", "study/pages"),
         autoescape=True,
+        finalize=_shown,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -17,6 +17,7 @@ from .._types import HostArray
 from ..config import Casting, Config, FitPlan, build_shadow_mapping
 from ._progress import Stages
 from ._setup import Drawn, draw
+from ._table import words
 
 
 def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
@@ -115,7 +116,7 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     text = lambda value, form: "" if value is None else format(value, form)
     for p in plan.parameters:
         table.add_row(
-            Text(p.name),
+            words(p.name),
             text(plan.truth.get(p.name), ".5g"),
             f"{result.fitted[p.name]:.5g}",
             text(errors.get(p.name), "+.2g"),

@@ -115,17 +115,20 @@ def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes `result.json`, last, for it names all other files."""
     files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
-    whole = _plain({"schema_version": SCHEMA_VERSION, **record, "files": files})
+    whole = plain({"schema_version": SCHEMA_VERSION, **record, "files": files})
     text = json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "result.json").write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
-    """`value` with numbers that JSON can hold; one that is not finite becomes null."""
+def plain(value: Any) -> Any:
+    """`value` as JSON can hold it. A number that is not finite becomes null; of text, what is no Unicode is escaped."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {plain(str(key)): plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [plain(inner) for inner in value]
+    if isinstance(value, str):
+        # Python has lone surrogates for the bytes of paths that are no UTF-8.
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

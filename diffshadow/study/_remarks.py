@@ -1,11 +1,14 @@
 """What a reader of a fit's numbers should know beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from ..config import Config
-from ..fit import FitResult, Parameter
+from ..fit import FitResult, Outcome, Parameter
 from ._pose_run import pose_remarks
 
+_CUT_SHORT = "max_steps reached"
+# The loss of poses jumps by as much as pixels turn from lit to shadowed and back.
+_STILL_FALLING = 0.25
 # A value within this share of its bounds' distance from one of them sits on it.
 _ON_BOUND = 1e-3
 
@@ -22,12 +25,44 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
             "initial values, or a smaller fit.anneal.start"
         )
     said += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
-    outcome = result.phases[result.chosen]
-    if outcome.result != "successful":
-        mend = ": raise fit.solver.max_steps" if outcome.result == "max_steps reached" else ""
-        phase = f"width {outcome.width:.3g} texels" if outcome.width else f"level {outcome.level}"
-        said.append(f"the solver did not converge in the phase that gave the result ({phase}): {outcome.result}{mend}")
-    return said
+    return [*said, *_unconverged(result)]
+
+
+def _unconverged(result: FitResult) -> Iterator[str]:
+    """What is said of phases that the solver did not bring to an end, if the result comes from them."""
+    if result.chosen < 0:
+        return
+    last = result.phases[result.chosen]
+    if last.result != "successful":
+        mend = ": raise fit.solver.max_steps" if last.result == _CUT_SHORT else ""
+        yield f"the solver did not converge in the phase that gave the result ({_named(last)}): {last.result}{mend}"
+    for number, phase in enumerate(result.phases[: result.chosen]):
+        if phase.result != _CUT_SHORT:
+            continue
+        share, steps = _late_fall(result, number)
+        before = f"an earlier phase ({_named(phase)}), where the one that gave the result began, ended at max_steps"
+        # A later phase that has converged makes up for what is left of an earlier one, unless that is much.
+        if share > _STILL_FALLING:
+            fall = f"by {share:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
+            yield f"{before} while its error still fell, {fall}: raise fit.solver.max_steps"
+        elif last.result != "successful":
+            yield f"{before}, too"
+
+
+def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
+    """By which share the loss of a phase fell in the last quarter of its steps, and how many these were."""
+    # Of several starts, only the best is gone on with to the end.
+    losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
+    if len(losses) < 2:
+        return 0.0, len(losses)
+    late = max(len(losses) // 4, 1)
+    # Some steps are tried and taken back.
+    early, least = min(losses[:-late]), min(losses)
+    return (1 - least / early if early > 0 else 0.0), late
+
+
+def _named(phase: Outcome) -> str:
+    return f"width {phase.width:.3g} texels" if phase.width else f"level {phase.level}"
 
 
 def _flat(config: Config, name: str) -> str:

@@ -34,5 +34,5 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
         # Here, since it loads Matplotlib.
         from ._figures import write_figures
 
-        add_files(run, [path.name for path in write_figures(run, folder, form, dpi)])
+        add_files(folder, [path.name for path in write_figures(run, folder, form, dpi)])
     return write_report(run)

@@ -188,7 +188,11 @@ def _files(folder: Path) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
     for suffix in (".svg", ".png"):
         for path in sorted(folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):
-            if path.stem.startswith(_SHOWN) or (suffix == ".png" and path.with_suffix(".svg").exists()):
+            if (
+                not path.is_file()
+                or path.stem.startswith(_SHOWN)
+                or (suffix == ".png" and path.with_suffix(".svg").exists())
+            ):
                 continue
             heading = next((text for start, text in _HEADINGS.items() if path.stem.startswith(start)), "Other pictures")
             found.setdefault(heading, []).append(path)

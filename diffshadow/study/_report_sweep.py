@@ -97,7 +97,7 @@ def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
     if not file.is_file():
         raise io.FileError(f"{folder} holds only a part of a sweep: it has no {RESULTS}; expected it: sweep again")
     try:
-        with parquet.ParquetFile(file) as stored:
+        with file.open("rb") as stream, parquet.ParquetFile(stream) as stored:
             if stored.metadata.num_rows > _MOST_RUNS:
                 raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MOST_RUNS:,}")
             _check_columns(stored.schema_arrow, sweep)
@@ -180,7 +180,10 @@ def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str
     failed = runs[runs["status"] == FAILED]
     counts = failed["error"].value_counts(sort=False)
     firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
-    shown = [(run["error"], int(counts[run["error"]]), _values(run, axes)) for _, run in firsts.iterrows()]
+    shown = [
+        ("; ".join(run["error"].splitlines()), int(counts[run["error"]]), _values(run, axes))
+        for _, run in firsts.iterrows()
+    ]
     return shown, len(counts) - len(shown)
 
 

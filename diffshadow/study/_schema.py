@@ -216,13 +216,13 @@ def read_json(file: Path) -> Any:
         raise io.FileError(f"{file} is damaged ({error}); expected what a run wrote: run it again") from error
 
 
-def check_result(result: Mapping[str, Any], file: Path) -> None:
-    """Checks all that is read of the result of a fit, a render or a sweep, which came from `file`.
+def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """What is read of the result of a fit, a render or a sweep, which came from `file`.
 
     **Raises** `FileError` with the key that is at fault.
     """
     try:
-        _KINDS[result["kind"]].model_validate(result)
+        return _KINDS[result["kind"]].model_validate(result).model_dump(exclude_unset=True)
     except ValidationError as error:
         raise io.FileError(f"{file} is damaged: {_first(error)}: run it again") from error
 

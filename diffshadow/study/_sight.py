@@ -11,6 +11,9 @@ from ..config import Casting, Config
 # Seen from inside a closed mesh, its triangles cover the whole sphere of directions; from beside one, or an open one,
 # no more than half of it.
 _INSIDE = 0.75
+# Single precision has seven digits.
+_LEAST_SHARE = 1e-6
+_NO_DEPTHS = "single precision tells no depths apart between its near and far"
 # Triangles that are looked at in one go.
 _SOME = 1 << 18
 
@@ -25,11 +28,14 @@ def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> s
     inside = _mesh_round(config, casting, eye)
     if inside is not None:
         cause, mend = f"its eye lies inside {inside}", "move the eye out of it"
+    elif _tells_no_depths(camera.view()):
+        cause, mend = _NO_DEPTHS, "set near and far, or move the eye nearer"
     elif not near <= looks <= far:
         cause = f"what it looks at is {looks:.3g} world units away"
         mend = "set near and far, or check the sizes and places of the meshes"
     else:
-        cause, mend = "no triangle covers one", "turn it by its target, move it nearer, or raise the resolution"
+        cause = "no triangle covers one"
+        mend = "turn it by its target, narrow its view, move it nearer, or raise the resolution"
     return (
         f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
         f"size {_size(casting.scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
@@ -39,7 +45,7 @@ def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> s
 def blind_light(config: Config, casting: Casting, surface: raster.Surface) -> str:
     """What is wrong with a light, the only one of `casting`, whose frustum has nothing in it that the camera sees."""
     light, points = casting.scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
-    cause, mend = _most_are(light, points)
+    cause, mend = _most_are(config, light, points)
     position = getattr(light, "position", None)
     inside = None if position is None else _mesh_round(config, casting, np.asarray(position, np.float64))
     if inside is not None:
@@ -52,8 +58,10 @@ def blind_light(config: Config, casting: Casting, surface: raster.Surface) -> st
     )
 
 
-def _most_are(light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
+def _most_are(config: Config, light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
     """Where most of `points` lie, all of which are outside the light's frustum, and what brings them into it."""
+    if _tells_no_depths(light.view()):
+        return f"none is within its beam, for {_NO_DEPTHS}", "set its near and far, or move it nearer"
     layer = light.layer(jnp.asarray(points))
     view = light.view() if layer is None else light.view().facing(layer)
     x, y, z, w = np.moveaxis(np.asarray(view.clip(jnp.asarray(points)), np.float64), -1, 0)
@@ -67,7 +75,17 @@ def _most_are(light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) ->
         (beside, "{:,} lie beside its beam", widen),
     ]
     which, cause, mend = max(cases, key=lambda case: int(case[0].sum()))
+    if not which.any():
+        if offset := config.bias.normal_offset:
+            return f"a normal_offset of {offset:g} texels moves all out of its beam", "lower bias.normal_offset"
+        return "none is within its beam, for single precision tells no points apart from so far away", "move it nearer"
     return cause.format(int(which.sum())), mend
+
+
+def _tells_no_depths(view: geometry.View) -> bool:
+    """Whether near and far are so close to each other, or a perspective's near to the eye, that depths are all one."""
+    near, far = float(view.near), float(view.far)
+    return far - near < _LEAST_SHARE * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_SHARE * far)
 
 
 def _mesh_round(config: Config, casting: Casting, point: Float[HostArray, "3"]) -> str | None:

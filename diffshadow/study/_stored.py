@@ -12,7 +12,7 @@ from .. import io
 from .._types import HostArray
 from ..config import Config, Row, describe, load_config
 from ._run_folder import RESULT
-from ._schema import check_result, read_json
+from ._schema import checked_result, read_json
 
 ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
@@ -43,7 +43,8 @@ class StoredRun(NamedTuple):
     """A finished fit or render.
 
     - `folder`: that holds it.
-    - `result`: as in `result.json`; `arrays`: as in `arrays.npz`; `settings`: every one, with its unit.
+    - `result`: what `result.json` holds, or will; `arrays`: of `arrays.npz`, those that figures are made of.
+    - `settings`: every one, with its unit.
     """
 
     folder: Path
@@ -128,8 +129,7 @@ def read_result(folder: Path) -> Mapping[str, Any]:
             f"{file} is of no fit, render or sweep; expected one of them: of the runs inside a sweep only numbers are "
             "kept, unless sweep.figures is true"
         )
-    check_result(result, file)
-    return result
+    return checked_result(result, file)
 
 
 def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], config: Config) -> StoredRun:
@@ -137,13 +137,12 @@ def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], c
     return StoredRun(folder, result, {name: np.asarray(array) for name, array in arrays.items()}, describe(config))
 
 
-def add_files(run: StoredRun, names: Sequence[str]) -> None:
-    """Has the result of `run` name more files as its own, so that its next run replaces them with the others."""
-    result = {**run.result, "files": sorted({*run.result.get("files", ()), *names})}
-    with io.atomic_path(run.folder / RESULT) as temporary:
-        temporary.write_text(
-            json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
-        )
+def add_files(folder: Path, names: Sequence[str]) -> None:
+    """Has the result in `folder` name more files as its own, so that its next run replaces them with the others."""
+    result = read_json(folder / RESULT)
+    result["files"] = sorted({*result.get("files", ()), *names})
+    with io.atomic_path(folder / RESULT) as temporary:
+        temporary.write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:

@@ -57,7 +57,7 @@ def _metric(name: str) -> str:
 
 
 def _draw(axes: style.Axes, curve: Curve, index: int) -> None:
-    axes.plot(curve.x, curve.y, label=_label(curve), **style.curve(index))
+    axes.plot(curve.x, curve.y, label=style.label(_label(curve)), **style.curve(index))
 
 
 def _label(curve: Curve) -> str:
@@ -71,7 +71,7 @@ def _scale(axes: style.Axes, curves: Sequence[Curve], plot: PlotConfig) -> None:
     places = sorted({float(x) for curve in curves for x in curve.x})
     ticks = curves[0].ticks
     if ticks is not None:
-        axes.set_xticks(range(len(ticks)), ticks)
+        style.ticks(axes, ticks)
     elif plot.log and places[0] > 0:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(FixedLocator(places))

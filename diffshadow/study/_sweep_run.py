@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 from .. import io
 from ..config import Sweep, SweepRun, describe
@@ -117,12 +116,12 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None
     Of a large sweep, neither all runs are checked nor their results looked for, which would take minutes.
     """
     folder = sweep.runs[0].config.output_folder / f"{sweep.name}{SUFFIX}"
-    axes = Table("axis", "values", "", title=Text(sweep.name), title_justify="left")
+    axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
     for axis in sweep.settings.axes:
         values = [_shown(value) for value in sweep.runs.choices(axis)]
         more = ", …" if len(values) > _MOST_SHOWN else ""
-        axes.add_row(Text(axis), f"{len(values)}", Text(", ".join(values[:_MOST_SHOWN]) + more))
+        axes.add_row(table.words(axis), f"{len(values)}", table.words(", ".join(values[:_MOST_SHOWN]) + more))
     console.print(axes)
     count, shown = len(sweep.runs), min(limit or _MOST_SHOWN, _MOST_SHOWN)
     if count <= MOST_LISTED:
@@ -137,8 +136,8 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None
         said = f"{count:,} runs, too many to look at each of them here; {_results_in(folder)}"
     for run in sweep.runs.at(missing[:shown]):
         values = ", ".join(f"{axis} = {_shown(value)}" for axis, value in run.values.items() if value is not None)
-        console.print(Text(f"{run.id}  {values}"), soft_wrap=True)
-    console.print(Text(said), soft_wrap=True)
+        console.print(table.words(f"{run.id}  {values}"), soft_wrap=True)
+    console.print(table.words(said), soft_wrap=True)
 
 
 def _results_in(folder: Path) -> str:
@@ -270,31 +269,33 @@ def _write_record(folder: Path, sweep: Sweep, counts: Mapping[str, int]) -> None
         "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
     }
     with io.atomic_path(folder / RESULT) as temporary:
-        temporary.write_text(
-            json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
-        )
+        temporary.write_text(json.dumps(record.plain(whole), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:
     """What the sweep's figure shows, in numbers; where there is none, the range of each metric."""
     plot = sweep.settings.plot
     if plot is not None and curves:
-        shown = Table(title=Text(f"{sweep.name}: {plot.y} against {plot.x}"), title_justify="left")
+        shown = Table(title=table.words(f"{sweep.name}: {plot.y} against {plot.x}"), title_justify="left")
         for head in (plot.panels or "", plot.lines or ""):
-            shown.add_column(Text(head))
+            shown.add_column(table.words(head))
         ends = [f"at {curves[0].ticks[int(x)] if curves[0].ticks else f'{x:g}'}" for x in curves[0].x[[0, -1]]]
         for head in (*ends, "slope", "±"):
-            shown.add_column(Text(head), justify="right")
+            shown.add_column(table.words(head), justify="right")
         for i, curve in enumerate(curves):
             panel = "" if i > 0 and curves[i - 1].panel == curve.panel else curve.panel
             slope, error = ("" if v is None else f"{v:.3f}" for v in (curve.slope, curve.error))
-            shown.add_row(Text(panel), Text(curve.line), f"{curve.y[0]:.4g}", f"{curve.y[-1]:.4g}", slope, error)
+            shown.add_row(
+                table.words(panel), table.words(curve.line), f"{curve.y[0]:.4g}", f"{curve.y[-1]:.4g}", slope, error
+            )
     else:
-        shown = Table("metric", "least", "mean", "greatest", title=Text(sweep.name), title_justify="left")
+        shown = Table("metric", "least", "mean", "greatest", title=table.words(sweep.name), title_justify="left")
         for name in metric_columns(sweep.settings, results.column_names):
             values = results[name].drop_null().to_numpy()
             if values.size:
-                shown.add_row(Text(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max())))
+                shown.add_row(
+                    table.words(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max()))
+                )
     console.print(shown)
 
 
@@ -313,4 +314,5 @@ def _failures(results: pa.Table) -> list[str]:
         return []
     first, kinds = errors[0].as_py(), len(errors.unique())
     more = f", and {kinds - 1} other errors" if kinds > 1 else ""
+    first = "; ".join(first.splitlines())
     return [f"{len(errors):,} runs failed, and are tried again by the same command: {first}{more}"]

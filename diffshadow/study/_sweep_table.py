@@ -82,11 +82,12 @@ def metric_columns(settings: SweepConfig, columns: Sequence[str]) -> list[str]:
 def write_tables(folder: Path, sweep: Sweep, tables: Tables) -> None:
     """Writes all tables to `folder`."""
     for name, table in ((RESULTS, tables.results), (TIMINGS, tables.timings)):
-        with io.atomic_path(folder / name) as temporary:
-            parquet.write_table(table, temporary)
+        # Arrow takes paths for text, which those of some folders are not.
+        with io.atomic_path(folder / name) as temporary, temporary.open("wb") as stream:
+            parquet.write_table(table, stream)
     if sweep.settings.csv:
-        with io.atomic_path(folder / RESULTS_CSV) as temporary:
-            csv.write_csv(tables.results, temporary)
+        with io.atomic_path(folder / RESULTS_CSV) as temporary, temporary.open("wb") as stream:
+            csv.write_csv(tables.results, stream)
 
 
 def _column(values: Sequence[Any]) -> pa.Array:

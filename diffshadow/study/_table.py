@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..config import printable
 from ..fit import Parameter
 
 ERRORS = {
@@ -35,6 +36,11 @@ def number(name: str, value: float | None) -> str:
     return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
 
 
+def words(text: str) -> Text:
+    """`text` for a table: no markup, and nothing that a terminal would obey."""
+    return Text(printable(text))
+
+
 def noise_text(noise_floor: float | None) -> str:
     """What is known of the reference's own error."""
     if noise_floor is None:
@@ -51,11 +57,11 @@ def print_fit(
     after: Mapping[str, float],
 ) -> None:
     """Parameters from start to end, and errors under the hard compare before and after."""
-    table = Table("", "before", "after", "unit", title=Text(name), title_justify="left")
+    table = Table("", "before", "after", "unit", title=words(name), title_justify="left")
     for column in table.columns[1:3]:
         column.justify = "right"
     for p in parameters:
-        table.add_row(Text(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
+        table.add_row(words(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
     table.add_section()
     for key, label in ERRORS.items():
         table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
@@ -64,10 +70,9 @@ def print_fit(
 
 def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
     """The errors of each light's image, by the light's key."""
-    heads = ["error"] if len(errors) == 1 else list(errors)
-    table = Table("", *heads, title=Text(name), title_justify="left")
-    for column in table.columns[1:]:
-        column.justify = "right"
+    table = Table("", title=words(name), title_justify="left")
+    for head in ["error"] if len(errors) == 1 else errors:
+        table.add_column(words(head), justify="right")
     for key, label in ERRORS.items():
         table.add_row(label, *(number(key, of_light[key]) for of_light in errors.values()))
     console.print(table)
@@ -78,17 +83,17 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
     table = Table()
     table.add_column("", overflow="fold")
     for label in labels:
-        table.add_column(Text(label), justify="right")
+        table.add_column(words(label), justify="right")
     table.add_column("unit")
     for part in parts:
         for row in part:
-            table.add_row(*(Text(cell) for cell in row))
+            table.add_row(*(words(cell) for cell in row))
         table.add_section()
     console.print(table)
 
 
 def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
     """Sentences under a table; warnings say that they are."""
-    for line in lines:
+    for line in map(printable, lines):
         text = Text.assemble(("warning: ", "bold yellow"), line) if warn else Text(line)
         console.print(text, soft_wrap=True)

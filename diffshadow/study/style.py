@@ -1,7 +1,10 @@
 """How every figure and page looks: one set of colours, sizes and frames. Matplotlib's own settings are left alone."""
 
+import contextlib
 import io
 import re
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from matplotlib.image import imsave
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .._types import HostArray
+from ..config import printable
 
 INK, FAINT, GRID, BAND, PAPER = "#22272e", "#8b949e", "#e3e7ec", "#f1f4f8", "#ffffff"
 NO_SURFACE = "#d5dce4"
@@ -62,20 +66,31 @@ def figure(width: float, height: float, rows: int = 1, columns: int = 1, **optio
 
 def title(axes: Axes, text: str, below: str = "") -> None:
     """A title, and a line of numbers under the axes."""
-    axes.set_title(text, fontsize=TITLE, color=INK, loc="left", parse_math=False)
+    axes.set_title(printable(text), fontsize=TITLE, color=INK, loc="left", parse_math=False)
     if below:
-        axes.set_xlabel(below, fontsize=TEXT, color=INK, loc="left")
+        axes.set_xlabel(printable(below), fontsize=TEXT, color=INK, loc="left", parse_math=False)
 
 
 def heading(axes: Axes, words: str, above: int) -> None:
     """The title of one chart among several, as many points `above` it."""
-    axes.set_title(words, fontsize=TEXT, color=INK, loc="left", pad=above)
+    axes.set_title(printable(words), fontsize=TEXT, color=INK, loc="left", pad=above, parse_math=False)
 
 
 def text(axes: Axes, x: float, words: str) -> None:
     """Words above a chart, over its `x`."""
     place = axes.get_xaxis_transform()
-    axes.text(x, 1.01, words, transform=place, ha="center", va="bottom", fontsize=TEXT, color=INK)
+    look = {"fontsize": TEXT, "color": INK, "parse_math": False}
+    axes.text(x, 1.01, printable(words), transform=place, ha="center", va="bottom", **look)
+
+
+def label(words: str) -> str:
+    """The label of a curve, whatever its words. Matplotlib leaves those that begin with `_` out of legends."""
+    return f" {printable(words)}" if words.startswith("_") else printable(words)
+
+
+def ticks(axes: Axes, words: Sequence[str]) -> None:
+    """Words along the x-axis, at 0, 1 and so on."""
+    axes.set_xticks(range(len(words)), [printable(word) for word in words], parse_math=False)
 
 
 def picture(axes: Axes, image: Any, **options: Any) -> Any:
@@ -89,8 +104,8 @@ def picture(axes: Axes, image: Any, **options: Any) -> Any:
 def chart(axes: Axes, x: str, y: str) -> None:
     """Axes for curves, with what is along them and its unit."""
     axes.set_facecolor(PAPER)
-    axes.set_xlabel(x, fontsize=TEXT, color=INK)
-    axes.set_ylabel(y, fontsize=TEXT, color=INK)
+    axes.set_xlabel(printable(x), fontsize=TEXT, color=INK, parse_math=False)
+    axes.set_ylabel(printable(y), fontsize=TEXT, color=INK, parse_math=False)
     axes.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")
     axes.grid(True, color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
@@ -119,7 +134,7 @@ def legend(axes: Axes, **options: Any) -> None:
     """A legend without a frame."""
     made = axes.legend(fontsize=TEXT, labelcolor=INK, frameon=False, **options)
     made.get_title().set_color(INK)
-    for words in made.get_texts():
+    for words in (made.get_title(), *made.get_texts()):
         words.set_parse_math(False)
 
 
@@ -151,14 +166,22 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """
     form = path.suffix.removeprefix(".")
     undated = {"png": {"Software": "diffshadow"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    with rc_context(_VECTOR):
+    with rc_context(_VECTOR), _without_glyphs():
         figure.savefig(path, format=form, dpi=dpi, metadata=undated[form])
+
+
+@contextlib.contextmanager
+def _without_glyphs() -> Iterator[None]:
+    """Draws boxes for letters that Matplotlib's own font lacks, and says nothing of it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph .* missing from font")
+        yield
 
 
 def inline_svg(figure: Figure, name: str) -> str:
     """A figure of curves as an `<svg>` for a page, whose colours follow the page's theme; `name` is unique there."""
     out = io.StringIO()
-    with rc_context({**_VECTOR, "svg.hashsalt": name}):
+    with rc_context({**_VECTOR, "svg.hashsalt": name}), _without_glyphs():
         figure.savefig(out, format="svg", metadata={"Date": None})
     return themed(out.getvalue())
 
