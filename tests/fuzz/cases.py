@@ -17,7 +17,7 @@ from diffshadow.config._load import load_draft
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TEMPLATE, RUN = "template", "runs/damaged"
 """Folders beside a case's files: of a finished run, and of a copy of it that the case may spoil."""
-DRAWN_EVERY = 50
+DRAWN_EVERY = 60
 """Of so many cases one draws a technique; the others end before, but for few."""
 
 TINY = {
@@ -77,11 +77,9 @@ def make(seed: int, number: int) -> Case:
 @functools.cache
 def _data(path: Path) -> dict[str, Any]:
     data = load_draft(path).data
-    for mesh in data["scene"]["meshes"]:
-        name = mesh["path"].removeprefix("builtin:")
-        fewer = {"torus_knot": {"segments": 24, "sides": 4}, "torus": {"segments": 12, "sides": 6}}
-        fewer |= {key: {"subdivisions": 1} for key in ("sphere", "blob")}
-        mesh["options"] = {**mesh.get("options", {}), **fewer.get(name, {})}
+    # One shape for all, so that they share what is compiled.
+    first, *_, last = data["scene"]["meshes"]
+    data["scene"]["meshes"] = [{**first, "path": "builtin:box", "options": {}}, last]
     data["scene"]["camera"]["resolution"] = TINY["scene.camera.resolution"]
     data.setdefault("shadow_map", {})["resolution"] = TINY["shadow_map.resolution"]
     data.setdefault("reference", {})["samples"] = TINY["reference.samples"]
@@ -123,7 +121,7 @@ def _file(rng: Random) -> Drawn:
 
 def _text(rng: Random) -> Drawn:
     """A shipped configuration whose very letters are changed."""
-    text = mutate.write(_config(rng)).encode() if rng.random() < 0.7 else rng.choice(CONFIGS).read_bytes()
+    text = mutate.write(_config(rng)).encode() if rng.random() < 0.9 else rng.choice(CONFIGS).read_bytes()
     for _ in range(rng.choice([1, 1, 1, 2, 3])):
         text = mutate.garble(rng, text)
     return _validated(rng, "text", text)
@@ -131,7 +129,11 @@ def _text(rng: Random) -> Drawn:
 
 def _scratch(rng: Random) -> Drawn:
     """A configuration of nothing but what the schema allows, section by section."""
-    return _validated(rng, "scratch", mutate.write(mutate.section(rng, SCHEMA, wild=rng.choice([0, 0.1]))))
+    data = mutate.section(rng, SCHEMA, wild=rng.choice([0, 0.1]))
+    if rng.random() < 0.9:
+        # Each new scene that is valid costs seconds of compiling.
+        data |= {"scene": copy.deepcopy(BASE["scene"]), "shadow_map": copy.deepcopy(BASE["shadow_map"])}
+    return _validated(rng, "scratch", mutate.write(data))
 
 
 def _overrides(rng: Random) -> Drawn:

@@ -37,12 +37,12 @@ from diffshadow.cli import main as command
 SECONDS, SECONDS_TO_DRAW = 5.0, {"render": 10.0, "fit": 20.0}
 """Longest that a command may take besides compiling; those that draw also trace what they compile."""
 _GIVE_UP = {"render": 120, "fit": 240}
-"""Seconds of the clock after which a command is stopped, where 20 are too few."""
+"""Seconds of the processor after which a command is stopped, where 60 are too few."""
 _HANGS = 300
 """Seconds after which a process counts as hanging."""
 _MEMORY = 12 << 30
 """Bytes that a process may map; what asks for more fails at once."""
-_CHUNK = 250
+_CHUNK = 300
 """Cases that a process runs: what is compiled stays in memory as long as the process lives."""
 
 # What follows the place in a message about no key: the file is no YAML, or overrides are none.
@@ -81,10 +81,11 @@ def call(arguments: Sequence[str]) -> Outcome:
     code, crash = None, ""
     _compiling.clear()
     clock, cpu = time.monotonic(), time.process_time()
-    old = signal.signal(signal.SIGALRM, stop)
+    # The command has the other timer for itself.
+    old = signal.signal(signal.SIGPROF, stop)
     with _streams() as (out, err), warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
-        signal.setitimer(signal.ITIMER_REAL, _GIVE_UP.get(arguments[0] if arguments else "", 20))
+        signal.setitimer(signal.ITIMER_PROF, _GIVE_UP.get(arguments[0], 60))
         try:
             command(list(arguments))
         except SystemExit as ended:
@@ -94,10 +95,11 @@ def call(arguments: Sequence[str]) -> Outcome:
         except BaseException as error:
             crash = f"{type(error).__name__}: {error} at {_where(error.__traceback__)}"
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, old)
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            signal.signal(signal.SIGPROF, old)
         # A busy machine makes the clock run on; threads make the processor's time run ahead.
-        seconds = min(time.monotonic() - clock - sum(_compiling), time.process_time() - cpu)
+        passed, used = time.monotonic() - clock, time.process_time() - cpu
+        seconds = (passed - sum(_compiling)) * min(1, used / passed)
         for stream in (out, err):
             stream.flush()
             stream.seek(0)

@@ -50,7 +50,7 @@ SWEPT = ["filter.radius", "bias.constant", "filter.samples", "scene.light.elevat
 BY_KEY = {
     "name": ["run", "a b", "a.b", "é", "-x", "x" * 240],
     "output": ["runs", "runs/deep", ".", "runs/../runs"],
-    "path": [f"builtin:{name}" for name in LIBRARY],
+    "path": ["builtin:box"] * len(LIBRARY) + [f"builtin:{name}" for name in LIBRARY],
     "x": ["filter.radius", "bias.constant", "seed", "label"],
     "y": ["rmse", "mae", "ssim", "rmse_to_limit"],
     "lines": ["filter.radius", "label"],
