@@ -34,9 +34,9 @@ from cases import RUN, TEMPLATE, Case
 
 from diffshadow.cli import main as command
 
-SECONDS, SECONDS_TO_DRAW = 5.0, {"render": 10.0, "fit": 20.0}
+SECONDS, SECONDS_TO_DRAW = 5.0, {"validate": 10.0, "render": 10.0, "fit": 20.0}
 """Longest that a command may take besides compiling; those that draw also trace what they compile."""
-_GIVE_UP = {"render": 120, "fit": 240}
+_GIVE_UP = {"validate": 120, "render": 120, "fit": 240}
 """Seconds of the processor after which a command is stopped, where 60 are too few."""
 _HANGS = 300
 """Seconds after which a process counts as hanging."""
