@@ -37,6 +37,11 @@ _INSISTENCE = 0.2
 # Runs that are checked in a tenth of a second.
 _RUNS_A_MOMENT = 100
 
+_NO_MEMORY = (
+    "there is not enough memory; expected enough for all images, maps and rays; lower scene.camera.resolution, "
+    "shadow_map.resolution or reference.supersampling"
+)
+
 _HELP = """
 Fits the settings of shadow maps to ray-traced truth, by gradient.
 
@@ -266,6 +271,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if not _is_mistake(error):
             raise
         _tell(errors, map(str, error.problems) if isinstance(error, ConfigError) else [str(error)])
+        sys.exit(USER_ERROR)
+    except (MemoryError, RuntimeError) as error:
+        # XLA's own error is a `RuntimeError`, which names its cause in its text alone.
+        if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        _tell(errors, [_NO_MEMORY])
         sys.exit(USER_ERROR)
     sys.exit(SUCCESS)
 

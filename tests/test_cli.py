@@ -177,6 +177,16 @@ def test_disk_trouble_is_told_without_a_traceback(monkeypatch, capsys):
     assert "No space left on device: 'runs/x'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes")])
+def test_lack_of_memory_is_told_without_a_traceback(error, monkeypatch, capsys):
+    def large(config, *, console):
+        raise error
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", large, raising=False)
+    assert run("fit", QUICKSTART) == 2
+    assert capsys.readouterr().err.startswith("error: there is not enough memory; expected enough for all images")
+
+
 def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsys):
     def strict(config, *, console):
         from diffshadow.geometry import merge
@@ -188,7 +198,9 @@ def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsy
     assert capsys.readouterr().err.startswith("error: got no meshes to merge")
 
 
-@pytest.mark.parametrize("error", [ValueError("from a library"), TypeError("a bug"), AssertionError("a bug")])
+@pytest.mark.parametrize(
+    "error", [ValueError("from a library"), TypeError("a bug"), AssertionError("a bug"), RuntimeError("a bug")]
+)
 def test_internal_errors_keep_their_traceback(error, monkeypatch):
     def broken(config, *, console):
         raise error
