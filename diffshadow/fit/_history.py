@@ -41,7 +41,7 @@ class Report(eqx.Module):
 
 
 def report_overflow(token: Array, overflow: Overflow, y: Float[Array, " a"]) -> None:
-    """Tells the reporter that `token` names, when the program runs, whether drawing overflowed at the free values."""
+    """Reports, when the program runs, whether drawing overflowed at the free values; `token` names the reporter."""
     jax.debug.callback(_dispatch_overflow, token, overflow, y)
 
 

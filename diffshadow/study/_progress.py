@@ -64,7 +64,7 @@ class Stages:
 
 @contextmanager
 def counting(console: Console, name: str, total: int) -> Iterator[Callable[..., None]]:
-    """A bar that vanishes when the work is done. It is told how many things of `total` are, and perhaps a detail."""
+    """A bar that vanishes when the work is done. Its updates give how many of `total` things are done, and a detail."""
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=40),

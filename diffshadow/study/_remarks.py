@@ -29,7 +29,7 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
 
 
 def _unconverged(result: FitResult) -> Iterator[str]:
-    """What is said of phases that the solver did not bring to an end, if the result comes from them."""
+    """A sentence for each phase that led to the result and ended before the solver converged."""
     if result.chosen < 0:
         return
     last = result.phases[result.chosen]
@@ -51,7 +51,7 @@ def _unconverged(result: FitResult) -> Iterator[str]:
 
 def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
     """By which share the loss of a phase fell in the last quarter of its steps, and how many these were."""
-    # Of several starts, only the best is gone on with to the end.
+    # Only the best of several starts continues to the end.
     losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
     if len(losses) < 2:
         return 0.0, len(losses)
