@@ -10,7 +10,9 @@ SEED, CASES = 0, 300
 def test_random_input_is_refused_clearly_or_done_right(pytestconfig):
     # In a process of its own: checks of types make what is timed several times as long.
     found = run.fuzz(SEED, range(CASES), 1, str(pytestconfig.cache.mkdir("fuzz")))
-    said = [f"{'; '.join(faults)}\n{run.show(cases.make(SEED, number))}" for number, faults in found.items()]
+    # What takes long is for `make fuzz` to say: how long depends on the machine.
+    kept = {number: [fault for fault in faults if not fault.startswith("took ")] for number, faults in found.items()}
+    said = [f"{'; '.join(faults)}\n{run.show(cases.make(SEED, number))}" for number, faults in kept.items() if faults]
     assert not said, "\n\n".join(said)
 
 
