@@ -1,13 +1,16 @@
 """Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
 
+import contextlib
 import importlib
 import io as text_io
 import json
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import types
 from pathlib import Path
@@ -665,6 +668,29 @@ def test_missing_scheduler_is_told(quick, monkeypatch):
     monkeypatch.setattr("diffshadow.study._sweep_pool._PATIENCE", 1)
     with pytest.raises(ValueError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'.*dask scheduler"):
         study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "what is there does not answer")]
+)
+def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
+    monkeypatch.setattr("diffshadow.study._sweep_pool._SILENCE", 60 if answer else 1)
+    monkeypatch.setattr("diffshadow.study._interrupts._PATIENCE_CUT_SHORT", 0.1)
+    kept = []
+
+    def serve(server):
+        with contextlib.suppress(OSError):
+            while True:
+                kept.append(server.accept()[0])
+                kept[-1].sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, args=(server,), daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ValueError, match=f"there is no Dask scheduler at '{address}'.*{said}.*dask scheduler"):
+            study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler=address)
+    for each in kept:
+        each.close()
 
 
 def test_sweep_whose_workers_are_gone_ends_with_what_to_do(quick, monkeypatch):

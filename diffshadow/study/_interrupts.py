@@ -10,8 +10,8 @@ from typing import Any
 
 # Seconds between looks at whether Ctrl-C was pressed.
 POLL = 0.1
-# Seconds that processes are given to end what they do: usually, and once somebody has pressed Ctrl-C.
-_PATIENCE, _PATIENCE_INTERRUPTED = 30, 1
+# Seconds that processes are given to end: where all is done, and where that is cut short.
+_PATIENCE, _PATIENCE_CUT_SHORT = 30, 2
 
 
 @contextmanager
@@ -77,22 +77,20 @@ def out_of_reach(opened: Callable[[], AbstractContextManager[Any]], interrupted:
 
     thread = threading.Thread(target=serve, name="diffshadow pool", daemon=True)
     thread.start()
-    patience = _PATIENCE
+    patience = _PATIENCE_CUT_SHORT
     try:
         while not ready.wait(POLL):
             interrupted()
         if failed:
             raise failed[0]
         yield found[0]
-    except KeyboardInterrupt:
-        patience = _PATIENCE_INTERRUPTED
-        raise
+        patience = _PATIENCE
     finally:
         done.set()
         thread.join(patience)
         if thread.is_alive():
             _kill_children()
-        thread.join(_PATIENCE)
+            thread.join(patience)
 
 
 def _kill_children() -> None:

@@ -25,6 +25,8 @@ _ONE_THREAD = {
 _BYTES_A_WORKER = 1_500_000_000
 # Seconds to wait for a scheduler, and for its first worker.
 _PATIENCE = 15
+# Seconds to wait for whatever is at the address of a scheduler to answer at all.
+_SILENCE = 60
 # Seconds to wait for a worker once all have died: a busy machine takes long to start one.
 _WORKERS_PATIENCE = 120
 # Batches for each worker that are under way at once: enough that none waits, few enough that a million runs fit.
@@ -142,9 +144,17 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
     if scheduler is None and workers == 0:
         yield InProcess()
         return
+    begun = time.monotonic()
     with deferred_interrupts() as interrupted:
+
+        def wait() -> None:
+            interrupted()
+            # Dask sets no limit to how long it waits for the first answer.
+            if scheduler is not None and time.monotonic() - begun > _SILENCE:
+                raise _no_scheduler(scheduler, "what is there does not answer")
+
         opened = lambda: _local(most, workers) if scheduler is None else _reached(scheduler)
-        with out_of_reach(opened, interrupted) as client:
+        with out_of_reach(opened, wait) as client:
             yield OnCluster(client, interrupted)
 
 
@@ -183,11 +193,8 @@ def _reached(scheduler: str) -> Iterator[Any]:
 
     try:
         client = Client(scheduler, timeout=_PATIENCE)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ValueError(
-            f"there is no Dask scheduler at {scheduler!r} ({error}); expected an address such as tcp://host:8786: "
-            "start one with dask scheduler, or leave --scheduler out to work on this machine alone"
-        ) from error
+    except Exception as error:  # Dask takes the answer of another server for the length of a message, for one.
+        raise _no_scheduler(scheduler, str(error)) from error
     with client:
         try:
             client.wait_for_workers(1, timeout=_PATIENCE)
@@ -200,6 +207,13 @@ def _reached(scheduler: str) -> Iterator[Any]:
         for name, value in _ONE_THREAD.items():
             client.run(os.putenv, name, value)
         yield client
+
+
+def _no_scheduler(address: str, reason: str) -> ValueError:
+    return ValueError(
+        f"there is no Dask scheduler at {address!r} ({reason}); expected an address such as tcp://host:8786: start one "
+        "with dask scheduler, or leave --scheduler out to work on this machine alone"
+    )
 
 
 def _killed(batch: Batch) -> Outcome:
