@@ -32,7 +32,7 @@ JARGON = ("type=", "Input should", "pydantic", "http", "union", "tuple", "dict",
 
 
 def faults(text: str, *overrides: str) -> list[str]:
-    """What is said of `text`, which is to be fitted, a line for each problem."""
+    """The lines of the error that `text` gives as a fit, one for each problem."""
     with pytest.raises(ConfigError) as caught:
         parse_config(text, overrides, source="file.yaml", fitting=True)
     said = str(caught.value).splitlines()
@@ -760,7 +760,7 @@ def test_fault_of_a_fit_keeps_no_render_from_its_work(text):
     config = parse_config(text, source="file.yaml")
     said = fault(text)
     assert " fit.parameters" in said or " fit.levels" in said or " shadow_map" in said
-    # As one who builds a configuration in Python is told.
+    # The same faults, of a configuration that was built in Python.
     (what,) = (what for _, what in config.fit_faults())
     assert what.message().split(";")[-1] == said.split(";")[-1]
     assert describe(config)

@@ -25,8 +25,8 @@ from ._parameters import with_values
 # further off than an outline is wide is otherwise not seen to be there; and outlines are as soft as the map's texels
 # here, and sharp in a reference, which sharp differences would take for a light that is elsewhere.
 _BLUR = 3.0
-# How far a Gaussian goes, in standard deviations.
-_REACH_OF_BLUR = 4
+REACH_OF_BLUR = 4
+"""How far the Gaussian of a blur goes, in standard deviations."""
 # By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
 _FINER_MAP = 2
 # What poses elsewhere within the bounds may need beyond the greatest need that was seen.
@@ -234,7 +234,7 @@ def _blurred(image: Float[Array, "h w"], deviation: float) -> Float[Array, "h w"
     """An image under a Gaussian of this standard deviation in pixels, and 0 beyond its border."""
     if deviation == 0:
         return image
-    reach = math.ceil(_REACH_OF_BLUR * deviation)
+    reach = math.ceil(REACH_OF_BLUR * deviation)
     weights = norm.pdf(np.arange(-reach, reach + 1), scale=deviation).tolist()
     # Else XLA would work out the first sums anew for each of the second.
     columns = lax.optimization_barrier(sums_along(jnp.pad(image, reach), weights, axis=0))

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
 from .._types import HostArray
+from ._poses import REACH_OF_BLUR
 
 # A combination of parameters that moves the image by less than this share of what the best-seen one does, or whose
 # standard deviation is more than this share of its bounds' distance, is not determined by it.
@@ -18,8 +19,6 @@ _PART = 0.3
 # How far apart residuals may be and still be correlated, in standard deviations of the blur: it covers a texel, and
 # what a texel does to an outline is the same for all pixels that see it.
 _CORRELATED = 2
-# How far the Gaussian of the blur goes, in standard deviations.
-_REACH_OF_BLUR = 4
 
 
 class Precision(NamedTuple):
@@ -104,7 +103,7 @@ def precision_of(
 
 def _blurred(image: Float[HostArray, "h w"], deviation: float) -> Float[HostArray, "h w"]:
     wide = np.asarray(image, np.float64)
-    return gaussian_filter(wide, deviation, mode="constant", truncate=_REACH_OF_BLUR) if deviation else wide
+    return gaussian_filter(wide, deviation, mode="constant", truncate=REACH_OF_BLUR) if deviation else wide
 
 
 def _covariance_of_sum(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p p"]:

@@ -8,6 +8,7 @@ import os
 import warnings
 import zipfile
 from collections.abc import Mapping
+from io import BufferedIOBase
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -82,6 +83,18 @@ def read_all_arrays(stream: IO[bytes]) -> dict[str, HostArray]:
         return {name: _array(archive, name) for name in names}
 
 
+def read_header(stream: IO[bytes] | BufferedIOBase, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether it is in Fortran's order, and type of the `.npy` array that `stream` begins with.
+
+    **Raises** `FileError`, which calls it `what`, for a version that is not read; and what NumPy raises for a header
+    that is damaged.
+    """
+    version = np.lib.format.read_magic(stream)
+    if version not in _READ_HEADER:
+        raise FileError(f"{what} is of NumPy's format {version}; expected 1.0 or 2.0")
+    return _READ_HEADER[version](stream)
+
+
 def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) -> HostArray:
     try:
         info = archive.getinfo(f"{name}{_SUFFIX}")
@@ -90,10 +103,7 @@ def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) ->
     with archive.open(info) as member, warnings.catch_warnings():
         # Of a header that Python 2 wrote.
         warnings.simplefilter("ignore")
-        version = np.lib.format.read_magic(member)
-        if version not in _READ_HEADER:
-            raise FileError(f"the array {name} is of NumPy's format {version}; expected 1.0 or 2.0")
-        shape, is_fortran, dtype = _READ_HEADER[version](member)
+        shape, is_fortran, dtype = read_header(member, f"the array {name}")
         fault = None if layout is None else layout.fault(shape, dtype)
         if fault is not None:
             raise FileError(f"the array {name} {fault}")

@@ -19,6 +19,7 @@ import OpenEXR
 from jaxtyping import Float
 
 from .._types import HostArray
+from ._arrays import read_header
 from ._atomic import atomic_path
 from ._errors import FileError
 from ._paths import existing_file
@@ -150,10 +151,7 @@ def _read_exr(file: Path) -> HostArray:
 def _read_npy(file: Path) -> HostArray:
     # Opened here, for `np.load` leaves a damaged file open.
     with file.open("rb") as stream:
-        version = np.lib.format.read_magic(stream)
-        if version not in _NPY_HEADERS:
-            raise ValueError(f"its version is {version}; expected 1.0 or 2.0")
-        shape, _, dtype = _NPY_HEADERS[version](stream)
+        shape, _, dtype = read_header(stream, f"the visibility file {file}")
         if dtype.kind not in "bfiu":
             raise FileError(f"the visibility file {file} holds values of type {dtype}; expected real numbers")
         # `np.load` takes the memory that the header asks for before it looks at what there is.
@@ -202,7 +200,6 @@ def _write_npy(file: Path, pixels: HostArray) -> None:
         np.save(stream, pixels, allow_pickle=False)
 
 
-_NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _READERS: Mapping[str, Callable[[Path], HostArray]] = {".npy": _read_npy, ".png": _read_png, ".exr": _read_exr}
 _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
     ".npy": _write_npy,

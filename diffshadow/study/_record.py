@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib.metadata
-import json
 import math
 import os
 import platform
@@ -16,6 +15,7 @@ import numpy as np
 
 from .. import metrics, shadow
 from ..config import Config, dump_resolved
+from ._schema import write_json
 from ._setup import Drawn
 
 SCHEMA_VERSION = 1
@@ -115,20 +115,4 @@ def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes `result.json`, last, for it names all other files."""
     files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
-    whole = plain({"schema_version": SCHEMA_VERSION, **record, "files": files})
-    text = json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """`value` as JSON can hold it. A number that is not finite becomes null; of text, what is no Unicode is escaped."""
-    if isinstance(value, Mapping):
-        return {plain(str(key)): plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    if isinstance(value, str):
-        # Python has lone surrogates for the bytes of paths that are no UTF-8.
-        return value.encode("utf-8", "backslashreplace").decode("utf-8")
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
+    write_json(folder / "result.json", {"schema_version": SCHEMA_VERSION, **record, "files": files})

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from .. import reference
-from .._types import HostArray
 from ..config import Casting, Config
 from ..geometry import AbstractCamera, Mesh
 from ..raster import Surface
+from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.
 _ANOTHER_UNIT = 100.0
@@ -36,23 +35,17 @@ def _idle_meshes(config: Config, lit: Sequence[Casting], surface: Surface) -> It
     visible = set(number[face[mask]].tolist())
     for i, section in enumerate(config.scene.meshes):
         if i not in visible and not any(reference.hides_light(each.scene, number == i) for each in lit):
-            corners = [_corners(mesh) for mesh in casting.meshes]
-            cause = _cause(corners.pop(i), corners, casting.scene.camera, is_sized=section.size is not None)
+            others = [mesh for k, mesh in enumerate(casting.meshes) if k != i]
+            cause = _cause(casting.meshes[i], others, casting.scene.camera, is_sized=section.size is not None)
             yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the picture: {cause}"
 
 
-def _cause(
-    corners: Float[HostArray, "f 3 3"],
-    others: Sequence[Float[HostArray, "_ 3 3"]],
-    camera: AbstractCamera,
-    *,
-    is_sized: bool,
-) -> str:
+def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:
+    corners, extent = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)], size_of(mesh)
     a, b, c = np.moveaxis(corners, 1, 0)
-    extent = _extent(corners)
     if (np.linalg.norm(np.cross(b - a, c - a), axis=-1) <= _NO_AREA * extent**2).all():
         return "its triangles have no area; check its export"
-    rest = max(map(_extent, others), default=0.0)
+    rest = max(map(size_of, others), default=0.0)
     if rest and not 1 / _ANOTHER_UNIT < extent / rest < _ANOTHER_UNIT:
         mend = "change its size or scale" if is_sized else "its file may be in another unit, so set its size"
         return f"it spans {extent:.3g} world units and the largest of the others {rest:.3g}; {mend}"
@@ -60,12 +53,3 @@ def _cause(
     if (corners @ world_to_eye[2, :3] + world_to_eye[2, 3] >= 0).all():
         return "it lies behind the camera; move it, or turn the camera"
     return "it lies outside the picture or behind other meshes; move it, or remove it"
-
-
-def _corners(mesh: Mesh) -> Float[HostArray, "f 3 3"]:
-    return np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
-
-
-def _extent(corners: Float[HostArray, "f 3 3"]) -> float:
-    """The diagonal of the box that holds all corners, in world units."""
-    return float(np.linalg.norm(np.ptp(corners, axis=(0, 1))))

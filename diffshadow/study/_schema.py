@@ -4,6 +4,7 @@ Keys that are not named here are left alone: a later version, or a person, may h
 """
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,11 +31,11 @@ _EXPECTED = {
     "greater_than_equal": "at least {ge:g}",
     "less_than_equal": "at most {le:g}",
 }
-# Rounding takes an error a little out of its range.
-_SLACK = 1e-3
+SLACK = 1e-3
+"""How far out of its range rounding may take an error or a visibility."""
 
-Share = Annotated[float, Field(ge=-_SLACK, le=1 + _SLACK)]
-Similarity = Annotated[float, Field(ge=-1 - _SLACK, le=1 + _SLACK)]
+Share = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
+Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
 # What a fit computes with.
@@ -107,7 +108,7 @@ class _Phase(_Part):
     steps: Count
     result: str
     gradient_norm: Annotated[float, Field(ge=0)] | None
-    hard_loss: Annotated[float, Field(ge=0, le=1 + _SLACK)] | None
+    hard_loss: Annotated[float, Field(ge=0, le=1 + SLACK)] | None
     values: Numbers
     level: int = Field(default=1, ge=1)
 
@@ -214,6 +215,26 @@ def read_json(file: Path) -> Any:
         raise
     except (OSError, ValueError) as error:
         raise io.FileError(f"{file} is damaged ({error}); expected what a run wrote: run it again") from error
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Writes `value` to the JSON file, as `read_json` reads it."""
+    text = json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON can hold it. A number that is not finite becomes null; of text, what is no Unicode is escaped."""
+    if isinstance(value, Mapping):
+        return {_plain(str(key)): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, str):
+        # Python has lone surrogates for the bytes of paths that are no UTF-8.
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:

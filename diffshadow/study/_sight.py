@@ -38,7 +38,7 @@ def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> s
         mend = "turn it by its target, narrow its view, move it nearer, or raise the resolution"
     return (
         f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
-        f"size {_size(casting.scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
+        f"size {size_of(casting.scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
     )
 
 
@@ -53,7 +53,7 @@ def blind_light(config: Config, casting: Casting, surface: raster.Surface) -> st
     view = light.view()
     return (
         f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; its near is "
-        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {_size(casting.scene.mesh):.3g} "
+        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {size_of(casting.scene.mesh):.3g} "
         f"world units; expected a surface that both see; {mend}, or turn the camera"
     )
 
@@ -112,7 +112,7 @@ def _turns_round(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:
     return total / (2 * np.pi)
 
 
-def _size(mesh: geometry.Mesh) -> float:
+def size_of(mesh: geometry.Mesh) -> float:
     """The diagonal of the mesh's box, world units."""
     low, high = np.asarray(mesh.bounds, np.float64)
     return float(np.linalg.norm(high - low))

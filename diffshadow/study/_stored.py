@@ -1,6 +1,5 @@
 """A run as its folder holds it: what reports, comparisons and figures are made of."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,15 +11,13 @@ from .. import io
 from .._types import HostArray
 from ..config import Config, Row, describe, load_config
 from ._run_folder import RESULT
-from ._schema import checked_result, read_json
+from ._schema import SLACK, checked_result, read_json, write_json
 
 ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
 """The images of each kind of run: their titles, and the arrays that hold them."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
-# Rounding takes visibility a little out of its range.
-_SLACK = 1e-3
 
 
 class LightImages(NamedTuple):
@@ -142,7 +139,7 @@ def add_files(folder: Path, names: Sequence[str]) -> None:
     result = read_json(folder / RESULT)
     result["files"] = sorted({*result.get("files", ()), *names})
     with io.atomic_path(folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_json(temporary, result)
 
 
 def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:
@@ -199,7 +196,7 @@ def _check_values(file: Path, result: Mapping[str, Any], arrays: Mapping[str, Ho
     for name in ("reference", *(name for _, name in KINDS[result["kind"]])):
         low, high = float(arrays[name].min()), float(arrays[name].max())
         # Not a number is in no range.
-        if not (low >= -_SLACK and high <= 1 + _SLACK):
+        if not (low >= -SLACK and high <= 1 + SLACK):
             raise _damaged(file, f"the array {name} holds values from {low:g} to {high:g}; expected 0 to 1")
     counted, pixels = int(arrays["mask"].sum()), result["metrics"]["pixels"]
     if counted != pixels:

@@ -23,6 +23,7 @@ from . import _table as table
 from ._progress import counting
 from ._report_sweep import report_sweep
 from ._run_folder import RESULT, folder_of, remove, write_whole
+from ._schema import write_json
 from ._sweep_curves import Curve, columns_for, curves_of
 from ._sweep_pool import pool
 from ._sweep_table import MISSING, RESULTS, gather, metric_columns, write_tables
@@ -269,7 +270,7 @@ def _write_record(folder: Path, sweep: Sweep, counts: Mapping[str, int]) -> None
         "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
     }
     with io.atomic_path(folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(record.plain(whole), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_json(temporary, whole)
 
 
 def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:

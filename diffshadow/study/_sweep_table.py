@@ -49,7 +49,7 @@ class _Numbers:
 
 
 def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Tables:
-    """Reads how each run of `sweep` ended from its folder in `folder`; `progress` is told how many have been read."""
+    """Reads how each run of `sweep` ended from its folder in `folder`; `progress` gets the number of runs read."""
     count = len(sweep.runs)
     ids, status, errors = [], [], []
     metrics, seconds = _Numbers(count), _Numbers(count)

@@ -18,7 +18,7 @@ CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TEMPLATE, RUN = "template", "runs/damaged"
 """Folders beside a case's files: of a finished run, and of a copy of it that the case may spoil."""
 DRAWN_EVERY = 60
-"""Of so many cases one draws a technique; the others end before, but for few."""
+"""One case in this many draws a technique; nearly all others end before anything is drawn."""
 
 TINY = {
     "scene.camera.resolution": [12, 12],
