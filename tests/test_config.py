@@ -849,6 +849,12 @@ def test_half_a_character_is_told():
     assert "file.yaml:2: output: is '\\ud800', with half a character" in str(caught(f'{TINY}output: "\\ud800"\n'))
 
 
+@pytest.mark.parametrize("override", ["\ud800=1", "scene.\udcff.path=x"])
+def test_half_a_character_in_the_key_of_an_override_is_reported(override):
+    (problem,) = caught(TINY, override).problems
+    assert "has half a character in its key; expected whole ones" in str(problem)
+
+
 def test_folder_whose_name_is_no_text_is_told(tmp_path):
     folder = tmp_path / "\udcff"
     folder.mkdir()

@@ -10,7 +10,7 @@ from ._fitted import fit_paths
 from ._poses import pose_of
 from ._section import is_index, look
 from ._sweep import QuasiRandomAxisConfig
-from ._yaml import read_yaml
+from ._yaml import has_half_character, read_yaml
 
 
 def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Problem]:
@@ -39,6 +39,8 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
     words = key.strip().split(".")
     if not equals or not all(words):
         raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write it like filter.radius=2")])
+    if has_half_character(key):
+        raise ConfigError([Problem(place, key, "has half a character in its key; expected whole ones; remove it")])
     value, inner, problems = read_yaml(text, lambda line, column: place)
     words = _with_whole_names(data, words, value)
     # Walk to what holds the value, and make the sections that are missing.

@@ -138,7 +138,7 @@ class _Reader:
 
     def scalar(self, node: yaml.Node, path: KeyPath) -> str | int | float | bool | None:
         text = node.value
-        if any("\ud800" <= c <= "\udfff" for c in text):
+        if has_half_character(text):
             self.report(node, path, f"is {show(text)}, with half a character; expected whole ones; remove it")
             return None
         if not isinstance(node, yaml.ScalarNode) or node.style is not None:
@@ -153,6 +153,11 @@ class _Reader:
 
     def report(self, node: yaml.Node, path: KeyPath, message: str) -> None:
         self.problems.append(Problem(self.place(node), dotted(path), message))
+
+
+def has_half_character(text: str) -> bool:
+    """Whether `text` holds a lone surrogate: half of a character, or a byte of the command line that is no UTF-8."""
+    return any("\ud800" <= c <= "\udfff" for c in text)
 
 
 def plain_scalar(text: str) -> str | int | float | bool | None:
