@@ -845,6 +845,12 @@ def caught(text: str, *overrides: str) -> ConfigError:
     return error.value
 
 
+@pytest.mark.parametrize("parameters", ["3", "0.5", "true", "[1]"])
+def test_parameters_that_are_no_section_are_reported_beside_levels(parameters):
+    problems = caught(TINY + f"fit: {{levels: [1], parameters: {parameters}}}\n").problems
+    assert any(p.key == "fit.parameters" and "expected a section" in p.message for p in problems)
+
+
 def test_half_a_character_is_told():
     assert "file.yaml:2: output: is '\\ud800', with half a character" in str(caught(f'{TINY}output: "\\ud800"\n'))
 

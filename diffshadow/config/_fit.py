@@ -91,6 +91,7 @@ class FitConfig(Section):
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         parameters, levels = data.get("parameters"), data.get("levels")
+        names = parameters if isinstance(parameters, Mapping) else {}
         if parameters == {}:
             mend = "add 'bias.constant: {lower: 0, upper: 10}'"
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
@@ -98,6 +99,6 @@ class FitConfig(Section):
             if not levels or levels[-1] != 1 or any(a <= b for a, b in itertools.pairwise(levels)):
                 said = "does not fall to 1" if levels else "is empty"
                 yield ("levels",), fault(said, "whole numbers that do", "write a list such as [8, 1]")
-            elif not any(is_pose(str(name)) for name in parameters or ()):
+            elif not any(is_pose(str(name)) for name in names):
                 mend = "remove the key, or name a number of the scene, such as scene.light.azimuth"
                 yield ("levels",), fault("is given, and nothing moves", "a parameter of light or mesh with it", mend)
