@@ -248,11 +248,11 @@ def test_precision_covers_the_truth_where_neighbouring_residuals_are_correlated(
     band = np.exp(-((across / 0.1) ** 2))
     slopes = np.stack([band, band * along])
     residuals = band * rng.normal(size=(300, 60, 30)).repeat(2, axis=1).repeat(2, axis=2)
-    fits = _regressions(residuals, slopes, 3.0)
+    fits = _regressions(residuals, slopes, 1.5)
     left = residuals - np.einsum("np,phw->nhw", fits, slopes)
 
     def covered(deviations):
-        told = [precision_of("ab", [each], [slopes], [3.0], np.ones(2)).deviations.values() for each in left]
+        told = [precision_of("ab", [each], [slopes], [1.5], np.ones(2)).deviations.values() for each in left]
         return np.mean(np.abs(fits) < deviations * np.array([list(each) for each in told]))
 
     # The share has a binomial's standard deviation of 0.02 for one of them, and 0.01 for two.
@@ -357,7 +357,7 @@ def test_sun_is_recovered_from_its_shadow(recovered):
     found = values(dataclasses.replace(one, arrangement=result.arrangement), tuple(result.fitted))
     np.testing.assert_allclose(found, list(result.fitted.values()), rtol=1e-6)
     assert result.phases[-1].hard_loss < 1e-3
-    assert [outcome.level for outcome in result.phases] == [4, 1]
+    assert [(outcome.level, outcome.blur) for outcome in result.phases] == [(4, 3.0), (1, 3.0), (1, 1.5)]
     assert (result.flat, result.enlargements) == ([], 0)
 
 
@@ -367,9 +367,9 @@ def test_best_of_several_starts_is_gone_on_with(recovered):
     assert len({start.initial for start in result.starts}) == 3
     best = min(result.starts, key=lambda start: start.loss)
     assert tuple(result.initial.values()) == best.initial
-    # All starts run the coarse phase, and only one the last.
+    # All starts run the coarse phase, and only one the others.
     assert {(step.start, step.phase) for step in result.history if step.phase == 0} == {(0, 0), (1, 0), (2, 0)}
-    assert {step.start for step in result.history if step.phase == 1} == {result.starts.index(best)}
+    assert {step.start for step in result.history if step.phase > 0} == {result.starts.index(best)}
 
 
 @pytest.mark.exhaustive

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._misc import as_float
 from ..shadow import HardCompare, SoftCompare
 from ._arrangement import is_of_technique
 from ._parameters import Bounds, with_values
-from ._poses import PoseProblem
+from ._poses import SHARPNESS, PoseProblem
 from ._residuals import Joint
 from ._settings import Anneal, levels_of
 from ._starts import starts_within
@@ -40,6 +41,11 @@ class Phase(NamedTuple):
         """What tells its compiled program from those of other phases."""
         return self.level, self.active, self.width > 0
 
+    @property
+    def blurs(self) -> tuple[float, ...]:
+        """The standard deviation, in its pixels, of the blur under which it compares each problem's images."""
+        return tuple(float(p.blur / p.sharpness) if isinstance(p, PoseProblem) else 0.0 for p in self.joint.problems)
+
 
 def hard(joint: Joint) -> Joint:
     """With the hard compare."""
@@ -58,13 +64,21 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
         if levels is not None:
             raise ValueError("got levels, and nothing moves; expected none: they are for fits of poses")
         return [Phase(soft(width), every, width) for width in anneal.widths]
+    joint = _sharpened(joint, 1.0)
     sides = [side for p in joint.problems if isinstance(p, PoseProblem) for side in p.sides]
     poses = tuple(i for i in every if not is_of_technique(paths[i]))
     chosen = levels_of(levels, *sides)
     coarse = [Phase(hard(joint).each(lambda p, n=n: p.at_level(n)), poses, 0.0, n) for n in chosen[:-1] if poses]
     if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
-        return coarse + [Phase(soft(width), every, width) for width in anneal.widths]
-    return [*coarse, Phase(hard(joint), every, 0.0)]
+        fine = [Phase(soft(width), every, width) for width in anneal.widths]
+    else:
+        fine = [Phase(hard(joint), every, 0.0)]
+    # By the same program.
+    return [*coarse, *fine, fine[-1]._replace(joint=_sharpened(fine[-1].joint, SHARPNESS))]
+
+
+def _sharpened(joint: Joint, sharpness: float) -> Joint:
+    return joint.each(lambda p: dataclasses.replace(p, sharpness=as_float(sharpness)))
 
 
 def prepared(joint: Joint, paths: Sequence[str], bounds: Bounds, initial: Float[Array, " p"]) -> Joint:

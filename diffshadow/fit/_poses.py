@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.scipy.stats import norm
 from jaxtyping import Array, Float
-from scipy.stats import norm
 
 from .._misc import normalize, round_up_to_power_of_two, sums_along
 from .._types import Mask, Resolution, Scalar, Visibility
@@ -27,6 +27,8 @@ from ._parameters import with_values
 _BLUR = 3.0
 REACH_OF_BLUR = 4
 """How far the Gaussian of a blur goes, in standard deviations."""
+SHARPNESS = 2.0
+"""Of the last phase, whose shadow is less than a pixel off."""
 # By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
 _FINER_MAP = 2
 # What poses elsewhere within the bounds may need beyond the greatest need that was seen.
@@ -95,6 +97,7 @@ class PoseProblem(eqx.Module):
     - `edges`: of all that casts, which `planned` finds if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences count; 0 for none. It should
         cover a texel of the map as the camera sees it.
+    - `sharpness`: by how much narrower than `blur` the Gaussian is, 1 or more.
     """
 
     arrangement: Arrangement
@@ -110,6 +113,8 @@ class PoseProblem(eqx.Module):
     room: Room | None = eqx.field(static=True, default=None)
     edges: Edges | None = None
     blur: float = eqx.field(static=True, default=_BLUR)
+    # A number of the program, so that one program serves phases of any sharpness.
+    sharpness: Scalar | float = 1.0
 
     @property
     def subject(self) -> Arrangement:
@@ -139,7 +144,7 @@ class PoseProblem(eqx.Module):
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """What counts of a difference: its blur."""
-        return _blurred(difference, self.blur)
+        return _blurred(difference, self.blur, self.sharpness)
 
     def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement.
@@ -230,12 +235,12 @@ def cone_share(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
     return jnp.where(surface.mask, share, 1)
 
 
-def _blurred(image: Float[Array, "h w"], deviation: float) -> Float[Array, "h w"]:
-    """An image under a Gaussian of this standard deviation in pixels, and 0 beyond its border."""
-    if deviation == 0:
+def _blurred(image: Float[Array, "h w"], widest: float, sharpness: Scalar | float) -> Float[Array, "h w"]:
+    """An image under a Gaussian of standard deviation `widest / sharpness` in pixels, and 0 beyond its border."""
+    if widest == 0:
         return image
-    reach = math.ceil(REACH_OF_BLUR * deviation)
-    weights = norm.pdf(np.arange(-reach, reach + 1), scale=deviation).tolist()
+    reach = math.ceil(REACH_OF_BLUR * widest)
+    weights = norm.pdf(jnp.arange(-reach, reach + 1), scale=widest / sharpness).astype(image.dtype)
     # Else XLA would work out the first sums anew for each of the second.
     columns = lax.optimization_barrier(sums_along(jnp.pad(image, reach), weights, axis=0))
     return sums_along(columns, weights, axis=1)

@@ -18,7 +18,7 @@ _MOST_SPREAD = 0.1
 _PART = 0.3
 # How far apart residuals may be and still be correlated, in standard deviations of the blur: it covers a texel, and
 # what a texel does to an outline is the same for all pixels that see it.
-_CORRELATED = 2
+_CORRELATED = 4
 
 
 class Precision(NamedTuple):
@@ -33,7 +33,7 @@ class Precision(NamedTuple):
         S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
 
     the mean over all places of a grid of L x L pixels of what its cells, each summed up, would give as independent
-    draws. L is twice the blur's standard deviation, which covers a texel. With L = 1, without blur, it is that of
+    draws. L is four times the blur's standard deviation, which covers a texel. With L = 1, without blur, it is that of
     White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
     Where pixels jump from lit to shadowed as poses move, a fit ends near the least squares rather than there. The

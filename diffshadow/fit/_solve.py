@@ -3,7 +3,7 @@
 The hard compare has no gradient, so the fit of a technique runs in phases under a soft one whose width shrinks
 geometrically, each phase starting from the last. Where lights or meshes move, phases go from coarse images and maps to
 fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the soft
-one, in the end. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
+one, in the end. The last phase is repeated under half the blur, which is nearer to the truth, and sees less far. What judges is the hard compare at full resolution: it sees the start and the end of every phase, and
 the best of them is the result, so a fit never ends worse than it began. Of poses it sees blurred differences, as the
 phases do, and takes the last of those that differ by less than the loss jumps.
 """
@@ -62,7 +62,8 @@ class Outcome(NamedTuple):
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
-    - `level`: how many pixels a side made one.
+    - `level`: how many pixels a side made one; `blur`: the standard deviation, in such pixels, of the Gaussian under
+        which images were compared, 0 where nothing moves.
     """
 
     width: float
@@ -72,6 +73,7 @@ class Outcome(NamedTuple):
     hard_loss: float
     values: tuple[float, ...]
     level: int = 1
+    blur: float = 0.0
 
 
 class Start(NamedTuple):
@@ -163,7 +165,8 @@ def fit(
     spread = starts_within(bounds, initial, starts, seed)
     began = time.perf_counter()
     joint = prepared(joint, paths, bounds, initial)
-    run = _Run(parameters, hard(joint), phases_of(joint, paths, anneal, levels), solver, on_step)
+    phases = phases_of(joint, paths, anneal, levels)
+    run = _Run(parameters, hard(phases[-1].joint), phases, solver, on_step)
     with run.reporter:
         path, tried = run.through(spread)
     best = path.chosen(_NOISE_OF_POSES if joint.moves else 0.0)
@@ -270,9 +273,8 @@ class _Run:
         active = np.asarray(phase.active)
         span = np.asarray(self.bounds.upper - self.bounds.lower)[active]
         names = [self.names[i] for i in phase.active]
-        blurs = [p.blur if isinstance(p, PoseProblem) else 0.0 for p in phase.joint.problems]
         on_host = lambda images: [np.asarray(image) for image in images]
-        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), blurs, span)
+        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), phase.blurs, span)
 
     def flat(self, path: _Path) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
@@ -469,4 +471,4 @@ def _outcome(solution: _Solution, phase: Phase, hard_loss: float, values: Array)
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"
     steps, at = int(solution.steps), tuple(values.tolist())
-    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, phase.level)
+    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, phase.level, max(phase.blurs))

@@ -163,6 +163,7 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         {
             "compare": "hard" if not phase["width"] else f"{phase['width']:.3g}",
             "level": phase.get("level", 1),
+            "blur": f"{phase.get('blur', 0):.3g}",
             "steps": phase["steps"],
             "error": number("rmse", None if phase["hard_loss"] is None else phase["hard_loss"] ** 0.5),
             "gradient": "–" if phase["gradient_norm"] is None else f"{phase['gradient_norm']:.2g}",

@@ -111,6 +111,7 @@ class _Phase(_Part):
     hard_loss: Annotated[float, Field(ge=0, le=1 + SLACK)] | None
     values: Numbers
     level: int = Field(default=1, ge=1)
+    blur: float = Field(default=0.0, ge=0)
 
 
 class _Solver(_Part):
