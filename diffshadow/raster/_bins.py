@@ -31,10 +31,10 @@ BLOCK = 16
 """Side, in pixels, of the blocks that those are cut into."""
 
 _NOTHING = -1
-# What small numbers are rounded up to: room to spare costs little there.
-_ROOMS = (0, 16, 64, 256, 1024, 4096)
+# What small numbers are rounded up to: a loop ends with the last that is used, so that what is not costs little.
+_ROOMS = (0, 256, 4096)
 # In the windows of a larger class, so many pixels are looked at in less time than a loop of their own takes to compile.
-_FEW_PIXELS = 1 << 14
+_FEW_PIXELS = 1 << 16
 
 
 class Capacity(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
@@ -22,7 +23,7 @@ from ._bins import Capacity, Triangles, bin_triangles
 from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._fixed import signed_area
-from ._rasterize import empty_within_capacity, plan
+from ._rasterize import empty_within_capacity, padded, plan
 from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, Windows, candidates, corner, count, over_windows, windows
 
 When = Literal["pass", "fail"]
@@ -71,6 +72,10 @@ def count_fragments(
             )
         height, width = depth.shape
         capacity = plan_counts(clip, faces, weights, (height, width))
+    count = weights.shape[0]
+    clip, faces = padded(clip, faces)
+    if faces.shape[0] > count:
+        weights = np.pad(np.asarray(weights), (0, faces.shape[0] - count))
     return _count_fragments(clip, faces, weights, depth, when, capacity)
 
 

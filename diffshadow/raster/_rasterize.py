@@ -19,6 +19,11 @@ from ._windows import Windows, candidates, count, windows, write_depth, write_de
 # The least room in which what must be cut into parts is counted, which is enough for most scenes.
 _ROOM_FOR_PARTS = Capacity(large=256, candidates=1 << 16)
 _ROOM_TO_CLIP = _ROOM_FOR_PARTS._replace(clipped=64)
+# Meshes of up to so many faces are padded: filling up a larger one takes time that counts beside drawing it.
+_MOST_PADDED = 1 << 16
+_LEAST_PADDED = 64
+# The frustum rejects it.
+_OUTSIDE = (0, 0, 2, 1)
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 Overflow = Bool[Array, ""]
@@ -44,7 +49,8 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
-    clip = clip.astype(jnp.float32).reshape(-1, *clip.shape[-2:])
+    clip, faces = padded(clip.astype(jnp.float32), faces)
+    clip = clip.reshape(-1, *clip.shape[-2:])
     # What is clipped, and what is large, must have room before its parts can be counted. Scenes with nothing of the
     # kind are spared most of the compiling. One view after another, so that any number of them share what is compiled.
     room = Capacity()
@@ -56,6 +62,29 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
         if room == room.grown_to(parts):
             return needed
         room = room.grown_to(parts).grown_to(_ROOM_TO_CLIP if parts.clipped else _ROOM_FOR_PARTS)
+
+
+def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b V 4"], Int[Array, "F 3"]]:
+    """The triangles and others behind them that are never seen, so that meshes of like size share what is compiled.
+
+    Traced ones stay as they are: their program is the caller's.
+    """
+    count, vertices = faces.shape[0], clip.shape[-2]
+    if count > _MOST_PADDED or isinstance(clip, Tracer) or isinstance(faces, Tracer):
+        return clip, faces
+    # In NumPy, whose copies need no compiling.
+    more_faces = np.full((_room_for(count), 3), vertices, np.asarray(faces).dtype)
+    more_faces[:count] = faces
+    more = np.empty((*clip.shape[:-2], _room_for(vertices + 1), 4), np.asarray(clip).dtype)
+    more[..., :vertices, :] = clip
+    more[..., vertices:, :] = _OUTSIDE
+    return jnp.asarray(more), jnp.asarray(more_faces)
+
+
+def _room_for(number: int) -> int:
+    """The next power of two; of small numbers, every second one."""
+    power = max(number - 1, _LEAST_PADDED - 1).bit_length()
+    return 1 << (power + power % 2 if number <= 4096 else power)
 
 
 def rasterize(
@@ -127,6 +156,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
                 "must be known there: call plan(clip, faces, resolution) outside on typical values and pass its result"
             )
         capacity = plan(clip, faces, resolution, cull=cull)
+    clip, faces = padded(clip, faces)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
     checked = overflows is None
