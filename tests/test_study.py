@@ -330,6 +330,9 @@ def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, 
     assert remarks(tiny(), [parameter], fine) == []
 
 
+LEVEL_8 = "(level 8, blur 3 pixels)"
+
+
 def ended(level: int, result: str = "successful") -> fit.Outcome:
     return fit.Outcome(0.0, 8, result, 1e-9, 0.01, (5.0,), level, blur=3.0)
 
@@ -338,10 +341,10 @@ def ended(level: int, result: str = "successful") -> fit.Outcome:
     ("last", "coarse", "said"),
     [
         # The error still fell by four fifths in the last quarter of the steps.
-        ("successful", [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1], ["(level 8, blur 3 pixels)", "by 80% in its last 2 steps: raise"]),
+        ("successful", [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1], [LEVEL_8, "by 80% in its last 2 steps: raise"]),
         # By no more than the loss jumps; a step that was taken back is none that helped.
         ("successful", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.08, 0.9], []),
-        ("max_steps reached", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], ["(level 8, blur 3 pixels)", "ended at max_steps, too"]),
+        ("max_steps reached", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], [LEVEL_8, "ended at max_steps, too"]),
         ("successful", [], []),
     ],
 )
