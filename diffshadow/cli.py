@@ -350,11 +350,16 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner."""
+    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner.
+
+    A folder that the user gave to JAX (`JAX_COMPILATION_CACHE_DIR`) stays.
+    """
     import jax
 
     from .io import FileError, cache_folder, check_writable
 
+    if jax.config.jax_compilation_cache_dir:
+        return
     with contextlib.suppress(OSError, RuntimeError, FileError):
         folder = cache_folder() / "xla"
         check_writable(folder)

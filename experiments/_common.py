@@ -309,7 +309,9 @@ def start(app: App) -> NoReturn:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner."""
+    """Lets JAX keep compiled programs in the cache folder, unless it has one: the next run starts sooner."""
+    if jax.config.jax_compilation_cache_dir:
+        return
     try:
         folder = io.cache_folder() / "xla"
         io.check_writable(folder)

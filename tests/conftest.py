@@ -1,6 +1,7 @@
-"""Every test runs with jaxtyping's shapes checked by beartype."""
+"""Every test runs with jaxtyping's shapes checked by beartype, and programs are compiled once on a machine."""
 
 import gc
+import os
 from pathlib import Path
 
 import jax
@@ -9,6 +10,10 @@ from jaxtyping import install_import_hook
 
 install_import_hook("diffshadow", "beartype.beartype")
 
+# Of the file system, whatever the tests set DIFFSHADOW_CACHE to.
+PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "diffshadow-tests"
+"""Where compiled programs are kept, for this clone and the next; JAX's keys tell versions and machines apart."""
+_MOST_BYTES = 1 << 30
 _MAPPINGS = Path("/proc/self/maps")
 # Linux allows a process 65,530, and each compiled program takes several.
 _MOST_MAPPINGS = 20_000
@@ -18,11 +23,28 @@ gc.set_threshold(200_000, 20, 100)
 
 
 def pytest_configure(config):
-    """Compiled programs are kept from run to run: compiling is two thirds of the work."""
-    if hasattr(config, "cache"):
-        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("jax")))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    """Lets JAX keep what it compiles: that is most of the work. Processes that tests start do so too."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(PROGRAMS))
+        _remove_oldest(Path(os.environ["JAX_COMPILATION_CACHE_DIR"]))
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _remove_oldest(folder: Path) -> None:
+    """Removes the programs that were written first, as long as all together are too large."""
+    try:
+        files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in folder.glob("jit_*"))
+    except FileNotFoundError:  # another session is at it
+        return
+    total = sum(size for _, size, _ in files)
+    for _, size, file in files:
+        if total <= _MOST_BYTES:
+            break
+        file.unlink(missing_ok=True)
+        total -= size
 
 
 @pytest.fixture(scope="module", autouse=True)

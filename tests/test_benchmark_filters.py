@@ -16,7 +16,6 @@ JACOBIAN = "random disk, nearest, soft"
 
 
 @pytest.mark.exhaustive
-@pytest.mark.slow
 def test_benchmark_times_the_same_visibility_on_both_sides(tmp_path):
     file = tmp_path / "out.json"
     options = (

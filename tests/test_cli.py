@@ -213,7 +213,8 @@ def test_internal_errors_keep_their_traceback(error, monkeypatch):
 def test_validate_lists_settings_with_units(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.chdir(tmp_path)
-    assert run("validate", QUICKSTART, "filter.radius=3") == 0
+    small = "scene.camera.resolution=[64, 64]", "shadow_map.resolution=[64, 64]"
+    assert run("validate", QUICKSTART, "filter.radius=3", *small) == 0
     out = capsys.readouterr().out
     (radius,) = (line for line in out.splitlines() if " filter.radius " in line)
     assert radius.split()[1::2] == ["filter.radius", "3.0", "texels"]

@@ -58,18 +58,19 @@ def run(experiment: str, *overrides: str, **options: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.stem)
-def test_every_configuration_is_valid(config, capsys, monkeypatch):
-    monkeypatch.setattr("diffshadow.cli._keep_compiled_programs", lambda: None)
+def test_every_configuration_is_valid(config, capsys):
+    # In one small size, so that they share what is compiled.
+    small = "scene.camera.resolution=[64, 64]", "shadow_map.resolution=[64, 64]"
     # What a sweep varies may be missing from its file, which is judged with the sweep.
     sweeps = "\nsweep:" in config.read_text()
     with pytest.raises(SystemExit) as exit:
-        main(["sweep", str(config), "--dry-run"] if sweeps else ["validate", str(config)])
+        main(["sweep", str(config), "--dry-run"] if sweeps else ["validate", str(config), *small])
     out, err = capsys.readouterr()
     assert exit.value.code == 0, err
     assert ("would be done now" if sweeps else "is valid") in " ".join(out.split())
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_error_falls_with_resolution_as_a_seam_does():
     found = run("error_vs_resolution", "scene.light.angular_radius=0", sizes="64,128", only="bilinear")
     assert found["reference_noise"] == 0, "a hard light's truth is exact"
@@ -78,6 +79,7 @@ def test_error_falls_with_resolution_as_a_seam_does():
     assert -1 < found["slopes"]["bilinear"] < -0.2, "about -1/2"
 
 
+@pytest.mark.exhaustive
 def test_fit_ends_where_the_landscape_is_lowest():
     found = run("bias_landscape", size=7)
     assert found["ratio"] < 1.03
@@ -116,7 +118,6 @@ def test_shootout_fits_before_it_times():
     assert nearest["pareto"] == (nearest["milliseconds"] < disk["milliseconds"])
 
 
-@pytest.mark.slow
 def test_values_do_best_where_they_were_fitted():
     found = run("generalisation", over="light", count=2)
     errors = np.array([row["rmse"] for row in found["rows"]]).reshape(2, 2)
@@ -127,7 +128,6 @@ def test_values_do_best_where_they_were_fitted():
     assert len(set(fitted.values())) == 2, "suns of different heights want different biases"
 
 
-@pytest.mark.slow
 def test_nothing_changes_with_the_scale():
     found = run("scale_invariance", scales="0.01,100")
     assert [row["scale"] for row in found["rows"]] == [0.01, 1, 100]
@@ -168,7 +168,6 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
 def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, arguments, said, monkeypatch, capsys):
     script = importlib.import_module(experiment)
     monkeypatch.setattr(sys, "argv", [f"{experiment}.py", *arguments])
-    monkeypatch.setattr(script.common, "_keep_compiled_programs", lambda: None)
     with pytest.raises(SystemExit) as exit:
         script.common.start(script.app)
     assert exit.value.code == 2
@@ -203,6 +202,7 @@ def test_truth_lies_within_the_deviations_that_fits_report():
     assert len({row["error"] for row in found["rows"]}) == 32, "every draw is another"
 
 
+@pytest.mark.exhaustive
 def test_gallery_shows_each_technique(monkeypatch):
     gallery = importlib.import_module("gallery")
     (name, rows), *_ = gallery.SECTIONS.items()

@@ -75,7 +75,6 @@ def is_checking(leader: int) -> bool:
     return Path("started").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moment", "presses", "arguments"),
     [

@@ -18,8 +18,6 @@ from jupyter_client.manager import KernelManager
 
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-FITS = ("fit_a_light", "bias_radius_landscape")
-"""What these compile takes longer than all others together, and the parts of a fit have tests of their own."""
 MOST_BYTES = 600_000
 # Names that other words contain, or that a container gives everybody.
 _COMMON_NAMES = {"root", "user", "localhost"}
@@ -45,15 +43,11 @@ def kernel(tmp_path_factory) -> Iterator[KernelManager]:
     manager.shutdown_kernel(now=True)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 # What the client of a kernel says of its own workings.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=[pytest.mark.exhaustive] if path.stem in FITS else []) for path in NOTEBOOKS],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_at_small_settings(path, kernel):
     found = execute().executed(path.with_suffix(".py"), kernel)
     assert any("image/png" in output.get("data", {}) for output in outputs(found))

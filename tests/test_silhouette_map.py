@@ -274,7 +274,6 @@ USUAL = {("torus", "spot")}
 """What is tried every time; all others are for the patient."""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("caster", "light"),
     [

@@ -295,7 +295,6 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):
     assert "was given, not traced" in said
 
 
-@pytest.mark.slow
 def test_flat_gradient_is_told_with_its_cause():
     folder, said = run("filter.lookup=nearest", "fit.solver.max_steps=1", "fit.anneal.phases=1")
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
@@ -386,11 +385,7 @@ def test_render_writes_its_images_beside_the_fit_s():
     assert "SSIM" in out.getvalue()
 
 
-SMALL = (
-    "scene.camera.resolution=[40, 40]",
-    "shadow_map.resolution=[48, 48]",
-    "fit.parameters={bias.constant: {lower: 0, upper: 10}}",
-)
+SMALL = ("fit.parameters={bias.constant: {lower: 0, upper: 10}}",)
 LIGHTS = ("scene.light=null", "scene.lights=[{angular_radius: 1.5}, {type: point, radius: 0.1, guard: 0.5}]")
 
 
@@ -503,7 +498,6 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
     assert leftovers(tmp_path) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("technique", "parameters"),
     [
@@ -542,7 +536,6 @@ def test_progress_is_shown_to_a_terminal_only():
     assert "tracing reference" not in quiet.getvalue()
 
 
-@pytest.mark.slow
 def test_validating_loads_no_matplotlib():
     check = "import atexit, sys; atexit.register(lambda: print('matplotlib' in sys.modules, file=sys.stderr))"
     program = f"{check}\nimport diffshadow.study\nfrom diffshadow.cli import main\nmain(['validate', 'tiny.yaml'])"
@@ -560,7 +553,7 @@ def readme():
     return [compile(block, "README.md", "exec") for block in blocks]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_python_of_the_readme_runs(readme, capsys, monkeypatch):
     """But for the fit of the sun, which compiles for minutes: of that, the problem is made and its start set."""
     names, (technique, sun) = {}, readme
@@ -578,7 +571,6 @@ def test_python_of_the_readme_runs(readme, capsys, monkeypatch):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.slow
 def test_readme_finds_the_sun_where_it_says(readme, capsys):
     names = {}
     for block in readme:
@@ -600,7 +592,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from Linux' /proc")
 def test_quickstart_fits_within_its_memory(tmp_path):
     command = [sys.executable, "-c", WATCHED, "fit", str(QUICKSTART)]

@@ -51,9 +51,9 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
     """
     clip, faces = padded(clip.astype(jnp.float32), faces)
     clip = clip.reshape(-1, *clip.shape[-2:])
-    # What is clipped, and what is large, must have room before its parts can be counted. Scenes with nothing of the
-    # kind are spared most of the compiling. One view after another, so that any number of them share what is compiled.
-    room = Capacity()
+    # What is clipped, and what is large, must have room before its parts can be counted. Nearly every scene has large
+    # triangles, few need clipping. One view after another, so that any number of them share what is compiled.
+    room = _ROOM_FOR_PARTS
     while True:
         counted = [_count(view, faces, resolution, cull, room) for view in clip]
         needed = jax.tree.map(lambda *each: np.max(np.stack(each), axis=0), *counted).capacity()
@@ -61,7 +61,7 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
         parts = needed._replace(windows=room.windows, blocks=room.blocks)
         if room == room.grown_to(parts):
             return needed
-        room = room.grown_to(parts).grown_to(_ROOM_TO_CLIP if parts.clipped else _ROOM_FOR_PARTS)
+        room = room.grown_to(parts).grown_to(_ROOM_TO_CLIP)
 
 
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b V 4"], Int[Array, "F 3"]]:

@@ -4,12 +4,13 @@ import cases
 import pytest
 import run
 
-SEED, CASES = 0, 300
+SEED = 0
 
 
-def test_random_input_is_refused_clearly_or_done_right(pytestconfig):
+@pytest.mark.parametrize("numbers", [range(100), pytest.param(range(100, 400), marks=pytest.mark.exhaustive)])
+def test_random_input_is_refused_clearly_or_done_right(numbers, tmp_path):
     # In a process of its own: checks of types make what is timed several times as long.
-    found = run.fuzz(SEED, range(CASES), 1, str(pytestconfig.cache.mkdir("fuzz")))
+    found = run.fuzz(SEED, numbers, 1, str(tmp_path))
     # What takes long is for `make fuzz` to say: how long depends on the machine.
     kept = {number: [fault for fault in faults if not fault.startswith("took ")] for number, faults in found.items()}
     said = [f"{'; '.join(faults)}\n{run.show(cases.make(SEED, number))}" for number, faults in kept.items() if faults]
