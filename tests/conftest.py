@@ -1,6 +1,7 @@
 """Every test runs with jaxtyping's shapes checked by beartype."""
 
 import gc
+import os
 from pathlib import Path
 
 import jax
@@ -19,8 +20,9 @@ gc.set_threshold(200_000, 20, 100)
 
 def pytest_configure(config):
     """Compiled programs are kept from run to run: compiling is two thirds of the work."""
-    if hasattr(config, "cache"):
-        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("jax")))
+    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if chosen or hasattr(config, "cache"):
+        jax.config.update("jax_compilation_cache_dir", chosen or str(config.cache.mkdir("jax")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 

@@ -1,0 +1,214 @@
+"""Puts the mistakes of `faults.py` into a copy of the repository, one at a time, and says which test finds each.
+
+make faults                             all of them, by the tests that are likely to see them
+make faults ARGS="--only receiver"      those whose name or file has this word
+make faults ARGS="--list"               what there is
+"""
+
+import argparse
+import itertools
+import json
+import os
+import queue
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from faults import FAULTS, Fault
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "diffshadow"
+_HANGS = 1800
+"""Seconds after which tests count as hanging."""
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
+
+CAUGHT, AT_IMPORT, HANGS = "caught", "caught at import", "caught by a hang"
+MISSED, NOT_THERE, UNKNOWN = "NOT CAUGHT", "does not apply", "no verdict"
+
+
+class Verdict(NamedTuple):
+    """What became of a fault: one of the words above, the test that found it or what else there is to say, seconds."""
+
+    fault: Fault
+    verdict: str
+    what: str
+    seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.fault.file}: {self.fault.name}: {self.verdict}{self.what and f' {self.what}'}, {self.seconds:.0f} s"
+        )
+
+
+class Copy:
+    """A copy of the repository's files in the folder `to`, tracked ones and new ones, in which tests are run."""
+
+    _writes = itertools.count(int(time.time()) + 1)
+    """Times of change in seconds, all different: else Python might take one version's byte code for another's."""
+
+    def __init__(self, root: Path, to: Path):
+        self.root = to
+        self._running: subprocess.Popen[str] | None = None
+        listed = subprocess.run(
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+            cwd=root, check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        for name in filter(None, listed.stdout.split("\0")):
+            # A file that was removed is still listed until that is committed.
+            if os.path.lexists(root / name):
+                (to / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / name, to / name, follow_symlinks=False)
+        programs = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(root / ".pytest_cache" / "d" / "jax")
+        # Without their own session's settings: what tests do must not depend on who calls them.
+        self._environment = {**os.environ, "PYTHONPATH": str(to), "JAX_COMPILATION_CACHE_DIR": programs}
+
+    def check_import(self) -> None:
+        """**Raises** `RuntimeError` unless the package that Python imports here is the copy's, not an installed one."""
+        code, said = self._run(f"import {PACKAGE}; print({PACKAGE}.__file__)", seconds=300)
+        last = said.strip().rpartition("\n")[2]
+        if code != 0 or not Path(last).is_relative_to(self.root):
+            raise RuntimeError(f"Python imports {last!r} in {self.root}; expected the package that lies there")
+
+    def examine(self, fault: Fault, marks: str, whole: bool) -> Verdict:
+        """What the fault's tests, or else the `whole` suite, make of it; the file is then as before."""
+        began = time.perf_counter()
+        judged = lambda verdict, what="": Verdict(fault, verdict, what, time.perf_counter() - began)
+        file = self.root / PACKAGE / fault.file
+        before = file.read_text(encoding="utf-8") if file.is_file() else ""
+        if (count := before.count(fault.old)) != 1:
+            return judged(NOT_THERE, f"its text occurs {count} times")
+        try:
+            self._write(file, before.replace(fault.old, fault.new))
+            verdict, what = self._tested(fault, marks, self._files(fault))
+            if verdict == MISSED and whole:
+                verdict, what = self._tested(fault, marks, ["tests"])
+        finally:
+            self._write(file, before)
+        return judged(verdict, what)
+
+    def stop(self) -> None:
+        """Ends the tests that run."""
+        running = self._running
+        if running is not None and running.poll() is None:
+            os.killpg(running.pid, signal.SIGKILL)
+
+    def _files(self, fault: Fault) -> list[str]:
+        return [str(path.relative_to(self.root)) for name in fault.tests for path in (self.root / "tests").rglob(name)]
+
+    def _tested(self, fault: Fault, marks: str, files: Sequence[str]) -> tuple[str, str]:
+        options = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-m", marks]
+        code, said = self._run("import pytest; raise SystemExit(pytest.main())", *options, *files, seconds=_HANGS)
+        if code is None:
+            return HANGS, ""
+        if code == 0:
+            return MISSED, f"by {', '.join(files)}"
+        found = _FAILED.search(said)
+        if code == 1 and found:
+            return CAUGHT, f"by {found[1]}"
+        module = f"{PACKAGE}/{fault.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        if self._run(f"import {module}", seconds=300)[0] != 0:
+            return AT_IMPORT, ""
+        return UNKNOWN, f"since pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
+
+    def _run(self, program: str, *arguments: str, seconds: float) -> tuple[int | None, str]:
+        """Exit code, none after so many seconds, and output of a Python program."""
+        self._running = subprocess.Popen(
+            [sys.executable, "-c", program, *arguments], cwd=self.root, env=self._environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+        try:
+            said, _ = self._running.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            self.stop()
+            return None, self._running.communicate()[0]
+        return self._running.returncode, said
+
+    def _write(self, file: Path, text: str) -> None:
+        file.write_text(text, encoding="utf-8")
+        changed = next(self._writes)
+        os.utime(file, (changed, changed))
+
+
+def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, root: Path = ROOT) -> Iterator[Verdict]:
+    """The verdict on each fault, as they come, from so many copies at once."""
+    waiting: queue.SimpleQueue[Fault] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Verdict | BaseException] = queue.SimpleQueue()
+    stopped = threading.Event()
+    for fault in faults:
+        waiting.put(fault)
+
+    def work(copy: Copy) -> None:
+        try:
+            copy.check_import()
+            while not stopped.is_set():
+                done.put(copy.examine(waiting.get_nowait(), marks, whole))
+        except queue.Empty:
+            pass
+        except BaseException as error:
+            done.put(error)
+
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(faults)))]
+        threads = [threading.Thread(target=work, args=(copy,), daemon=True) for copy in copies]
+        try:
+            for thread in threads:
+                thread.start()
+            for _ in faults:
+                found = done.get()
+                if isinstance(found, BaseException):
+                    raise found
+                yield found
+        finally:
+            stopped.set()
+            for copy in copies:
+                copy.stop()
+            for thread in threads:
+                thread.join()
+
+
+def _chosen(words: str | None) -> list[Fault]:
+    return [fault for fault in FAULTS if words is None or words.lower() in f"{fault.file}: {fault.name}".lower()]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="WORDS", help="faults whose file or name contains these words")
+    parser.add_argument("--list", action="store_true", help="only say which there are")
+    parser.add_argument("--all", action="store_true", help="run exhaustive tests too")
+    parser.add_argument("--whole", action="store_true", help="run the whole suite where a fault's own tests miss it")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="copies that work at once")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all verdicts to this file")
+    asked = parser.parse_args()
+    faults = _chosen(asked.only)
+    if not faults or asked.list:
+        for fault in faults:
+            print(f"{fault.file}: {fault.name} ({', '.join(fault.tests)})")
+        print(f"{len(faults)} of {len(FAULTS)} faults")
+        return
+    marks, verdicts = "" if asked.all else "not exhaustive", []
+    try:
+        for verdict in examined(faults, asked.workers, marks, asked.whole):
+            verdicts.append(verdict)
+            print(f"[{len(verdicts)}/{len(faults)}] {verdict}", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted")
+    counts = Counter(verdict.verdict for verdict in verdicts)
+    print(f"{len(verdicts)} of {len(faults)} faults: {', '.join(f'{n} {word}' for word, n in counts.most_common())}")
+    if asked.json is not None:
+        keys = ("name", "file", "verdict", "what", "seconds")
+        rows = [(v.fault.name, v.fault.file, v.verdict, v.what, round(v.seconds, 1)) for v in verdicts]
+        asked.json.write_text(json.dumps([dict(zip(keys, row, strict=True)) for row in rows], indent=1) + "\n")
+    sys.exit(any(verdict.verdict in (MISSED, NOT_THERE, UNKNOWN) for verdict in verdicts))
+
+
+if __name__ == "__main__":
+    main()
