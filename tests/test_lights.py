@@ -211,6 +211,9 @@ def test_cone_is_full_inside_and_obeyed_only_where_an_inner_angle_is_given():
     share = np.asarray(down(10).cone(ways))
     np.testing.assert_allclose(share[[0, 1, 3, 4]], [1, 1, 0, 0], atol=1e-6)
     assert 0 < share[2] < 1
+    outer, inner = (math.cos(math.radians(degrees)) for degrees in (30, 10))
+    quarter = math.degrees(math.acos(outer + (inner - outer) / 4))
+    np.testing.assert_allclose(down(10).cone(way(quarter)), 3 / 16 - 2 / 64, rtol=1e-3)
     # With both angles alike the rim is hard.
     np.testing.assert_array_equal(down(30).cone(jnp.concatenate([way(29.9), way(30.1)])), [1, 0])
 

@@ -6,6 +6,7 @@ make faults ARGS="--list"               what there is
 """
 
 import argparse
+import contextlib
 import itertools
 import json
 import os
@@ -27,11 +28,36 @@ from faults import FAULTS, Fault
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "diffshadow"
+LIBRARIES = (
+    "OpenEXR",
+    "beartype",
+    "cyclopts",
+    "embreex.mesh_construction",
+    "equinox",
+    "hypothesis",
+    "imageio.v3",
+    "jax.numpy",
+    "jax.scipy.stats",
+    "jaxtyping",
+    "lineax",
+    "manifold3d",
+    "optimistix",
+    "pydantic",
+    "pytest",
+    "scipy.ndimage",
+    "scipy.sparse.csgraph",
+    "scipy.spatial",
+    "scipy.stats",
+)
+"""What is loaded once for all runs of tests; none of them may import the package."""
 _HANGS = 1800
 """Seconds after which tests count as hanging."""
+# Libraries are loaded before pytest could rewrite their assertions.
+_IGNORED = "ignore::pytest.PytestAssertRewriteWarning"
+_OPTIONS = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-W", _IGNORED]
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
-CAUGHT, AT_IMPORT, HANGS = "caught", "caught at import", "caught by a hang"
+CAUGHT, AT_IMPORT, CRASHES, HANGS = "caught", "caught at import", "caught by a crash", "caught by a hang"
 MISSED, NOT_THERE, UNKNOWN = "NOT CAUGHT", "does not apply", "no verdict"
 
 
@@ -57,26 +83,23 @@ class Copy:
 
     def __init__(self, root: Path, to: Path):
         self.root = to
-        self._running: subprocess.Popen[str] | None = None
-        listed = subprocess.run(
-            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-            cwd=root, check=True, capture_output=True, text=True,
-        )  # fmt: skip
+        self._forks: subprocess.Popen[str] | None = None
+        list_files = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        listed = subprocess.run(list_files, cwd=root, check=True, capture_output=True, text=True)
         for name in filter(None, listed.stdout.split("\0")):
             # A file that was removed is still listed until that is committed.
             if os.path.lexists(root / name):
                 (to / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(root / name, to / name, follow_symlinks=False)
         programs = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(root / ".pytest_cache" / "d" / "jax")
-        # Without their own session's settings: what tests do must not depend on who calls them.
         self._environment = {**os.environ, "PYTHONPATH": str(to), "JAX_COMPILATION_CACHE_DIR": programs}
 
     def check_import(self) -> None:
         """**Raises** `RuntimeError` unless the package that Python imports here is the copy's, not an installed one."""
-        code, said = self._run(f"import {PACKAGE}; print({PACKAGE}.__file__)", seconds=300)
-        last = said.strip().rpartition("\n")[2]
-        if code != 0 or not Path(last).is_relative_to(self.root):
-            raise RuntimeError(f"Python imports {last!r} in {self.root}; expected the package that lies there")
+        done = self._python(f"import {PACKAGE}; print({PACKAGE}.__file__)")
+        found = done.stdout.strip()
+        if done.returncode != 0 or not Path(found).is_relative_to(self.root):
+            raise RuntimeError(f"Python imports {found!r} in {self.root}; expected the package that lies there")
 
     def examine(self, fault: Fault, marks: str, whole: bool) -> Verdict:
         """What the fault's tests, or else the `whole` suite, make of it; the file is then as before."""
@@ -95,42 +118,64 @@ class Copy:
             self._write(file, before)
         return judged(verdict, what)
 
-    def stop(self) -> None:
-        """Ends the tests that run."""
-        running = self._running
-        if running is not None and running.poll() is None:
-            os.killpg(running.pid, signal.SIGKILL)
+    def kill(self) -> None:
+        """Ends the tests that run, and the process that they are forks of; from any thread."""
+        forks = self._forks
+        if forks is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(forks.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """Ends all processes, from the thread that started them."""
+        self.kill()
+        if self._forks is not None:
+            self._forks.communicate()
+            self._forks = None
 
     def _files(self, fault: Fault) -> list[str]:
         return [str(path.relative_to(self.root)) for name in fault.tests for path in (self.root / "tests").rglob(name)]
 
     def _tested(self, fault: Fault, marks: str, files: Sequence[str]) -> tuple[str, str]:
-        options = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-m", marks]
-        code, said = self._run("import pytest; raise SystemExit(pytest.main())", *options, *files, seconds=_HANGS)
+        code, said = self._pytest("-m", marks, *files)
         if code is None:
-            return HANGS, ""
+            return HANGS, f"of more than {_HANGS} s"
+        if code < 0:
+            return CRASHES, f"with signal {-code}"
         if code == 0:
             return MISSED, f"by {', '.join(files)}"
-        found = _FAILED.search(said)
-        if code == 1 and found:
+        if code == 1 and (found := _FAILED.search(said)):
             return CAUGHT, f"by {found[1]}"
         module = f"{PACKAGE}/{fault.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        if self._run(f"import {module}", seconds=300)[0] != 0:
+        if self._python(f"import {module}").returncode != 0:
             return AT_IMPORT, ""
         return UNKNOWN, f"since pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
 
-    def _run(self, program: str, *arguments: str, seconds: float) -> tuple[int | None, str]:
-        """Exit code, none after so many seconds, and output of a Python program."""
-        self._running = subprocess.Popen(
-            [sys.executable, "-c", program, *arguments], cwd=self.root, env=self._environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-        )  # fmt: skip
+    def _pytest(self, *arguments: str) -> tuple[int | None, str]:
+        """Exit code, none if it had to be ended, and output."""
+        if self._forks is None:
+            program = [sys.executable, str(Path(__file__).with_name("forks.py")), *LIBRARIES]
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+            self._forks = subprocess.Popen(
+                program, cwd=self.root, env=self._environment, text=True, start_new_session=True, **pipes
+            )
+        forks, output = self._forks, self.root.with_name(f"{self.root.name}.txt")
+        asked = json.dumps([str(output), *_OPTIONS, *arguments])
+        limit = threading.Timer(_HANGS, self.kill)
+        limit.start()
         try:
-            said, _ = self._running.communicate(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            self.stop()
-            return None, self._running.communicate()[0]
-        return self._running.returncode, said
+            print(asked, file=forks.stdin, flush=True)
+            answer = forks.stdout.readline()
+        finally:
+            limit.cancel()
+        if not answer:
+            self.close()
+            return None, ""
+        return int(answer), output.read_text(encoding="utf-8", errors="replace")
+
+    def _python(self, program: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", program], cwd=self.root, env=self._environment, capture_output=True, text=True
+        )
 
     def _write(self, file: Path, text: str) -> None:
         file.write_text(text, encoding="utf-8")
@@ -155,6 +200,8 @@ def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, roo
             pass
         except BaseException as error:
             done.put(error)
+        finally:
+            copy.close()
 
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:
         copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(faults)))]
@@ -170,7 +217,7 @@ def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, roo
         finally:
             stopped.set()
             for copy in copies:
-                copy.stop()
+                copy.kill()
             for thread in threads:
                 thread.join()
 
