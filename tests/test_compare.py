@@ -21,7 +21,6 @@ from diffshadow.shadow import (
     receiver,
     stratified,
 )
-from diffshadow.shadow._lookup import within_frustum
 
 KERNELS = ("logistic", "linear", "smoothstep", "gaussian", "exponential")
 FILTERS = {
@@ -144,13 +143,6 @@ def lookups_of(shadow_map, points):
     mask = jnp.ones(points.shape[:2], bool)
     at = receiver(shadow_map, Surface(points, points, points, points, mask.astype(jnp.int32), mask))
     return look_up(shadow_map, at, Bias()(at))
-
-
-def test_frustum_of_a_map_ends_at_its_own_width_and_height():
-    wide = map_of(np.ones((4, 9)))
-    x, y = np.array([-0.1, 0.0, 8.9, 9.1, 2.0, 2.0]), np.array([2.0, 2.0, 2.0, 2.0, 3.9, 4.1])
-    inside = within_frustum(lookups_at(x, y), wide)
-    assert np.asarray(inside)[0].tolist() == [False, True, True, False, True, False]
 
 
 def test_beyond_the_far_plane_and_behind_a_spot_light_is_outside():

@@ -11,7 +11,6 @@ import itertools
 import json
 import os
 import queue
-import re
 import shutil
 import signal
 import subprocess
@@ -55,14 +54,13 @@ _HANGS = 1800
 # Libraries are loaded before pytest could rewrite their assertions.
 _IGNORED = "ignore::pytest.PytestAssertRewriteWarning"
 _OPTIONS = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-W", _IGNORED]
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 CAUGHT, AT_IMPORT, CRASHES, HANGS = "caught", "caught at import", "caught by a crash", "caught by a hang"
 MISSED, NOT_THERE, UNKNOWN = "NOT CAUGHT", "does not apply", "no verdict"
 
 
 class Verdict(NamedTuple):
-    """What became of a fault: one of the words above, the test that found it or what else there is to say, seconds."""
+    """What became of a fault: one of the words above; the test that found it, or what else there is to say; seconds."""
 
     fault: Fault
     verdict: str
@@ -70,9 +68,8 @@ class Verdict(NamedTuple):
     seconds: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.fault.file}: {self.fault.name}: {self.verdict}{self.what and f' {self.what}'}, {self.seconds:.0f} s"
-        )
+        by = self.what and f" ({self.what})"
+        return f"{self.fault.file}: {self.fault.name}: {self.verdict}{by}, {self.seconds:.0f} s"
 
 
 class Copy:
@@ -118,6 +115,10 @@ class Copy:
             self._write(file, before)
         return judged(verdict, what)
 
+    def failing(self, tests: Sequence[str]) -> set[str]:
+        """Those of `tests` that fail without any fault."""
+        return set(self._pytest("--maxfail", "0", "-m", "", *tests)[1])
+
     def kill(self) -> None:
         """Ends the tests that run, and the process that they are forks of; from any thread."""
         forks = self._forks
@@ -136,22 +137,22 @@ class Copy:
         return [str(path.relative_to(self.root)) for name in fault.tests for path in (self.root / "tests").rglob(name)]
 
     def _tested(self, fault: Fault, marks: str, files: Sequence[str]) -> tuple[str, str]:
-        code, said = self._pytest("-m", marks, *files)
+        code, failed, said = self._pytest("-m", marks, *files)
         if code is None:
-            return HANGS, f"of more than {_HANGS} s"
+            return HANGS, ""
         if code < 0:
-            return CRASHES, f"with signal {-code}"
+            return CRASHES, f"signal {-code}"
         if code == 0:
-            return MISSED, f"by {', '.join(files)}"
-        if code == 1 and (found := _FAILED.search(said)):
-            return CAUGHT, f"by {found[1]}"
+            return MISSED, ", ".join(files)
+        if code == 1 and failed:
+            return CAUGHT, failed[0]
         module = f"{PACKAGE}/{fault.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         if self._python(f"import {module}").returncode != 0:
             return AT_IMPORT, ""
-        return UNKNOWN, f"since pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
+        return UNKNOWN, f"pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
 
-    def _pytest(self, *arguments: str) -> tuple[int | None, str]:
-        """Exit code, none if it had to be ended, and output."""
+    def _pytest(self, *arguments: str) -> tuple[int | None, list[str], str]:
+        """Exit code, none if it had to be ended, the tests that failed, and output."""
         if self._forks is None:
             program = [sys.executable, str(Path(__file__).with_name("forks.py")), *LIBRARIES]
             pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -169,8 +170,11 @@ class Copy:
             limit.cancel()
         if not answer:
             self.close()
-            return None, ""
-        return int(answer), output.read_text(encoding="utf-8", errors="replace")
+            return None, [], ""
+        failed = output.with_suffix(".failed")
+        names = json.loads(failed.read_text()) if failed.exists() else []
+        failed.unlink(missing_ok=True)
+        return int(answer), names, output.read_text(encoding="utf-8", errors="replace")
 
     def _python(self, program: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -222,8 +226,31 @@ def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, roo
                 thread.join()
 
 
+def confirmed(verdicts: Sequence[Verdict], root: Path = ROOT) -> list[Verdict]:
+    """The verdicts, but none where the test that caught a fault fails without it too."""
+    tests = sorted({each.what for each in verdicts if each.verdict == CAUGHT})
+    if not tests:
+        return list(verdicts)
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        copy = Copy(root, Path(folder).resolve() / "clean")
+        try:
+            failing = copy.failing(tests)
+        finally:
+            copy.close()
+    doubtful = lambda each: each.verdict == CAUGHT and each.what in failing
+    return [each._replace(verdict=UNKNOWN) if doubtful(each) else each for each in verdicts]
+
+
 def _chosen(words: str | None) -> list[Fault]:
     return [fault for fault in FAULTS if words is None or words.lower() in f"{fault.file}: {fault.name}".lower()]
+
+
+def _without_doubt(verdicts: list[Verdict]) -> list[Verdict]:
+    sure = confirmed(verdicts)
+    for before, after in zip(verdicts, sure, strict=True):
+        if after != before:
+            print(f"{after.what} fails without {after.fault.name!r} too: that counts for nothing")
+    return sure
 
 
 def main() -> None:
@@ -246,6 +273,7 @@ def main() -> None:
         for verdict in examined(faults, asked.workers, marks, asked.whole):
             verdicts.append(verdict)
             print(f"[{len(verdicts)}/{len(faults)}] {verdict}", flush=True)
+        verdicts = _without_doubt(verdicts)
     except KeyboardInterrupt:
         print("interrupted")
     counts = Counter(verdict.verdict for verdict in verdicts)

@@ -69,9 +69,10 @@ def test_a_planted_fault_is_found_and_the_source_put_back(tmp_path, request, mon
     request.addfinalizer(copy.close)
     monkeypatch.setattr(run, "LIBRARIES", ("pytest",))
     found = judged(of("a + b", "a - b"))
-    assert (found.verdict, found.what) == (run.CAUGHT, "by tests/of_sums/test_sums.py::test_sums")
+    assert (found.verdict, found.what) == (run.CAUGHT, "tests/of_sums/test_sums.py::test_sums")
     assert judged(of("never less", "ever more")).verdict == run.MISSED
     assert judged(of("nowhere", "")).verdict == run.NOT_THERE
+    assert copy.failing([found.what]) == set()
     assert (copy.root / run.PACKAGE / "sums.py").read_text().count("a + b") == 1
 
 
