@@ -197,6 +197,7 @@ def test_starts_are_the_first_and_an_even_spread():
     # A point in each eighth along each axis: a Sobol sequence's mark.
     assert sorted(np.floor(shares[:, 0] * 8)) == sorted(np.floor(shares[:, 1] * 8)) == list(range(8))
     np.testing.assert_array_equal(starts, starts_within(bounds, first, 9, seed=3))
+    assert (starts[1:] != starts_within(bounds, first, 9, seed=4)[1:]).all()
     with pytest.raises(ValueError, match="0 starts are asked for; expected 1 or more"):
         starts_within(bounds, first, 0, seed=0)
 

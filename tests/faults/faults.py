@@ -1598,11 +1598,12 @@ _CONFIG = (
         "test_config.py",
     ),
     _fault(
-        "limits: one that must be exceeded may be met",
-        "config/_marks.py",
-        "value <= self.low if self.above_low else value < self.low",
-        "value < self.low",
+        "limits of poses: those of sizes for angles",
+        "config/_poses.py",
+        "Limits(0, 90 - NARROWEST) if self.is_size else",
+        "Limits(0, 90 - NARROWEST) if not self.is_size else",
         "test_config.py",
+        "test_config_build.py",
     ),
     _fault(
         "costs: a map for each light forgotten",
