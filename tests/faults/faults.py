@@ -1344,10 +1344,10 @@ _REFERENCE = (
         "test_reference.py",
     ),
     _fault(
-        "lamp: up for right",
+        "lamp: its points lie on a line",
         "reference/_lamp.py",
-        "[1.0, 0.0], [0.0, 1.0]])",
-        "[0.0, 1.0], [1.0, 0.0]])",
+        "y * axes[:, 1, k, None]",
+        "y * axes[:, 0, k, None]",
         "test_reference.py",
     ),
     _fault(
