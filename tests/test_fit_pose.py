@@ -1,6 +1,7 @@
 """Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -25,7 +26,7 @@ from diffshadow.fit import (
     resolve,
     with_values,
 )
-from diffshadow.fit._adam import Adam
+from diffshadow.fit._adam import Adam, _Descent
 from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
 from diffshadow.fit._parameters import bounds_of
 from diffshadow.fit._poses import Room
@@ -289,6 +290,14 @@ def test_fits_of_other_numbers_share_a_program():
     np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
     assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
     assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
+
+
+def test_first_step_of_adam_is_as_long_as_its_rate():
+    """However small the gradient: the means are corrected for their start from 0."""
+    y, found = jnp.array([3.0, -1.0]), SimpleNamespace(f=jnp.float32(0), grad=jnp.array([1e-3, -50.0]))
+    descent = _Descent(lambda **_: None, 1_000_000)
+    step, _ = descent.step(jnp.float32(0.1), descent.query(y, found, descent.init(y, None)))
+    np.testing.assert_allclose(step, [-0.1, 0.1], rtol=1e-3)
 
 
 def test_adam_finds_the_bottom_of_a_valley():
