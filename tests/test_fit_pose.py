@@ -292,12 +292,15 @@ def test_fits_of_other_numbers_share_a_program():
     assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
 
 
-def test_first_step_of_adam_is_as_long_as_its_rate():
-    """However small the gradient: the means are corrected for their start from 0."""
+def test_steps_of_adam_are_as_long_as_its_rate():
+    """Under one gradient, however small: the means are corrected for their start from 0."""
     y, found = jnp.array([3.0, -1.0]), SimpleNamespace(f=jnp.float32(0), grad=jnp.array([1e-3, -50.0]))
     descent = _Descent(lambda **_: None, 1_000_000)
-    step, _ = descent.step(jnp.float32(0.1), descent.query(y, found, descent.init(y, None)))
-    np.testing.assert_allclose(step, [-0.1, 0.1], rtol=1e-3)
+    state = descent.init(y, None)
+    for _ in range(3):
+        state = descent.query(y, found, state)
+        step, _ = descent.step(jnp.float32(0.1), state)
+        np.testing.assert_allclose(step, [-0.1, 0.1], rtol=1e-3)
 
 
 def test_adam_finds_the_bottom_of_a_valley():
