@@ -16,7 +16,7 @@ UV := uv
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit gallery test test-rest test-all fuzz lint types constraints clean
+.PHONY: help setup fit gallery test test-rest test-all fuzz faults lint types constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -41,6 +41,9 @@ test-all: test test-rest ## run both
 
 fuzz: $(STAMP) ## feed the command random input and say what it does badly (N=300 SEED=1; CASE=17 does one again)
 	$(BIN)/python tests/fuzz/run.py --cases $(N) --seed $(SEED) $(if $(CASE),--case $(CASE)) $(ARGS)
+
+faults: $(STAMP) ## put known mistakes into a copy and say which test finds each (ARGS="--only bias")
+	$(BIN)/python tests/faults/run.py $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check .

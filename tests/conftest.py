@@ -24,9 +24,9 @@ gc.set_threshold(200_000, 20, 100)
 
 def pytest_configure(config):
     """Lets JAX keep what it compiles: that is most of the work. Processes that tests start do so too."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(PROGRAMS))
-        _remove_oldest(Path(os.environ["JAX_COMPILATION_CACHE_DIR"]))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(PROGRAMS)
+        _remove_oldest(PROGRAMS)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

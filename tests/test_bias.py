@@ -29,6 +29,7 @@ from diffshadow.shadow import (
     receiver,
 )
 from diffshadow.shadow._taps import mean_of_taps
+from diffshadow.shadow.biases._abstract import at_least, at_most
 
 ANGLES = np.array([0.0, 10.0, 45.0, 80.0, 89.9, 90.0, 120.0])
 
@@ -69,12 +70,23 @@ def test_constant_bias_is_in_texels_of_depth():
 def test_slope_bias_is_in_proportion_to_the_tangent():
     depth = np.asarray(SlopeBias(2.0)(receivers_at()).depth)[0]
     np.testing.assert_allclose(depth[:4], 2e-3 * np.tan(np.radians(ANGLES[:4])), rtol=1e-4, atol=1e-9)
+    # Slanted along both of the map's axes.
+    at = eqx.tree_at(lambda at: at.slope, receivers_at(), jnp.zeros((1, 7, 2)) + jnp.array([3.0, -4.0]))
+    np.testing.assert_allclose(SlopeBias(2.0)(at).depth, 2e-3 * 5, rtol=1e-6)
 
 
 def test_slope_bias_is_held_between_its_bounds():
     depth = np.asarray(SlopeBias(2.0, least=1.0, most=5.0)(receivers_at()).depth)[0]
     tangent = np.minimum(np.abs(np.tan(np.radians(ANGLES))), 100)
     np.testing.assert_allclose(depth, 1e-3 * np.clip(2 * tangent, 1, 5), rtol=1e-4)
+
+
+def test_a_bias_on_its_bound_keeps_its_derivative():
+    """Else a fit that starts there would stay."""
+    for held in (at_least, at_most):
+        for x, slope in ((0.5, held is at_most), (1.0, True), (1.5, held is at_least)):
+            found = jax.jvp(lambda x, held=held: held(x, jnp.float32(1)), (jnp.float32(x),), (jnp.float32(1),))[1]
+            assert found == slope
 
 
 def test_slope_bias_of_shader_cookbooks_is_in_window_depth_and_converts_to_texels():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from diffshadow.config import (
@@ -122,6 +122,8 @@ def test_switch_words_are_refused_with_the_right_one():
 
 @few
 @given(text=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12))
+@example("1e-3")
+@example("0o17")
 def test_any_text_survives_dump_and_load(text):
     try:
         config = Config.model_validate({**yaml.safe_load(TINY), "output": text})

@@ -225,8 +225,11 @@ def test_truth_that_no_fit_can_find_is_told(initial):
 
 def test_fit_plan_is_what_the_config_says():
     overrides = ["bias.slope=2", "fit.parameters.bias.slope={lower: 0, upper: 3}", "fit.solver.max_steps=7"]
+    overrides += ["fit.parameters.scene.meshes.0.turn.x={lower: -1, upper: 3, initial: 1.5}"]
     plan = build_fit(parse_config(TINY, [*overrides, "fit.anneal={start: 1, end: 0.1, phases: 2}"]))
-    (slope,) = plan.parameters
+    slope, turn = plan.parameters
+    assert (turn.path, float(turn.initial)) == ("meshes.0.turn.x", 1.5)
+    assert plan.truth == {"scene.meshes.0.turn.x": 0}
     assert (slope.name, float(slope.initial), float(slope.lower), float(slope.upper)) == ("bias.slope", 2, 0, 3)
     assert plan.solver.max_steps == 7
     assert (float(plan.anneal.start), float(plan.anneal.end), plan.anneal.phases) == (1, 0.1, 2)

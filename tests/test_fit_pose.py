@@ -1,6 +1,7 @@
 """Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -25,7 +26,7 @@ from diffshadow.fit import (
     resolve,
     with_values,
 )
-from diffshadow.fit._adam import Adam
+from diffshadow.fit._adam import Adam, _Descent
 from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
 from diffshadow.fit._parameters import bounds_of
 from diffshadow.fit._poses import Room
@@ -197,6 +198,7 @@ def test_starts_are_the_first_and_an_even_spread():
     # A point in each eighth along each axis: a Sobol sequence's mark.
     assert sorted(np.floor(shares[:, 0] * 8)) == sorted(np.floor(shares[:, 1] * 8)) == list(range(8))
     np.testing.assert_array_equal(starts, starts_within(bounds, first, 9, seed=3))
+    assert (starts[1:] != starts_within(bounds, first, 9, seed=4)[1:]).all()
     with pytest.raises(ValueError, match="0 starts are asked for; expected 1 or more"):
         starts_within(bounds, first, 0, seed=0)
 
@@ -288,6 +290,17 @@ def test_fits_of_other_numbers_share_a_program():
     np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
     assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
     assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
+
+
+def test_steps_of_adam_are_as_long_as_its_rate():
+    """Under one gradient, however small: the means are corrected for their start from 0."""
+    y, found = jnp.array([3.0, -1.0]), SimpleNamespace(f=jnp.float32(0), grad=jnp.array([1e-3, -50.0]))
+    descent = _Descent(lambda **_: None, 1_000_000)
+    state = descent.init(y, None)
+    for _ in range(3):
+        state = descent.query(y, found, state)
+        step, _ = descent.step(jnp.float32(0.1), state)
+        np.testing.assert_allclose(step, [-0.1, 0.1], rtol=1e-3)
 
 
 def test_adam_finds_the_bottom_of_a_valley():

@@ -139,10 +139,10 @@ def test_points_of_a_lights_disk_lie_on_it():
     np.testing.assert_allclose(np.linalg.norm(offset, axis=-1), 0.25, rtol=1e-4)
     np.testing.assert_allclose(offset @ np.asarray(lamp.direction), 0, atol=1e-5)
     np.testing.assert_allclose(offset.sum(axis=0), 0, atol=1e-5)
-    sun = DirectionalLight.around(jnp.array([1.0, -2.0, 0.5]), points, angular_radius=2.0)
+    sun = DirectionalLight.around(jnp.array([1.0, -2.0, 0.5]), points, angular_radius=20.0)
     ways, axis = np.asarray(sun.towards(points, disk)), -np.asarray(sun.direction)
     cosine = ways @ axis / np.linalg.norm(ways, axis=-1) / np.linalg.norm(axis)
-    np.testing.assert_allclose(np.rad2deg(np.arccos(cosine)), 2.0, rtol=1e-3)
+    np.testing.assert_allclose(np.rad2deg(np.arccos(cosine)), 20.0, rtol=1e-4)
     assert sun.has_size
     assert lamp.has_size
 
@@ -211,6 +211,9 @@ def test_cone_is_full_inside_and_obeyed_only_where_an_inner_angle_is_given():
     share = np.asarray(down(10).cone(ways))
     np.testing.assert_allclose(share[[0, 1, 3, 4]], [1, 1, 0, 0], atol=1e-6)
     assert 0 < share[2] < 1
+    outer, inner = (math.cos(math.radians(degrees)) for degrees in (30, 10))
+    quarter = math.degrees(math.acos(outer + (inner - outer) / 4))
+    np.testing.assert_allclose(down(10).cone(way(quarter)), 3 / 16 - 2 / 64, rtol=1e-3)
     # With both angles alike the rim is hard.
     np.testing.assert_array_equal(down(30).cone(jnp.concatenate([way(29.9), way(30.1)])), [1, 0])
 

@@ -11,6 +11,8 @@ import trimesh
 
 from diffshadow.geometry import face_normals, library_mesh
 from diffshadow.io import FileError, MeshWarning, load_mesh
+from diffshadow.io._gltf import _matrix
+from diffshadow.io._gltf_schema import Node
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "meshes"
 
@@ -91,6 +93,15 @@ def test_objects_of_a_scene_stand_where_their_nodes_put_them(tmp_path):
     # The mirrored box is still wound outwards, or its volume would count negative.
     assert is_closed(mesh)
     assert volume(mesh) == pytest.approx(8 + 1)
+
+
+def test_nodes_are_scaled_then_turned_then_moved_or_have_a_matrix_column_by_column():
+    # A quarter turn about z, after twice the length along x.
+    turned = Node(rotation=(0, 0, 0.5**0.5, 0.5**0.5), scale=(2, 1, 1), translation=(5, 6, 7))
+    placed = _matrix(turned, 0)
+    np.testing.assert_allclose(placed @ [1, 0, 0, 1], [5, 8, 7, 1], atol=1e-12)
+    np.testing.assert_allclose(placed @ [0, 1, 0, 1], [4, 6, 7, 1], atol=1e-12)
+    np.testing.assert_allclose(_matrix(Node(matrix=tuple(placed.T.ravel().tolist())), 0), placed)
 
 
 def test_points_beside_triangles_are_left_out_with_a_warning(tmp_path):

@@ -55,6 +55,20 @@ def share_below(kernel, radius, u):
     return (norm.cdf(3 * u) - norm.cdf(-3)) / (norm.cdf(3) - norm.cdf(-3))
 
 
+def test_numbers_of_a_bound_are_those_of_its_formula():
+    """Of maps that hold the one depth 0.5, whose variance is 0, at a receiver that lies 0.1 deeper."""
+    stored, receiver = jnp.array([[0.5]]), jnp.array([[0.6]])
+    bound = lambda filter, depth=receiver: np.asarray(filter.bound(filter.moments(stored), depth))
+    np.testing.assert_allclose(bound(VarianceShadowMap(least_variance=0.01)), 0.01 / (0.01 + 0.1**2), rtol=1e-4)
+    np.testing.assert_allclose(bound(ExponentialShadowMap(exponent=10.0)), np.exp(-1), rtol=1e-5)
+    # The warps are measured by the receiver's own, and the floor by their slopes 2 c there.
+    both = ExponentialVarianceShadowMap(positive_exponent=3.0, negative_exponent=2.0, least_variance=0.01)
+    floors, behind = 0.01 * (2 * np.array([3.0, 2.0])) ** 2, np.array([1 - np.exp(-0.6), np.exp(0.4) - 1])
+    np.testing.assert_allclose(bound(both), np.min(floors / (floors + behind**2)), rtol=1e-4)
+    # With all of the bias, masses of 3/16 at both ends and 5/8 in the middle: what lies before it shadows.
+    np.testing.assert_allclose(bound(MomentShadowMap(moment_bias=1.0), stored), 1 - 3 / 16, rtol=1e-4)
+
+
 @pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
 @pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 2.5, 3.3])
 def test_blur_of_a_half_plane_is_the_kernels_integral(kernel, radius):

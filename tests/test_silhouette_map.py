@@ -44,6 +44,8 @@ from diffshadow.shadow import (
     stratified,
 )
 from diffshadow.shadow._cut_rectangle import HalfPlane, Rectangle, cut_area
+from diffshadow.shadow._map import _about_corners
+from diffshadow.shadow._padded_map import _Pyramid
 
 BOX = (-0.75, 0.4, -0.8, 0.45)
 """Of the ground: its border crosses the shadows, so that moving them changes the area in light."""
@@ -472,6 +474,31 @@ def test_without_edges_nothing_is_kept_or_changed():
     plain = draw_shadow_map(mesh, light, (48, 48))
     assert plain.silhouettes is None
     np.testing.assert_array_equal(plain.depth, shadow_map.depth)
+
+
+def test_corners_of_texels_become_the_centres_of_pixels():
+    height, width = 3, 7
+    column, row = np.meshgrid(np.arange(width + 1), np.arange(height + 1))
+    clip = np.stack([2 * column / width - 1, 2 * row / height - 1, 0 * row, 0 * row + 1], axis=-1).reshape(-1, 4)
+    about = np.asarray(_about_corners(jnp.asarray(clip, jnp.float32), (height, width)))
+    window = (about[:, :2] + 1) / 2 * [width + 1, height + 1]
+    np.testing.assert_allclose(window, np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5, atol=1e-5)
+
+
+def test_no_marked_texel_within_reach_is_overlooked():
+    marked = np.zeros((9, 14), bool)
+    marked[2, 11] = marked[7, 3] = True
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(-3, 17, 0.7), np.arange(-3, 12, 0.7)))
+    row, column = np.nonzero(marked)
+    for reach in (0.0, 0.4, 0.5, 0.9, 1.5, 2.5, 4.0, 20.0):
+        found = _Pyramid.of(jnp.asarray(marked)).any_within(
+            jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32), None, jnp.float32(reach)
+        )
+        across = np.maximum(column - x[:, None], x[:, None] - column - 1)
+        upwards = np.maximum(row - y[:, None], y[:, None] - row - 1)
+        within = (np.maximum(across, upwards) < reach - 1e-3).any(axis=1)
+        assert np.asarray(found)[within].all()
+        assert reach > 1.5 or not np.asarray(found).all()
 
 
 def test_too_little_room_is_told():

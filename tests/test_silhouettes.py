@@ -107,6 +107,20 @@ def _order(mesh, apart):
     return [rows.index(pair) for pair in named]
 
 
+def test_zeros_of_either_sign_are_one_place():
+    vertices = [
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [-0.0, -0.0, 0.0],
+        [0.0, -1.0, 0.0],
+        [1.0, -0.0, -0.0],
+    ]
+    edges = Edges.of(Mesh(vertices, [[0, 1, 2], [3, 4, 5]]))
+    assert edges.faces.shape == (5, 2)
+    assert int((edges.faces[:, 1] != NO_NEIGHBOUR).sum()) == 1
+
+
 def test_edge_of_three_faces_has_a_row_for_each():
     mesh = Mesh([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 1], [-1, 0, -1]], [[0, 1, 2], [0, 1, 3], [1, 0, 4]])
     edges = Edges.of(mesh)

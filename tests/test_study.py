@@ -18,7 +18,9 @@ from scenes import fit_section, staying_in
 
 from diffshadow import fit, io, study
 from diffshadow.cli import main
-from diffshadow.config import ConfigError, load_config
+from diffshadow.config import ConfigError, build_scene, load_config
+from diffshadow.study._progress import Stages
+from diffshadow.study._setup import _traced
 
 ROOT = Path(__file__).parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -71,6 +73,26 @@ def run(*overrides: str) -> tuple[Path, str]:
     """The folder of a fit, and what was printed."""
     to, out = console()
     return study.run_fit(tiny(*overrides), console=to), out.getvalue()
+
+
+def test_reference_is_kept_by_all_that_it_depends_on(monkeypatch):
+    keys = []
+
+    class KeyFoundError(Exception):
+        pass
+
+    def kept(parts, compute):
+        keys.append(io.cache_key(parts))
+        raise KeyFoundError
+
+    monkeypatch.setattr(io, "cached_arrays", kept)
+    scene = build_scene(tiny())
+    for override in ("name=other", "seed=1", "reference.samples=9", "reference.supersampling=2", "bias.constant=2"):
+        with pytest.raises(KeyFoundError):
+            _traced(tiny(override), scene, Stages(console()[0]))
+    # Neither the name nor a bias changes it.
+    assert keys[0] == keys[-1]
+    assert len(set(keys)) == len(keys) - 1
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,289 @@
+"""Puts the mistakes of `faults.py` into a copy of the repository, one at a time, and says which test finds each.
+
+make faults                             all of them, by the tests that are likely to see them
+make faults ARGS="--only receiver"      those whose name or file has this word
+make faults ARGS="--list"               what there is
+"""
+
+import argparse
+import contextlib
+import itertools
+import json
+import os
+import queue
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from faults import FAULTS, Fault
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "diffshadow"
+LIBRARIES = (
+    "OpenEXR",
+    "beartype",
+    "cyclopts",
+    "embreex.mesh_construction",
+    "equinox",
+    "hypothesis",
+    "imageio.v3",
+    "jax.numpy",
+    "jax.scipy.stats",
+    "jaxtyping",
+    "lineax",
+    "manifold3d",
+    "optimistix",
+    "pydantic",
+    "pytest",
+    "scipy.ndimage",
+    "scipy.sparse.csgraph",
+    "scipy.spatial",
+    "scipy.stats",
+)
+"""What is loaded once for all runs of tests; none of them may import the package."""
+_HANGS = 1800
+"""Seconds after which tests count as hanging."""
+# Libraries are loaded before pytest could rewrite their assertions.
+_IGNORED = "ignore::pytest.PytestAssertRewriteWarning"
+_OPTIONS = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-W", _IGNORED]
+
+CAUGHT, AT_IMPORT, CRASHES, HANGS = "caught", "caught at import", "caught by a crash", "caught by a hang"
+MISSED, NOT_THERE, UNKNOWN = "NOT CAUGHT", "does not apply", "no verdict"
+
+
+class Verdict(NamedTuple):
+    """What became of a fault: one of the words above; the test that found it, or what else there is to say; seconds."""
+
+    fault: Fault
+    verdict: str
+    what: str
+    seconds: float
+
+    def __str__(self) -> str:
+        by = self.what and f" ({self.what})"
+        return f"{self.fault.file}: {self.fault.name}: {self.verdict}{by}, {self.seconds:.0f} s"
+
+
+class Copy:
+    """A copy of the repository's files in the folder `to`, tracked ones and new ones, in which tests are run."""
+
+    _writes = itertools.count(int(time.time()) + 1)
+    """Times of change in seconds, all different: else Python might take one version's byte code for another's."""
+
+    def __init__(self, root: Path, to: Path):
+        self.root = to
+        self._forks: subprocess.Popen[str] | None = None
+        list_files = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        listed = subprocess.run(list_files, cwd=root, check=True, capture_output=True, text=True)
+        for name in filter(None, listed.stdout.split("\0")):
+            # A file that was removed is still listed until that is committed.
+            if os.path.lexists(root / name):
+                (to / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / name, to / name, follow_symlinks=False)
+        programs = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(root / ".pytest_cache" / "d" / "jax")
+        self._environment = {**os.environ, "PYTHONPATH": str(to), "JAX_COMPILATION_CACHE_DIR": programs}
+
+    def check_import(self) -> None:
+        """**Raises** `RuntimeError` unless the package that Python imports here is the copy's, not an installed one."""
+        done = self._python(f"import {PACKAGE}; print({PACKAGE}.__file__)")
+        found = done.stdout.strip()
+        if done.returncode != 0 or not Path(found).is_relative_to(self.root):
+            raise RuntimeError(f"Python imports {found!r} in {self.root}; expected the package that lies there")
+
+    def examine(self, fault: Fault, marks: str, whole: bool) -> Verdict:
+        """What the fault's tests, or else the `whole` suite, make of it; the file is then as before."""
+        began = time.perf_counter()
+        judged = lambda verdict, what="": Verdict(fault, verdict, what, time.perf_counter() - began)
+        file = self.root / PACKAGE / fault.file
+        before = file.read_text(encoding="utf-8") if file.is_file() else ""
+        if (count := before.count(fault.old)) != 1:
+            return judged(NOT_THERE, f"its text occurs {count} times")
+        try:
+            self._write(file, before.replace(fault.old, fault.new))
+            verdict, what = self._tested(fault, marks, self._files(fault))
+            if verdict == MISSED and whole:
+                verdict, what = self._tested(fault, marks, ["tests"])
+        finally:
+            self._write(file, before)
+        return judged(verdict, what)
+
+    def failing(self, tests: Sequence[str]) -> set[str]:
+        """Those of `tests` that fail without any fault."""
+        return set(self._pytest("--maxfail", "0", "-m", "", *tests)[1])
+
+    def kill(self) -> None:
+        """Ends the tests that run, and the process that they are forks of; from any thread."""
+        forks = self._forks
+        if forks is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(forks.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """Ends all processes, from the thread that started them."""
+        self.kill()
+        if self._forks is not None:
+            self._forks.communicate()
+            self._forks = None
+
+    def _files(self, fault: Fault) -> list[str]:
+        return [str(path.relative_to(self.root)) for name in fault.tests for path in (self.root / "tests").rglob(name)]
+
+    def _tested(self, fault: Fault, marks: str, files: Sequence[str]) -> tuple[str, str]:
+        code, failed, said = self._pytest("-m", marks, *files)
+        if code is None:
+            return HANGS, ""
+        if code < 0:
+            return CRASHES, f"signal {-code}"
+        if code == 0:
+            return MISSED, ", ".join(files)
+        if code == 1 and failed:
+            return CAUGHT, failed[0]
+        module = f"{PACKAGE}/{fault.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        if self._python(f"import {module}").returncode != 0:
+            return AT_IMPORT, ""
+        return UNKNOWN, f"pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
+
+    def _pytest(self, *arguments: str) -> tuple[int | None, list[str], str]:
+        """Exit code, none if it had to be ended, the tests that failed, and output."""
+        if self._forks is None:
+            program = [sys.executable, str(Path(__file__).with_name("forks.py")), *LIBRARIES]
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+            self._forks = subprocess.Popen(
+                program, cwd=self.root, env=self._environment, text=True, start_new_session=True, **pipes
+            )
+        forks, output = self._forks, self.root.with_name(f"{self.root.name}.txt")
+        asked = json.dumps([str(output), *_OPTIONS, *arguments])
+        limit = threading.Timer(_HANGS, self.kill)
+        limit.start()
+        try:
+            print(asked, file=forks.stdin, flush=True)
+            answer = forks.stdout.readline()
+        finally:
+            limit.cancel()
+        if not answer:
+            self.close()
+            return None, [], ""
+        failed = output.with_suffix(".failed")
+        names = json.loads(failed.read_text()) if failed.exists() else []
+        failed.unlink(missing_ok=True)
+        return int(answer), names, output.read_text(encoding="utf-8", errors="replace")
+
+    def _python(self, program: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", program], cwd=self.root, env=self._environment, capture_output=True, text=True
+        )
+
+    def _write(self, file: Path, text: str) -> None:
+        file.write_text(text, encoding="utf-8")
+        changed = next(self._writes)
+        os.utime(file, (changed, changed))
+
+
+def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, root: Path = ROOT) -> Iterator[Verdict]:
+    """The verdict on each fault, as they come, from so many copies at once."""
+    waiting: queue.SimpleQueue[Fault] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Verdict | BaseException] = queue.SimpleQueue()
+    stopped = threading.Event()
+    for fault in faults:
+        waiting.put(fault)
+
+    def work(copy: Copy) -> None:
+        try:
+            copy.check_import()
+            while not stopped.is_set():
+                done.put(copy.examine(waiting.get_nowait(), marks, whole))
+        except queue.Empty:
+            pass
+        except BaseException as error:
+            done.put(error)
+        finally:
+            copy.close()
+
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(faults)))]
+        threads = [threading.Thread(target=work, args=(copy,), daemon=True) for copy in copies]
+        try:
+            for thread in threads:
+                thread.start()
+            for _ in faults:
+                found = done.get()
+                if isinstance(found, BaseException):
+                    raise found
+                yield found
+        finally:
+            stopped.set()
+            for copy in copies:
+                copy.kill()
+            for thread in threads:
+                thread.join()
+
+
+def confirmed(verdicts: Sequence[Verdict], root: Path = ROOT) -> list[Verdict]:
+    """The verdicts, but none where the test that caught a fault fails without it too."""
+    tests = sorted({each.what for each in verdicts if each.verdict == CAUGHT})
+    if not tests:
+        return list(verdicts)
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        copy = Copy(root, Path(folder).resolve() / "clean")
+        try:
+            failing = copy.failing(tests)
+        finally:
+            copy.close()
+    doubtful = lambda each: each.verdict == CAUGHT and each.what in failing
+    return [each._replace(verdict=UNKNOWN) if doubtful(each) else each for each in verdicts]
+
+
+def _chosen(words: str | None) -> list[Fault]:
+    return [fault for fault in FAULTS if words is None or words.lower() in f"{fault.file}: {fault.name}".lower()]
+
+
+def _without_doubt(verdicts: list[Verdict]) -> list[Verdict]:
+    sure = confirmed(verdicts)
+    for before, after in zip(verdicts, sure, strict=True):
+        if after != before:
+            print(f"{after.what} fails without {after.fault.name!r} too: that counts for nothing")
+    return sure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="WORDS", help="faults whose file or name contains these words")
+    parser.add_argument("--list", action="store_true", help="only say which there are")
+    parser.add_argument("--all", action="store_true", help="run exhaustive tests too")
+    parser.add_argument("--whole", action="store_true", help="run the whole suite where a fault's own tests miss it")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="copies that work at once")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all verdicts to this file")
+    asked = parser.parse_args()
+    faults = _chosen(asked.only)
+    if not faults or asked.list:
+        for fault in faults:
+            print(f"{fault.file}: {fault.name} ({', '.join(fault.tests)})")
+        print(f"{len(faults)} of {len(FAULTS)} faults")
+        return
+    marks, verdicts = "" if asked.all else "not exhaustive", []
+    try:
+        for verdict in examined(faults, asked.workers, marks, asked.whole):
+            verdicts.append(verdict)
+            print(f"[{len(verdicts)}/{len(faults)}] {verdict}", flush=True)
+        verdicts = _without_doubt(verdicts)
+    except KeyboardInterrupt:
+        print("interrupted")
+    counts = Counter(verdict.verdict for verdict in verdicts)
+    print(f"{len(verdicts)} of {len(faults)} faults: {', '.join(f'{n} {word}' for word, n in counts.most_common())}")
+    if asked.json is not None:
+        keys = ("name", "file", "verdict", "what", "seconds")
+        rows = [(v.fault.name, v.fault.file, v.verdict, v.what, round(v.seconds, 1)) for v in verdicts]
+        asked.json.write_text(json.dumps([dict(zip(keys, row, strict=True)) for row in rows], indent=1) + "\n")
+    sys.exit(any(verdict.verdict in (MISSED, NOT_THERE, UNKNOWN) for verdict in verdicts))
+
+
+if __name__ == "__main__":
+    main()
