@@ -1,5 +1,6 @@
 """What the schema says of a key: its type in plain words, its unit, its place among the others."""
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
@@ -7,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from ._errors import KeyPath, listing
+from ._errors import KeyPath, dotted, listing
 from ._marks import Limits, bare, is_union, marked
 from ._schema import Config
 from ._section import Form, Section, Unit, type_of
@@ -113,15 +114,25 @@ def slot_of(field: FieldInfo) -> Slot:
     return Slot(*marked(field), field)
 
 
-def all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
+def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
     """The path of every key in the schema; a list's entries are numbered 0."""
     for variant in slot.variants:
         for key, field in variant.model_fields.items():
             inner = slot_of(field)
             yield (*path, key)
             if get_origin(inner.kind) is tuple and (entry := _inside(inner, 0)) is not None and entry.variants:
-                yield from all_keys(entry, (*path, key, 0))
-            yield from all_keys(inner, (*path, key))
+                yield from _all_keys(entry, (*path, key, 0))
+            yield from _all_keys(inner, (*path, key))
+
+
+def places_of(key: str) -> tuple[str, ...]:
+    """Where the schema has a key of this name, each place once, dotted."""
+    return tuple(dict.fromkeys(dotted(path) for path in _every_key() if path[-1] == key))
+
+
+@functools.cache
+def _every_key() -> tuple[KeyPath, ...]:
+    return tuple(_all_keys())
 
 
 def _inside(slot: Slot, step: str | int) -> Slot | None:

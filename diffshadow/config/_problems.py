@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ._errors import KeyPath, Origin, Problem, did_you_mean, dotted, listing, nearest, show
-from ._keys import ROOT, Found, Slot, all_keys, follow, keys_of
+from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
 from ._section import FAULT, Conflict, fault, look, type_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
@@ -59,9 +59,9 @@ def _unknown_key(found: Found, origin: Origin) -> str:
         return f"{said}; override the whole section: {section}={{type: {type_of(holder)}, …}}"
     if owners:
         return f"{said}; remove it, or set {section}.type to {listing(owners)}"
-    suggestions = dict.fromkeys(dotted(other) for other in all_keys() if other[-1] == key)
+    suggestions = places_of(key)
     if not suggestions and (near := nearest(key, keys)):
-        suggestions = [near]
+        suggestions = (near,)
     return f"{said}; did you mean {listing(map(repr, suggestions))}?" if suggestions else f"{said}; remove it"
 
 
