@@ -54,7 +54,7 @@ for name, value in result.fitted.items():
         f"error {value - truth:+.3f}, deviation {deviations[name]:.3f} degrees"
     )
 for phase in result.phases:
-    print(f"level {phase.level}, blur {phase.blur:g}: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} at full resolution")
+    print(f"level {phase.level}, blur {phase.blur:.2g}: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} at full resolution")
 
 # %% [markdown]
 # The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. Neighbours on an

@@ -370,7 +370,9 @@ def test_sun_is_recovered_from_its_shadow(recovered):
     found = values(dataclasses.replace(one, arrangement=result.arrangement), tuple(result.fitted))
     np.testing.assert_allclose(found, list(result.fitted.values()), rtol=1e-6)
     assert result.phases[-1].hard_loss < 1e-3
-    assert [(outcome.level, outcome.blur) for outcome in result.phases] == [(4, 3.0), (1, 3.0), (1, 1.5)]
+    assert [(outcome.level, outcome.blur) for outcome in result.phases][:2] == [(4, 3.0), (1, 3.0)]
+    # A texel is two to three pixels wide.
+    assert 1.2 < result.phases[2].blur < 2.2
     assert (result.flat, result.enlargements) == ([], 0)
 
 
@@ -477,7 +479,7 @@ def pull(one, solver):
 )
 def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels):
     result = pull(minimal_plane(CAMERAS[camera](pixels), texels), solver)
-    assert result.steps <= solver.max_steps
+    assert all(phase.steps <= solver.max_steps for phase in result.phases)
     assert result.phases[-1].hard_loss < 1e-6
     np.testing.assert_allclose(list(result.fitted.values()), 0.1875, atol=2e-3)
 

@@ -1,7 +1,7 @@
 """The phases that a fit runs through."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from .._misc import as_float
 from ..shadow import HardCompare, SoftCompare
 from ._arrangement import is_of_technique
 from ._parameters import Bounds, with_values
-from ._poses import SHARPNESS, PoseProblem
+from ._poses import PoseProblem
 from ._residuals import Joint
 from ._settings import Anneal, levels_of
 from ._starts import starts_within
@@ -64,7 +64,7 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
         if levels is not None:
             raise ValueError("got levels, and nothing moves; expected none: they are for fits of poses")
         return [Phase(soft(width), every, width) for width in anneal.widths]
-    joint = _sharpened(joint, 1.0)
+    joint = _sharpened(joint, lambda _: 1.0)
     sides = [side for p in joint.problems if isinstance(p, PoseProblem) for side in p.sides]
     poses = tuple(i for i in every if not is_of_technique(paths[i]))
     chosen = levels_of(levels, *sides)
@@ -74,11 +74,11 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
     else:
         fine = [Phase(hard(joint), every, 0.0)]
     # By the same program.
-    return [*coarse, *fine, fine[-1]._replace(joint=_sharpened(fine[-1].joint, SHARPNESS))]
+    return [*coarse, *fine, fine[-1]._replace(joint=_sharpened(fine[-1].joint, lambda p: p.sharpest))]
 
 
-def _sharpened(joint: Joint, sharpness: float) -> Joint:
-    return joint.each(lambda p: dataclasses.replace(p, sharpness=as_float(sharpness)))
+def _sharpened(joint: Joint, sharpness: Callable[[PoseProblem], float]) -> Joint:
+    return joint.each(lambda p: dataclasses.replace(p, sharpness=as_float(sharpness(p))))
 
 
 def prepared(joint: Joint, paths: Sequence[str], bounds: Bounds, initial: Float[Array, " p"]) -> Joint:

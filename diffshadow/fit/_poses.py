@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from .._misc import normalize, round_up_to_power_of_two, sums_along
 from .._types import Mask, Resolution, Scalar, Visibility
-from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, SpotLight, merge
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, SpotLight, View, merge, transform_points
 from ..raster import Capacity, Cull, Overflow, Surface, draw_surface, plan
 from ..shadow import ShadowMap, draw_shadow_map, plan_shadow_map
 from ._arrangement import Arrangement
@@ -26,8 +26,10 @@ from ._parameters import with_values
 _BLUR = 3.0
 REACH_OF_BLUR = 4
 """How far the Gaussian of a blur goes, in standard deviations."""
-SHARPNESS = 2.0
-"""Of the last phase, whose shadow is less than a pixel off."""
+# The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
+# meshes, an image under it tells best where they are (`docs/experiments.md`).
+_LAST_BLUR = 0.7
+_LEAST_BLUR = 1.0
 # By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
 _FINER_MAP = 2
 # What poses elsewhere within the bounds may need beyond the greatest need that was seen.
@@ -167,6 +169,15 @@ class PoseProblem(eqx.Module):
             return shadow_map, self.surface
         return shadow_map, draw_surface(merge(meshes), self.camera, capacity=room.from_camera, overflows=overflows)
 
+    @property
+    def sharpest(self) -> float:
+        """The sharpness at which differences tell most of where lights and meshes are, once these are nearly there.
+
+        A narrower blur does not cancel what a texel does to an outline, a wider one mixes outlines that move differently.
+        """
+        texel = float(_texel_in_pixels(self.light, self.camera, _points(self.meshes), self.settings.resolution))
+        return self.blur / min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur) if self.blur else 1.0
+
     def at_level(self, level: int) -> "PoseProblem":
         """The problem seen with `level` x `level` pixels made one, and a map that is half as much coarser.
 
@@ -263,6 +274,21 @@ def _roomy(capacity: Capacity) -> Capacity:
         candidates=more(capacity.candidates),
         blocks=more(capacity.blocks),
     )
+
+
+@eqx.filter_jit
+def _texel_in_pixels(
+    light: AbstractLight, camera: AbstractCamera, points: Float[Array, "n 3"], resolution: Resolution
+) -> Scalar:
+    """How many pixels wide a map's texel is at half of the points, or more."""
+
+    def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
+        distance = -transform_points(view.world_to_eye, points)[..., 2]
+        return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
+
+    layer = light.layer(points)
+    from_light = light.view() if layer is None else light.view().facing(layer)
+    return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))
 
 
 @eqx.filter_jit

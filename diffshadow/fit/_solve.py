@@ -3,7 +3,7 @@
 The hard compare has no gradient, so the fit of a technique runs in phases under a soft one whose width shrinks
 geometrically, each phase starting from the last. Where lights or meshes move, phases go from coarse images and maps
 to fine ones, under the hard compare, for the outlines' motion is what counts; a bias that is fitted along needs the
-soft one, in the end. The last phase is repeated under half the blur, which is nearer to the truth, and sees less far.
+soft one, in the end. The last phase is repeated under less blur, which ends nearer to the truth, and sees less far.
 What judges is the hard compare at full resolution: it sees the start and the end of every phase, and the best of them
 is the result, so a fit never ends worse than it began. Of poses it sees blurred differences, as the phases do, and
 takes the last of those that differ by less than the loss jumps.
