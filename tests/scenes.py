@@ -232,3 +232,20 @@ def filled(mesh: Mesh, edges: Edges, vertices: int, faces: int, rows: int) -> tu
     component = pad(edges.component, faces, len(edges.solid))
     arrays = [jnp.asarray(values, jnp.int32) for values in (*fields, component)]
     return whole, Edges(*arrays, jnp.asarray(pad(edges.solid, faces + 1)), False)
+
+
+def floor_surface(half: float, resolution: tuple[int, int]) -> Surface:
+    """What a camera sees that looks straight down on the middle of a floor in y = 0, `2 half` world units high: (h, w)
+    points in rows that run to -z."""
+    height, width = resolution
+    x, z = ((np.arange(n) + 0.5 - n / 2) * (2 * half / height) for n in (width, height))
+    position = np.stack(np.broadcast_arrays(x, 0.0, -z[:, None]), axis=-1)
+    return surface_at(position, (0, 1, 0))
+
+
+def surface_at(position: Any, normal: Any) -> Surface:
+    """A white surface at points (h, w, 3) with these normals, all of its first face."""
+    own = np.broadcast_to(np.asarray(normal, float), np.shape(position))
+    place, normal, white = (jnp.asarray(x, jnp.result_type(float)) for x in (position, own, np.ones(own.shape)))
+    face = np.zeros(own.shape[:2], np.int32)
+    return Surface(place, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw
-from scenes import filled, jacfwd_and_value, lookups_at
+from scenes import filled, jacfwd_and_value, lookups_at, surface_at
 from scipy import ndimage
 from shadow_area_oracle import difference, lit_area
 
@@ -52,6 +52,7 @@ SIZES = (1300, 2304, 3500)
 TRIANGLES, SILHOUETTES = Capacity(windows=(0, 0, 0, 0, 2304)), 512
 POINTS = 160
 """A side of the square array of points that receive shadows."""
+UP = (0, 1, 0)
 TEXELS = 48
 """A side of most maps."""
 
@@ -66,16 +67,8 @@ def _spread(number: int, box=BOX) -> np.ndarray:
     return np.stack([box[0] + x * (box[1] - box[0]), np.zeros(number), box[2] + z * (box[3] - box[2])], axis=1)
 
 
-def _surface(position: np.ndarray, normal=(0.0, 1.0, 0.0)) -> Surface:
-    """A surface at points (h, w, 3)."""
-    own = np.broadcast_to(np.asarray(normal, float), position.shape)
-    at, normal, white = (jnp.asarray(x, jnp.result_type(float)) for x in (position, own, np.ones(position.shape)))
-    face = np.zeros(position.shape[:2], np.int32)
-    return Surface(at, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))
-
-
 def _ground(box=BOX) -> Surface:
-    return _surface(_spread(POINTS**2, box).reshape(POINTS, POINTS, 3))
+    return surface_at(_spread(POINTS**2, box).reshape(POINTS, POINTS, 3), UP)
 
 
 def _lit(technique: ShadowMapping, shadow_map, box) -> float:
@@ -222,7 +215,7 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
     values, slopes = 0.0, np.zeros(parameters + 3)
     for first in range(0, len(chosen), ROWS * 256):
         part = chosen[first : first + ROWS * 256]
-        surface = _surface(points[np.resize(part, (ROWS, 256))])
+        surface = surface_at(points[np.resize(part, (ROWS, 256))], UP)
         slope, value = _follow(make, mesh, edges, resolution, room, start, surface)
         values += np.asarray(value).ravel()[: len(part)].sum()
         slopes += np.asarray(slope).reshape(-1, parameters + 3)[: len(part)].sum(axis=0)
@@ -321,7 +314,7 @@ def test_a_vertex_moves_the_shadow_of_a_square(light, float64):
     square = lambda v: Mesh(v, jnp.array([[0, 1, 2], [0, 2, 3]]))
     mesh, none = square(jnp.asarray(SQUARE)), jnp.zeros(parameters)
     edges, box = Edges.of(mesh), (-0.8, 0.5, -0.4, 0.7)
-    surface, resolution = _surface(_spread(192 * 192, box).reshape(192, 192, 3)), (128, 128)
+    surface, resolution = surface_at(_spread(192 * 192, box).reshape(192, 192, 3), UP), (128, 128)
     room = plan_shadow_map(mesh, make(none), resolution, edges=edges)
     technique, size = _technique(PercentageCloser(1.5)), (box[1] - box[0]) * (box[3] - box[2])
 
@@ -381,7 +374,7 @@ def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light(float64)
     torus, edges = _of_size(_caster("torus", **CASTERS["torus"]))
     room = plan_shadow_map(torus, _spot(jnp.zeros(8)), (resolution, resolution), edges=edges)
     mesh, edges = _of_size(mesh)
-    surface = _surface(_spread(ROWS * 256, (-0.35, 0.35, -0.2, 0.2)).reshape(ROWS, 256, 3))
+    surface = surface_at(_spread(ROWS * 256, (-0.35, 0.35, -0.2, 0.2)).reshape(ROWS, 256, 3), UP)
     slopes, _ = _follow(_spot, mesh, edges, resolution, room, jnp.zeros(8), surface)
     change = np.asarray(slopes[..., 0])
     assert np.sum(np.abs(change) > 0.1 * most) > 300
@@ -503,7 +496,7 @@ def test_a_rim_does_not_shadow_itself():
     own = facing[rng.integers(0, len(facing), (POINTS, POINTS))]
     points = np.einsum("hwk,hwkc->hwc", rng.dirichlet(np.ones(3), own.shape), corners[own])
     technique = ShadowMapping(Nearest(), Bias(0, 0, 0, plane=ReceiverPlane(deepening=0)))
-    visibility = np.asarray(_visibility(technique, shadow_map, _surface(points, normals[own])))
+    visibility = np.asarray(_visibility(technique, shadow_map, surface_at(points, normals[own])))
     assert (visibility == 1).all()
 
 
