@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 
 from diffshadow.fit import Problem, with_values
-from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, Scene, SpotLight, merge
+from diffshadow.geometry import (
+    DirectionalLight,
+    Edges,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    Scene,
+    SpotLight,
+    merge,
+)
 from diffshadow.raster import Surface, draw_surface
 from diffshadow.shadow import AbstractFilter, Bias, HardCompare, Lookup, ShadowMap, ShadowMapping, draw_shadow_map
 
@@ -207,3 +216,36 @@ fit:
   solver: {{max_steps: {max_steps}}}
   anneal: {anneal}
 """
+
+
+def filled(mesh: Mesh, edges: Edges, vertices: int, faces: int, rows: int) -> tuple[Mesh, Edges]:
+    """Mesh and edges with so many vertices, faces and rows: what is added draws nothing and outlines nothing, and
+    meshes of all sizes share what is compiled."""
+
+    def pad(values: Any, n: int, with_: int = 0) -> np.ndarray:
+        rest = [(0, 0)] * (np.ndim(values) - 1)
+        return np.pad(np.asarray(values), [(0, n - len(values)), *rest], constant_values=with_)
+
+    whole = Mesh(pad(mesh.vertices, vertices), pad(mesh.faces, faces), np.zeros((faces, 3, 3)))
+    fields = [pad(edges.vertices, rows), pad(edges.faces, rows), pad(edges.directions, rows)]
+    # What is added is a component of its own.
+    component = pad(edges.component, faces, len(edges.solid))
+    arrays = [jnp.asarray(values, jnp.int32) for values in (*fields, component)]
+    return whole, Edges(*arrays, jnp.asarray(pad(edges.solid, faces + 1)), False)
+
+
+def floor_surface(half: float, resolution: tuple[int, int]) -> Surface:
+    """What a camera sees that looks straight down on the middle of a floor in y = 0, `2 half` world units high: (h, w)
+    points in rows that run to -z."""
+    height, width = resolution
+    x, z = ((np.arange(n) + 0.5 - n / 2) * (2 * half / height) for n in (width, height))
+    position = np.stack(np.broadcast_arrays(x, 0.0, -z[:, None]), axis=-1)
+    return surface_at(position, (0, 1, 0))
+
+
+def surface_at(position: Any, normal: Any) -> Surface:
+    """A white surface at points (h, w, 3) with these normals, all of its first face."""
+    own = np.broadcast_to(np.asarray(normal, float), np.shape(position))
+    place, normal, white = (jnp.asarray(x, jnp.result_type(float)) for x in (position, own, np.ones(own.shape)))
+    face = np.zeros(own.shape[:2], np.int32)
+    return Surface(place, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))

@@ -1,6 +1,6 @@
 """The rasterizer against a brute-force float64 one, and its rules one by one."""
 
-import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -18,35 +18,51 @@ RESOLUTION = (32, 48)
 COUNT = 24
 FACES = np.arange(3 * COUNT, dtype=np.int32).reshape(-1, 3)
 SOUPS_AN_EXAMPLE = 25
+# What all meshes are filled up to, so that a kind of drawing is compiled once.
+MOST_FACES, MOST_VERTICES = 1024, 1023
 seeds = st.integers(0, 2**32 - 1)
 
 
-@functools.cache
-def room(resolution=RESOLUTION):
-    """Room for any soup, with plenty to spare, and windows of every size."""
-    clips = np.stack([soup(np.random.default_rng(k), COUNT, resolution)[0] for k in range(100)])
-    planned = scaled(plan(jnp.asarray(clips), jnp.asarray(FACES), resolution), 4)
-    return planned._replace(windows=(sum(planned.windows),) * 5)
+def room(resolution=RESOLUTION, windows=(1024,) * 5):
+    """Room for any soup, whose triangles clipping cuts into seven, and windows of every size."""
+    blocks = 7 * COUNT * math.prod(-(-n // 16) for n in resolution)
+    blocks = max(4096, 1 << (blocks - 1).bit_length())
+    return Capacity(clipped=256, windows=windows, large=256, candidates=blocks, blocks=blocks)
 
 
-def scaled(capacity, factor):
-    return Capacity(*jax.tree.map(lambda n: factor * n, tuple(capacity)))
+# Fewer sizes take less time to compile.
+ONE_SIZE = room(windows=(0, 0, 0, 0, 2048))
+FEW = Capacity(windows=(0, 0, 0, 0, 16))
+NOTHING_PASSED = np.full(RESOLUTION, NO_FACE, np.int32)
+LESS_EQUAL = DepthTest(compare="less_equal")
+
+
+def filled(clip, faces):
+    """Vertices and faces, and more of either that are not seen."""
+    vertices = np.full((MOST_VERTICES, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
+    vertices[: len(clip)] = clip
+    corners = np.full((MOST_FACES, 3), MOST_VERTICES - 1, np.int32)
+    corners[: len(faces)] = faces
+    return jnp.asarray(vertices), jnp.asarray(corners)
 
 
 def draw(clip, faces=FACES, resolution=RESOLUTION, capacity=None, **options):
-    capacity = capacity or room(resolution)
-    drawn = rasterize(jnp.asarray(clip), jnp.asarray(faces), resolution, capacity=capacity, **options)
+    drawn = rasterize(*filled(clip, faces), resolution, capacity=capacity or room(resolution), **options)
     return np.asarray(drawn.face), np.asarray(drawn.depth)
 
 
-def draw_window(xy, z, faces, **options):
-    """Draws faces whose corners are given in pixels and window depth, filled up so that nothing is compiled anew."""
-    corners = from_window(np.asarray(xy, float), np.asarray(z, float), np.ones(len(xy)), RESOLUTION)
-    clip = np.full((3 * COUNT, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
-    clip[: len(corners)] = corners
-    filled = np.full((COUNT, 3), 3 * COUNT - 1, np.int32)
-    filled[: len(faces)] = faces
-    return draw(clip, filled, **options)
+def draw_culled(clip, faces=FACES, cull="back", behind=NOTHING_PASSED):
+    """With culling, where equal depths pass, and faces `behind` do not: all by one program."""
+    return draw(clip, faces, capacity=ONE_SIZE, cull=cull, depth_test=LESS_EQUAL, behind=jnp.asarray(behind))
+
+
+def draw_window(xy, z, faces, cull="none"):
+    """Draws faces whose corners are given in pixels and window depth."""
+    clip = from_window(np.asarray(xy, float), np.asarray(z, float), np.ones(len(xy)), RESOLUTION)
+    faces = np.asarray(faces, int).reshape(-1, 3)
+    if cull == "front":
+        return draw(clip, faces, capacity=FEW, cull=cull)
+    return draw(clip, faces) if cull == "none" else draw_culled(clip, faces, cull)
 
 
 def assert_explained(face, exact, what):
@@ -80,7 +96,7 @@ def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
     for k in range(SOUPS_AN_EXAMPLE):
         clip, _ = soup(np.random.default_rng([seed, k]), COUNT, RESOLUTION)
         exact = rasterize_exact(clip, FACES, RESOLUTION, cull)
-        assert_explained(draw(clip, cull=cull)[0], exact, f"soup {k} of {seed}")
+        assert_explained(draw_culled(clip, cull=cull)[0], exact, f"soup {k} of {seed}")
 
 
 @pytest.mark.exhaustive
@@ -117,11 +133,11 @@ def test_depth_of_unclipped_soups_is_that_of_their_planes():
 
 def test_a_mesh_in_perspective_sees_the_nearest_face():
     mesh = library_mesh("torus", segments=24, sides=12)
-    camera = PinholeCamera((0.6, 0.5, 0.7), (0.0, 0.1, 0.0), near=0.05, far=4.0, resolution=(64, 80))
+    camera = PinholeCamera((0.6, 0.5, 0.7), (0.0, 0.1, 0.0), near=0.05, far=4.0, resolution=RESOLUTION)
     clip, faces = np.asarray(camera.view().clip(mesh.vertices)), np.asarray(mesh.faces)
     exact = rasterize_exact(clip, faces, camera.resolution, "back")
-    face, _ = draw(clip, faces, camera.resolution, plan(jnp.asarray(clip), mesh.faces, camera.resolution), cull="back")
-    assert np.sum(face >= 0) > 1000
+    face, _ = draw_culled(clip, faces)
+    assert np.sum(face >= 0) > 300
     assert_explained(face, exact, "torus")
     np.testing.assert_array_equal(face >= 0, exact.face >= 0)
 
@@ -163,9 +179,9 @@ def test_scaling_a_vertex_in_clip_space_changes_nothing(seed):
 
 def test_the_result_does_not_depend_on_the_capacity():
     clip, _ = soup(np.random.default_rng(11), COUNT, RESOLUTION)
-    planned = plan(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)
+    planned = plan(*filled(clip, FACES), RESOLUTION)
     assert planned.grown_to(room()) == room()
-    left_out = rasterize(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)
+    left_out = rasterize(*filled(clip, FACES), RESOLUTION)
     for got, expected in zip((left_out.face, left_out.depth), draw(clip), strict=True):
         np.testing.assert_array_equal(got, expected)
 
@@ -226,27 +242,41 @@ def test_each_pixel_is_cut_at_the_near_and_the_far_plane():
     (0.0, "less", True), (1.0, "less", False), (0.0, "less_equal", True), (1.0, "less_equal", True),
 ])  # fmt: skip
 def test_faces_on_the_near_and_on_the_far_plane(z, compare, seen):
-    face, depth = draw_window(SQUARE, [z] * 4, TWO_FACES, depth_test=DepthTest(compare=compare))
+    face, depth = draw_window(SQUARE, [z] * 4, TWO_FACES, "none" if compare == "less" else "back")
     assert np.sum(face >= 0) == (60 if seen else 0)
     assert (depth[1:7, 2:12] == z).all()
 
 
 def test_of_two_faces_at_the_same_depth_less_equal_sees_the_higher_index():
     faces = [[8, 9, 10], [4, 5, 6], [0, 1, 2]]
-    face, _ = draw_window(SQUARE * 3, [0.5] * 12, faces, depth_test=DepthTest(compare="less_equal"))
+    face, _ = draw_window(SQUARE * 3, [0.5] * 12, faces, "back")
     assert set(np.unique(face)) == {NO_FACE, 2}
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
     clip, _ = soup(np.random.default_rng([19, seed]), COUNT, RESOLUTION)
-    first, _ = draw(clip)
-    second, _ = draw(clip, behind=jnp.asarray(first))
-    layers = rasterize_exact(clip, FACES, RESOLUTION).layers
+    first, _ = draw_culled(clip)
+    second, _ = draw_culled(clip, behind=first)
+    layers = rasterize_exact(clip, FACES, RESOLUTION, "back").layers
     # Without the nearest face, wherever it is.
     passed = np.arange(COUNT)[:, None, None] == first
     assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
     assert (second >= 0).any()
+
+
+@pytest.mark.exhaustive
+def test_second_nearest_faces_and_equal_depths_without_culling():
+    clip, _ = soup(np.random.default_rng([19, 0]), COUNT, RESOLUTION)
+    first, _ = draw(clip, depth_test=LESS_EQUAL)
+    layers = rasterize_exact(clip, FACES, RESOLUTION).layers
+    assert acceptable(first, layers).all()
+    second, _ = draw(clip, behind=jnp.asarray(first))
+    passed = np.arange(COUNT)[:, None, None] == first
+    assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
+
+
+VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)
 
 
 @pytest.mark.parametrize(
@@ -254,10 +284,9 @@ def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
     [(1, 1), (1, 8192), *(pytest.param(more, marks=pytest.mark.exhaustive) for more in [(8192, 1), (33, 47)])],
 )
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
-    clip = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)
-    face, depth = draw(
-        clip, np.array([[0, 1, 2]]), resolution, plan(jnp.asarray(clip), jnp.array([[0, 1, 2]]), resolution)
-    )
+    large = Capacity(clipped=1, large=8, candidates=4096, blocks=4096)
+    capacity = Capacity(windows=(0, 0, 0, 0, 1)) if resolution == (1, 1) else large
+    face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution, capacity)
     assert face.shape == resolution
     assert (face == 0).all()
     np.testing.assert_array_equal(depth, 0.5)
@@ -281,58 +310,76 @@ def capacity_cases():
 
 @pytest.mark.parametrize(("name", "corners", "w"), list(capacity_cases()))
 def test_a_capacity_that_is_too_small_is_named(name, corners, w):
-    clip = jnp.asarray(from_window(np.array(corners), np.full(3, 0.5), np.array(w), (64, 64)), jnp.float32)
-    faces = jnp.array([[0, 1, 2]])
-    needed = plan(clip, faces, (64, 64))
-    assert np.any(np.asarray(rasterize(clip, faces, (64, 64), capacity=needed).face) == 0)
+    triangle = lambda corners, w: filled(from_window(np.array(corners), np.full(3, 0.5), np.array(w), RESOLUTION), ONE)
+    scene = triangle(corners, w)
+    needed = plan(*scene, RESOLUTION)
+    assert getattr(needed, name) > 0
+    assert np.any(np.asarray(rasterize(*scene, RESOLUTION, capacity=needed.grown_to(room())).face) == 0)
     with pytest.raises(Exception, match="capacity") as caught:
-        rasterize(clip, faces, (64, 64), capacity=Capacity()).face.block_until_ready()
+        rasterize(*scene, RESOLUTION, capacity=Capacity()).face.block_until_ready()
     assert f"capacity.{name} of 0 is too small" in str(caught.value)
     # A caller that reads it as data gets no error, and knows.
     overflows = []
-    rasterize(clip, faces, (64, 64), capacity=Capacity(), overflows=overflows)
-    rasterize(clip, faces, (64, 64), capacity=needed, overflows=overflows)
+    rasterize(*scene, RESOLUTION, capacity=Capacity(), overflows=overflows)
+    # That of a triangle that has no pixel.
+    rasterize(*triangle([[1, 1], [1.1, 1], [1, 1.1]], [1, 1, 1]), RESOLUTION, capacity=Capacity(), overflows=overflows)
     assert list(map(bool, overflows)) == [True, False]
     assert "plan(" in str(caught.value)
+
+
+ONE = np.array([[0, 1, 2]])
 
 
 def window_triangles(*sides):
     """Triangles whose pixel boxes are as wide."""
     corners = np.concatenate([[[0, 0], [side - 0.1, 0], [0, side - 0.1]] for side in sides])
-    clip = from_window(corners, np.full(len(corners), 0.5), np.ones(len(corners)), (64, 64))
-    return jnp.asarray(clip, jnp.float32), jnp.arange(len(corners)).reshape(-1, 3)
+    clip = from_window(corners, np.full(len(corners), 0.5), np.ones(len(corners)), RESOLUTION)
+    return filled(clip, np.arange(len(corners)).reshape(-1, 3))
+
+
+TWO_OF_EACH = Capacity(windows=(2,) * 5)
 
 
 def test_a_size_class_that_is_too_small_is_named():
     sides = [2, 4, 8, 16, 32]
-    drawn = lambda *sides: rasterize(*window_triangles(*sides), (64, 64), capacity=Capacity(windows=(1,) * 5)).face
+    drawn = lambda *sides: rasterize(*window_triangles(*sides), RESOLUTION, capacity=TWO_OF_EACH).face
     assert set(np.unique(drawn(*sides))) == {NO_FACE, 0, 1, 2, 3, 4}
     for k, side in enumerate(sides):
         others = sides[:k] + sides[k + 1 :]
-        with pytest.raises(Exception, match=rf"windows\[{k}\] \({side} x {side} pixels\) of 1 is too small"):
-            drawn(side, side, *others[1:]).block_until_ready()
+        drawn(side, side, *others).block_until_ready()
+        with pytest.raises(Exception, match=rf"windows\[{k}\] \({side} x {side} pixels\) of 2 is too small"):
+            drawn(side, side, side, *others).block_until_ready()
 
 
 def test_few_triangles_share_the_windows_of_larger_ones():
-    clip, faces = window_triangles(2, 2, 8, 32)
-    shared = plan(clip, faces, (64, 64))
-    assert shared == Capacity(windows=(0, 0, 0, 0, 16))
-    assert plan(*window_triangles(*[2] * 40, 32), (64, 64)) == Capacity(windows=(64, 0, 0, 0, 16))
-    apart = rasterize(clip, faces, (64, 64), capacity=Capacity(windows=(2, 0, 1, 0, 1)))
-    together = rasterize(clip, faces, (64, 64), capacity=shared)
+    scene = window_triangles(2, 2, 8, 32)
+    shared = plan(*scene, RESOLUTION)
+    assert shared == Capacity(windows=(0, 0, 0, 0, 256))
+    # As many as are quicker to draw together than to compile apart.
+    assert plan(*window_triangles(*[2] * 64, 32), RESOLUTION) == shared
+    assert plan(*window_triangles(*[2] * 65, 32), RESOLUTION) == Capacity(windows=(256, 0, 0, 0, 256))
+    apart, together = (rasterize(*scene, RESOLUTION, capacity=capacity) for capacity in (TWO_OF_EACH, shared))
     np.testing.assert_array_equal(together.face, apart.face)
     np.testing.assert_array_equal(together.depth, apart.depth)
 
 
+def test_capacities_are_rounded_up_to_few_sizes():
+    triangles = {n: plan(*window_triangles(*[32] * n), RESOLUTION).windows[-1] for n in (1, 256, 257)}
+    assert triangles == {1: 256, 256: 256, 257: 4096}
+
+
 def test_too_few_blocks_are_named_also_under_jit():
-    clip = jnp.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], jnp.float32)
-    faces = jnp.array([[0, 1, 2]])
-    needed = plan(clip, faces, (64, 64))
-    assert needed == Capacity(large=16, candidates=16, blocks=16)
-    for kind, room in (("blocks", 8), ("blocks", 0), ("candidates", 8)):
-        short = needed._replace(**{kind: room})
-        with pytest.raises(Exception, match=f"{kind} of {room} is too small"):
-            jax.jit(lambda c, short=short: rasterize(c, faces, (64, 64), capacity=short).depth)(clip)
+    faces = jnp.asarray(ONE)
+    needed = plan(*filled(VIEW_FILLING, ONE), RESOLUTION)
+    assert needed == Capacity(large=256, candidates=256, blocks=256)
+    # There are 2 x 3 of them.
+    for named, short in (
+        ("blocks of 4", needed._replace(blocks=4)),
+        ("blocks of 0", needed._replace(blocks=0)),
+        ("candidates of 4", needed._replace(candidates=4, blocks=0)),
+    ):
+        with pytest.raises(Exception, match=f"{named} is too small"):
+            jax.jit(lambda c, short=short: rasterize(c, faces, RESOLUTION, capacity=short).depth)(VIEW_FILLING)
 
 
 def test_a_capacity_must_be_given_under_a_trace():
@@ -355,20 +402,21 @@ def test_capacities_grow_to_hold_either_scene():
 @pytest.mark.exhaustive
 def test_a_plan_holds_what_it_was_made_for_in_powers_of_two():
     clip, _ = soup(np.random.default_rng(13), COUNT, RESOLUTION)
-    planned = plan(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION)
+    planned = plan(*filled(clip, FACES), RESOLUTION)
     for n in jax.tree.leaves(tuple(planned)):
         assert n == 0 or n & (n - 1) == 0
     assert planned.clipped > 0
     assert planned.large > 0
-    culled = plan(jnp.asarray(clip), jnp.asarray(FACES), RESOLUTION, cull="back")
+    culled = plan(*filled(clip, FACES), RESOLUTION, cull="back")
     assert planned.grown_to(culled) == planned
-    assert culled != planned
+    # Of triangles turned to the eye.
+    assert plan(*window_triangles(8), RESOLUTION, cull="front") == Capacity()
 
 
 def test_a_drawing_carries_no_gradient():
-    clip, _ = soup(np.random.default_rng(17), COUNT, RESOLUTION)
-    depth = lambda c: jnp.sum(rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=room()).depth)
-    np.testing.assert_array_equal(jax.grad(depth)(jnp.asarray(clip)), 0)
+    clip, faces = window_triangles(8, 16)
+    depth = lambda c: jnp.sum(rasterize(c, faces, RESOLUTION, capacity=Capacity(windows=(0, 0, 0, 0, 2))).depth)
+    np.testing.assert_array_equal(jax.grad(depth)(clip), 0)
 
 
 @pytest.mark.exhaustive

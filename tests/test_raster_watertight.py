@@ -1,5 +1,6 @@
 """Faces that share edges cover each pixel centre between them exactly once."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,18 +10,30 @@ from hypothesis import strategies as st
 from triangle_soups import from_window
 
 from diffshadow.geometry import PinholeCamera, library_mesh
-from diffshadow.raster import Capacity, plan, rasterize
+from diffshadow.raster import Capacity, rasterize
 
 RESOLUTION = (32, 48)
 COLUMNS, ROWS = 7, 5
 
 
-def coverage(clip, faces, resolution=RESOLUTION, capacity=None):
-    """How many of the faces cover each pixel centre, each drawn by itself."""
-    clip, faces = jnp.asarray(clip, jnp.float32), jnp.asarray(faces)
-    capacity = capacity or plan(clip, faces, resolution)
-    hits = jax.vmap(lambda face: rasterize(clip, face[None], resolution, capacity=capacity).face == 0)(faces)
-    return np.asarray(jnp.sum(hits, axis=0))
+# Room for one face of any size, which clipping may cut into seven.
+ROOM = Capacity(clipped=1, windows=(0, 0, 0, 0, 8), large=8, candidates=64, blocks=64)
+MOST_FACES, MOST_VERTICES = 80, 49
+
+
+@jax.jit
+def _coverage(clip, faces):
+    hits = jax.vmap(lambda face: rasterize(clip, face[None], RESOLUTION, capacity=ROOM).face == 0)(faces)
+    return jnp.sum(hits, axis=0)
+
+
+def coverage(clip, faces):
+    """How many of the faces cover each pixel centre, each drawn by itself; any number by one program."""
+    vertices = np.full((MOST_VERTICES, 4), [2, 2, 2, 1], np.float32)
+    vertices[: len(clip)] = clip
+    corners = np.full((MOST_FACES, 3), MOST_VERTICES - 1, np.int32)
+    corners[: len(faces)] = faces
+    return np.asarray(_coverage(vertices, corners))
 
 
 def grid_faces(columns, rows, rising):
@@ -59,15 +72,7 @@ def test_a_jittered_grid_covers_every_pixel_once(seed, to_centres, turned):
     # Powers of two keep the centres exact.
     clip = from_window(corners, rng.random(len(corners)), np.exp2(rng.integers(-3, 4, len(corners))), RESOLUTION)
     clip = clip if to_centres else to_clip(rng, corners, 3)
-    np.testing.assert_array_equal(coverage(clip, faces, capacity=room_for_one()), 1)
-
-
-def room_for_one():
-    """Room for one face of any size."""
-    clip = from_window(np.array([[-1, -1], [120, -1], [-1, 90]]), np.full(3, 0.5), np.ones(3), RESOLUTION)
-    whole = plan(jnp.asarray(clip, jnp.float32), jnp.array([[0, 1, 2]]), RESOLUTION)
-    # Clipping may cut it into seven.
-    return Capacity(*jax.tree.map(lambda n: max(8 * n, 8), tuple(whole)))
+    np.testing.assert_array_equal(coverage(clip, faces), 1)
 
 
 def fan(centre, radius, spokes):
@@ -90,7 +95,7 @@ def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
     faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
     faces = faces[:, ::-1] if turned else faces
     clip = from_window(corners, np.linspace(0.2, 0.8, len(corners)), np.ones(len(corners)), RESOLUTION)
-    hits = coverage(clip, faces, capacity=room_for_one())
+    hits = coverage(clip, faces)
     assert hits.max() == 1
     inner = np.zeros(RESOLUTION, bool)
     inner[6:28, 14:36] = True
@@ -102,6 +107,9 @@ def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
         np.testing.assert_array_equal(hits, expected)
 
 
+_clip = eqx.filter_jit(lambda camera, vertices: camera.view().clip(vertices))
+
+
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):
@@ -110,21 +118,20 @@ def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):
     mesh = library_mesh("sphere", radius=1.0, subdivisions=1)
     vertices = np.asarray(mesh.vertices) - [0, 1, 0]
     vertices = vertices * np.exp(rng.uniform(-0.05, 0.05, (len(vertices), 1)))
-    stretched = jnp.asarray(vertices * np.exp(rng.uniform(-1, 3, 3)), jnp.float32)
+    stretched = np.float32(vertices * np.exp(rng.uniform(-1, 3, 3)))
     eye = rng.uniform(-0.2, 0.2, 3)
     camera = PinholeCamera(eye, eye + rng.normal(size=3), fov_y=rng.uniform(30, 110), near=0.01, far=100.0)
-    room = room_for_one()
-    np.testing.assert_array_equal(coverage(camera.view().clip(stretched), mesh.faces, capacity=room), 1)
+    np.testing.assert_array_equal(coverage(_clip(camera, stretched), mesh.faces), 1)
 
 
 def test_both_halves_of_a_fine_mesh_cover_what_the_whole_covers():
     mesh = library_mesh("torus", segments=48, sides=24)
     camera = PinholeCamera((0.7, 0.6, 0.8), (0.0, 0.1, 0.0), near=0.05, far=4.0)
-    clip, resolution = camera.view().clip(mesh.vertices), (64, 64)
-    room = plan(clip, mesh.faces, resolution)
-    first = jnp.arange(len(mesh.faces)) % 2 == 0
-    point = jnp.zeros((1, 3), jnp.int32)
-    faces = [jnp.where(side[:, None], mesh.faces, point) for side in (first, ~first)]
-    seen = [rasterize(clip, half, resolution, cull="back", capacity=room).face >= 0 for half in (*faces, mesh.faces)]
+    clip, resolution, whole = _clip(camera, np.asarray(mesh.vertices)), (64, 64), np.asarray(mesh.faces)
+    room = Capacity(windows=(0, 0, 0, 0, 4096))
+    first = np.arange(len(whole)) % 2 == 0
+    halves = [np.where(side[:, None], whole, 0) for side in (first, ~first)]
+    draw = lambda faces: rasterize(clip, jnp.asarray(faces), resolution, cull="back", capacity=room).face
+    seen = [np.asarray(draw(faces)) >= 0 for faces in (*halves, whole)]
     np.testing.assert_array_equal(seen[0] | seen[1], seen[2])
     assert np.sum(seen[2]) > 500

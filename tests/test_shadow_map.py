@@ -1,5 +1,6 @@
 """Shadow maps: what they hold, and the visibility that they give at borders and on averted faces."""
 
+import dataclasses
 import inspect
 
 import equinox as eqx
@@ -7,24 +8,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS, drawn, floor_and_card, floor_camera, quad, shadows, side_camera, sun, technique
+from scenes import (
+    LIGHTS,
+    covered,
+    floor_and_card,
+    floor_camera,
+    floor_surface,
+    quad,
+    shadows,
+    sun,
+    surface_at,
+    technique,
+)
 
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
-from diffshadow.raster import draw_surface, plan
+from diffshadow.raster import Capacity, draw_surface
 from diffshadow.shadow import Bias, Bilinear, ConstantBias, Nearest, ShadowMap, draw_shadow_map, look_up, receiver
+
+# A map and an image of one size, and meshes filled up to one number of faces, share what is compiled. Nothing in an
+# image of this size is too large for a window.
+SIZE = (32, 32)
+ROOM = Capacity(windows=(0, 0, 0, 0, 2048))
+
+
+def of_size(mesh, vertices=700, faces=1300):
+    """The mesh with so many vertices and faces; those that are added have no area."""
+    more = vertices - len(mesh.vertices), faces - len(mesh.faces)
+    rows = [
+        np.concatenate([x, np.zeros((n, 3), x.dtype)]) for x, n in zip((mesh.vertices, mesh.faces), more, strict=True)
+    ]
+    return Mesh(*rows, np.zeros((faces, 3, 3)))
+
+
+def drawn_map(mesh, light, **options):
+    return draw_shadow_map(of_size(mesh), light, SIZE, capacity=ROOM, **options)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
 def test_map_holds_the_depth_of_what_the_light_sees_first(light):
-    _, shadow_map = drawn(light, 64, 64)
+    shadow_map = drawn_map(floor_and_card(), LIGHTS[light](floor_and_card()))
     view = shadow_map.view
     # Rays through texel centres, met with the card's plane and the floor's, in eye space.
-    grid = (np.arange(64) + 0.5) / 32 - 1
+    grid = (np.arange(32) + 0.5) / 16 - 1
     x, y = np.meshgrid(grid, grid)
     to_world = np.linalg.inv(np.asarray(view.matrix, np.float64))
     ends = [np.stack([x, y, np.full_like(x, z), np.ones_like(x)], -1) @ to_world.T for z in (-1.0, 1.0)]
     near, far = (end[..., :3] / end[..., 3:] for end in ends)
-    depth = np.ones((64, 64))
+    depth = np.ones(SIZE)
     for height, half in ((0.0, 3.0), (1.0, 0.5)):
         share = (height - near[..., 1]) / (far[..., 1] - near[..., 1])
         hit = near + share[..., None] * (far - near)
@@ -36,25 +66,22 @@ def test_map_holds_the_depth_of_what_the_light_sees_first(light):
     # Texels whose centre lies on an edge may fall to either side.
     assert wrong.sum() <= 6
     assert np.asarray(shadow_map.depth)[depth == 1].min() > 0.99
-    assert shadow_map.resolution == (64, 64)
+    assert shadow_map.resolution == SIZE
 
 
 def test_light_that_sees_nothing_leaves_everything_lit():
-    mesh = floor_and_card()
     away = SpotLight((0, 3, 0), (0, 1, 0), 30.0, 0.1, 10.0)
-    shadow_map = draw_shadow_map(mesh, away, (16, 16))
+    shadow_map = drawn_map(floor_and_card(), away)
     assert (np.asarray(shadow_map.depth) == 1).all()
-    surface, _ = drawn("spot", 64, 64)
-    mapping = technique(Bilinear())
+    surface, mapping = floor_surface(1.5, SIZE), technique(Bilinear())
     assert (np.asarray(shadows(mapping, shadow_map, surface)) == 1).all()
-    assert not bool(mapping.covered(shadow_map, surface).any())
+    assert not np.asarray(covered(mapping, shadow_map, surface)).any()
 
 
 def test_culling_leaves_out_the_faces_named():
-    mesh = floor_and_card()
-    light = sun(mesh)
+    light = sun(floor_and_card())
     full, no_back, no_front = (
-        np.asarray(draw_shadow_map(mesh, light, (32, 32), cull=cull).depth) for cull in ("none", "back", "front")
+        np.asarray(drawn_map(floor_and_card(), light, cull=cull).depth) for cull in ("none", "back", "front")
     )
     # All faces are turned up, to the light.
     np.testing.assert_array_equal(full, no_back)
@@ -64,19 +91,21 @@ def test_culling_leaves_out_the_faces_named():
 def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated():
     mesh = floor_and_card()
     light = sun(mesh)
-    capacity = plan(light.view().clip(mesh.vertices), mesh.faces, (32, 32))
 
     @jax.jit
-    def depth_with(lift):
-        raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices + jnp.array([0.0, 1.0, 0.0]) * lift)
-        return draw_shadow_map(raised, light, (32, 32), capacity=capacity).depth
+    def depth_and_slope(lift):
+        def depth_with(lift):
+            raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices + jnp.array([0.0, 1.0, 0.0]) * lift)
+            return draw_shadow_map(raised, light, SIZE, capacity=Capacity(windows=(0, 0, 0, 0, 4))).depth
 
-    value, slope = jax.jvp(depth_with, (jnp.zeros(()),), (jnp.ones(()),))
-    np.testing.assert_allclose(value, draw_shadow_map(mesh, light, (32, 32)).depth, atol=2e-7)
+        return jax.jvp(depth_with, (lift,), (jnp.ones(()),))
+
+    value, slope = map(np.asarray, depth_and_slope(jnp.zeros(())))
+    np.testing.assert_allclose(value, drawn_map(mesh, light).depth, atol=2e-7)
     # Seen along a fixed ray, a plane that rises by 1 comes nearer by 1 / |d_y| along it.
     direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
     expected = -1 / abs(direction[1]) / float(light.far - light.near)
-    np.testing.assert_allclose(np.asarray(slope)[np.asarray(value) < 1], expected, rtol=1e-4)
+    np.testing.assert_allclose(slope[value < 1], expected, rtol=1e-4)
     with pytest.raises(ValueError, match="without a capacity"):
         jax.jit(lambda v: draw_shadow_map(eqx.tree_at(lambda m: m.vertices, mesh, v), light, (8, 8)).depth)(
             mesh.vertices
@@ -100,11 +129,9 @@ NOON = DirectionalLight((0, -1, 0), (0, 0, 0), (2, 2), -2, 0.5)
 
 
 def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
-    depth = {
-        layer: np.asarray(draw_shadow_map(floor_and_slab(), NOON, (16, 16), layer=layer).depth) for layer in LAYERS
-    }
+    depth = {layer: np.asarray(drawn_map(floor_and_slab(), NOON, layer=layer).depth) for layer in LAYERS}
     window = lambda y: (2 - y) / 2.5
-    tops, floor, nothing = (slice(6, 10),) * 2, (slice(4, 6), slice(4, 12)), (slice(0, 4), slice(0, 16))
+    tops, floor, nothing = (slice(12, 20),) * 2, (slice(8, 12), slice(8, 24)), (slice(0, 8), slice(0, 32))
     for where, first, second in (
         (tops, window(1.0), window(1.0 - SLAB)),
         (floor, window(0.0), 1.0),
@@ -116,22 +143,24 @@ def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
         np.testing.assert_allclose(depth["midpoint"][where], (first + second) / 2, atol=1e-6)
 
 
-@pytest.mark.parametrize("layer", LAYERS[1:])
+@pytest.mark.parametrize("layer", ["midpoint", pytest.param("second", marks=pytest.mark.exhaustive)])
 def test_layers_of_a_map_are_differentiable(layer):
     mesh = floor_and_slab()
-    room = plan(NOON.view().clip(mesh.vertices), mesh.faces, (16, 16))
 
     @jax.jit
-    def depth_with(stretch):
-        raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
-        return draw_shadow_map(raised, NOON, (16, 16), layer=layer, capacity=room).depth
+    def depth_and_slope(stretch):
+        def depth_with(stretch):
+            raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
+            return draw_shadow_map(raised, NOON, SIZE, layer=layer, capacity=Capacity(windows=(0, 0, 0, 0, 16))).depth
 
-    value, slope = jax.jvp(depth_with, (jnp.ones(()),), (jnp.ones(()),))
+        return jax.jvp(depth_with, (stretch,), (jnp.ones(()),))
+
+    value, slope = map(np.asarray, depth_and_slope(jnp.ones(())))
     # A surface at height y rises by y; a middle by the mean of what it lies between, and the far plane stays.
     rise = {"second": (1 - SLAB, 0.0), "midpoint": (1 - SLAB / 2, 0.0)}[layer]
-    np.testing.assert_allclose(slope[6:10, 6:10], -rise[0] / 2.5, rtol=1e-5)
-    np.testing.assert_allclose(slope[4:6, 4:12], -rise[1] / 2.5, atol=1e-6)
-    assert (np.asarray(value) <= 1).all()
+    np.testing.assert_allclose(slope[12:20, 12:20], -rise[0] / 2.5, rtol=1e-5)
+    np.testing.assert_allclose(slope[8:12, 8:24], -rise[1] / 2.5, atol=1e-6)
+    assert (value <= 1).all()
 
 
 def test_an_unknown_layer_is_refused():
@@ -143,26 +172,31 @@ def test_an_unknown_layer_is_refused():
 WITHOUT_BIAS = {"midpoint": {"layer": "midpoint"}, "second": {"layer": "second"}, "front culling": {"cull": "front"}}
 
 
+@eqx.filter_jit
+def _received(shadow_map, surface):
+    """The surface as the light sees it, and its look-up with a bias of half of the depth's range."""
+    at = receiver(shadow_map, surface)
+    return at, look_up(shadow_map, at, Bias(ConstantBias(0.5, "depth"))(at))
+
+
 def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side():
     ball = library_mesh("sphere", radius=0.5, subdivisions=3)
     light = DirectionalLight((0.3, -1, -0.2), (0, 0.5, 0), (1.2, 1.2), -1, 1)
-    camera = OrthographicCamera((-1.0, 2.5, 1.0), (0, 0.5, 0), height=1.2, near=0.1, far=6.0, resolution=(64, 64))
-    surface = draw_surface(ball, camera)
+    camera = OrthographicCamera((-1.0, 2.5, 1.0), (0, 0.5, 0), height=1.2, near=0.1, far=6.0, resolution=SIZE)
+    surface = draw_surface(of_size(ball), camera, capacity=ROOM)
     mapping = technique(Nearest())
-    plain = draw_shadow_map(ball, light, (24, 24))
-    cosine = np.asarray(receiver(plain, surface).cosine)
+    plain = drawn_map(ball, light)
+    cosine = np.asarray(_received(plain, surface)[0].cosine)
     facing = np.asarray(surface.mask) & (cosine > 0)
     acne = lambda shadow_map: facing & (np.asarray(shadows(mapping, shadow_map, surface)) < 1)
     assert acne(plain).sum() > 0.4 * facing.sum()
     for name, options in WITHOUT_BIAS.items():
-        dark = acne(draw_shadow_map(ball, light, (24, 24), **options))
-        # A texel is a 1/24 of the map: beside the silhouette both sides of the ball lie within it.
+        dark = acne(drawn_map(ball, light, **options))
+        # A texel is a 1/32 of the map: beside the silhouette both sides of the ball lie within it.
         assert not dark[cosine > 0.35].any(), name
         assert dark.sum() < 0.05 * facing.sum(), name
     # The middle of every chord of a ball lies in the plane through its centre.
-    middle, whole = (
-        np.asarray(draw_shadow_map(ball, light, (24, 24), layer=name).depth) for name in ("midpoint", "second")
-    )
+    middle, whole = (np.asarray(drawn_map(ball, light, layer=name).depth) for name in ("midpoint", "second"))
     chord = whole - np.asarray(plain.depth)
     inner = (whole < 1) & (chord > 0.25)
     assert inner.sum() > 150
@@ -191,20 +225,28 @@ def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
     mesh = quad((0, 0, -1.0), (1, 0, -0.3), (0, 1, -0.1))
     light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -2, 2)
     drawn_with = lambda offset: np.asarray(
-        draw_shadow_map(mesh, light, (16, 16), depth_format=depth_format, polygon_offset=offset).depth, np.float64
+        drawn_map(mesh, light, depth_format=depth_format, polygon_offset=offset).depth, np.float64
     )
-    plain, exact = drawn_with((0.0, 0.0)), 2 / 16 / 4 * 0.3
+    plain, exact = drawn_with((0.0, 0.0)), 2 / 32 / 4 * 0.3
     assert 0.5 < plain.min() < plain.max() < 1
     for factor, units in ((1.0, 0.0), (0.0, 1000.0), (2.5, 3000.0), (-1.0, -50.0)):
         np.testing.assert_allclose(drawn_with((factor, units)) - plain, factor * exact + units * unit, atol=2.5e-7)
 
 
-@pytest.mark.parametrize(("depth_format", "steps"), [("unorm16", 2**16 - 1), ("unorm24", 2**24 - 1)])
-@pytest.mark.parametrize("layer", LAYERS)
+@pytest.mark.parametrize(
+    ("layer", "depth_format", "steps"),
+    [
+        *((layer, "unorm16", 2**16 - 1) for layer in LAYERS),
+        ("nearest", "unorm24", 2**24 - 1),
+        *(pytest.param(layer, "unorm24", 2**24 - 1, marks=pytest.mark.exhaustive) for layer in LAYERS[1:]),
+    ],
+)
 def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
+    # The offset of nothing is there to share what is compiled.
+    offset = (0.0, 0.0) if depth_format == "unorm24" else None
     fixed, exact = (
-        np.asarray(draw_shadow_map(floor_and_slab(), NOON, (16, 16), layer=layer, depth_format=f).depth, np.float64)
-        for f in (depth_format, "float32")
+        np.asarray(drawn_map(floor_and_slab(), NOON, layer=layer, depth_format=f, polygon_offset=o).depth, np.float64)
+        for f, o in ((depth_format, offset), ("float32", None))
     )
     np.testing.assert_allclose(fixed * steps, np.round(fixed * steps), atol=1e-7 * steps)
     # The middle of two that are rounded is rounded again.
@@ -213,46 +255,40 @@ def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
 
 
 def test_receivers_are_compared_with_fixed_point_maps_at_a_depth_these_could_hold():
-    surface, _ = drawn("directional", 64, 64)
-    light = sun(floor_and_card())
+    surface = floor_surface(2.0, SIZE)
     for depth_format, least in (("float32", -np.inf), ("unorm24", 0.0), ("unorm16", 0.0)):
-        shadow_map = ShadowMap(jnp.ones((64, 64)), light, depth_format)
-        at = receiver(shadow_map, surface)
+        # The near plane lies on the near half of the floor, and the far plane beyond it.
+        light = DirectionalLight((0.2, -1, 0), (0, 0, 0), (6, 6), -0.1, 2)
+        shadow_map = ShadowMap(jnp.asarray(np.ones(SIZE, np.float32)), light, depth_format)
+        at, lookup = _received(shadow_map, surface)
         biased = np.asarray(at.depth) - 0.5
-        lookup = look_up(shadow_map, at, Bias(ConstantBias(0.5, "depth"))(at))
-        assert (biased[np.asarray(surface.mask)] < 0).any()
+        assert (biased < 0).any()
         np.testing.assert_allclose(lookup.depth, np.clip(biased, least, np.inf if least < 0 else 1), atol=1e-6)
 
 
 def test_faces_turned_away_are_dark_and_pixels_without_surface_lit():
     # A lone upright card: its far side faces the camera, its near side the light.
-    mesh = merge([quad((0, 1, 0), (1, 0, 0), (0, 1, 0))])
-    camera = side_camera()
-    surface = draw_surface(mesh, camera)
+    mesh, mask = quad((0, 1, 0), (1, 0, 0), (0, 1, 0)), np.arange(32)[:, None] < np.arange(32)
+    points = np.stack(np.broadcast_arrays(np.linspace(-0.9, 0.9, 32), np.linspace(0.1, 1.9, 32)[:, None], 0.0), axis=-1)
+    surface = dataclasses.replace(surface_at(points, (0, 0, 1)), mask=jnp.asarray(mask))
     for z, expected in ((1.0, 0.0), (-1.0, 1.0)):
         light = DirectionalLight((0, -0.2, z), (0, 1, 0), (4, 4), -4, 4)
-        shadow_map = draw_shadow_map(mesh, light, (32, 32))
-        visibility = np.asarray(shadows(technique(Nearest(), constant=1.0, slope=1.0), shadow_map, surface))
-        mask = np.asarray(surface.mask)
-        assert 0.02 < mask.mean() < 0.9
-        assert (visibility[mask] == expected).all()
-        assert (visibility[~mask] == 1).all()
+        visibility = shadows(technique(Nearest(), constant=1.0, slope=1.0), drawn_map(mesh, light), surface)
+        assert (np.asarray(visibility)[mask] == expected).all()
+        assert (np.asarray(visibility)[~mask] == 1).all()
 
 
 def test_receivers_beyond_the_border_and_the_far_plane_are_lit():
-    mesh = floor_and_card()
-    surface = draw_surface(mesh, floor_camera(2.5, (64, 64)))
-    x = np.asarray(surface.position)[..., 0]
-    z = np.asarray(surface.position)[..., 2]
-    mapping = technique(Nearest())
+    surface = floor_surface(2.5, SIZE)
+    x, z = np.asarray(surface.position)[..., 0], np.asarray(surface.position)[..., 2]
+    mapping, zeros = technique(Nearest()), jnp.asarray(np.zeros((30, 20), np.float32))
     # A map of zeros shadows all that it covers: the middle 2 x 3 units.
     small = DirectionalLight((0, -1, 0), (0, 0, 0), (2, 3), -2, 2)
-    visibility = np.asarray(shadows(mapping, ShadowMap(jnp.zeros((30, 20)), small), surface))
-    frame = np.asarray(small.view().world_to_eye[:2, :3])
+    visibility = np.asarray(shadows(mapping, ShadowMap(zeros, small), surface))
+    frame = np.asarray(small.view().world_to_eye)[:2, :3]
     across = np.abs(np.stack([x, 0 * x, z], -1) @ frame.T) < [1, 1.5]
     np.testing.assert_array_equal(visibility == 0, across.all(axis=-1))
-    covered = np.asarray(mapping.covered(ShadowMap(jnp.zeros((30, 20)), small), surface))
-    np.testing.assert_array_equal(covered, across.all(axis=-1))
+    np.testing.assert_array_equal(covered(mapping, ShadowMap(zeros, small), surface), across.all(axis=-1))
     # The same map, whose far plane ends above the floor.
     short = DirectionalLight((0, -1, 0), (0, 1, 0), (2, 3), -1, 0.5)
-    assert (np.asarray(shadows(mapping, ShadowMap(jnp.zeros((30, 20)), short), surface)) == 1).all()
+    assert (np.asarray(shadows(mapping, ShadowMap(zeros, short), surface)) == 1).all()
