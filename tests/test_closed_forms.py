@@ -142,7 +142,8 @@ def lit_plane(angle, azimuth, light, depth_format="float32"):
 KERNELS = {
     "nearest": lambda radius: Nearest(),
     "four_tap": FourTap,
-    "pcf": lambda radius: PercentageCloser(radius, 16.0),
+    "pcf": lambda radius: PercentageCloser(radius, 3.0),
+    "wide_pcf": lambda radius: PercentageCloser(radius, 16.0),
     "nearest_disk": lambda radius: RandomDisk(radius, SETS, lookup="nearest"),
     "disk": lambda radius: RandomDisk(radius, SETS, lookup="bilinear"),
 }

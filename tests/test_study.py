@@ -338,18 +338,10 @@ def ended(level: int, result: str = "successful") -> fit.Outcome:
     ("last", "coarse", "said"),
     [
         # The error still fell by four fifths in the last quarter of the steps.
-        (
-            "successful",
-            [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1],
-            ["(level 8, blur 3 pixels)", "by 80% in its last 2 steps: raise"],
-        ),
+        ("successful", [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1], ["(level 8, blur 3 pixels)", "by 80% in its last 2 steps: raise"]),
         # By no more than the loss jumps; a step that was taken back is none that helped.
         ("successful", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.08, 0.9], []),
-        (
-            "max_steps reached",
-            [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1],
-            ["(level 8, blur 3 pixels)", "ended at max_steps, too"],
-        ),
+        ("max_steps reached", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], ["(level 8, blur 3 pixels)", "ended at max_steps, too"]),
         ("successful", [], []),
     ],
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import jacfwd_and_value, problem, random_lookups, random_map, slopes_of_loss, technique
+from scenes import problem, random_lookups, random_map, slopes_of_loss, technique
 
 from diffshadow.fit import with_values
 from diffshadow.shadow import (
@@ -92,7 +92,7 @@ def slopes_of_filters(shadow_map, lookup, radius, width, steps):
 
     def sums(depth, texel, receiver, radius, width):
         at = Lookup(texel, receiver, lookup.depth_per_texel, lookup.inside)
-        kernels = (PercentageCloser(radius, 2.0), disk("bilinear")(radius), disk("nearest")(radius), FourTap(radius))
+        kernels = (PercentageCloser(radius, 1.0), disk("bilinear")(radius), disk("nearest")(radius))
         shadows = [kernel(ShadowMap(depth, shadow_map.light), at, SoftCompare(width)) for kernel in kernels]
         return jnp.stack([jnp.sum(weights * lit) for lit in shadows])
 
@@ -105,7 +105,7 @@ def test_slopes_of_filters_match_central_differences():
     with jax.enable_x64(True):
         # A full map, so that none of its depths jumps when it moves.
         shadow_map, lookup = random_map(rng, (9, 9), empty=0.0), random_lookups(rng, (6, 7), (9, 9))
-        at = [np.asarray(x) for x in (shadow_map.depth, lookup.texel, lookup.depth, 1.3, 1.1)]
+        at = [np.asarray(x) for x in (shadow_map.depth, lookup.texel, lookup.depth, 0.8, 1.1)]
         directions = [rng.uniform(0.5, 1.0, x.shape) * np.where(rng.random(x.shape) < 0.3, -1, 1) for x in at]
         for number in range(len(at)):
             steps = tuple(np.asarray(d * (k == number)) for k, d in enumerate(directions))
@@ -118,7 +118,7 @@ def test_slopes_of_filters_match_central_differences():
             (low, _), (high, _), (_, found) = moved(-1e-7), moved(1e-7), moved(0.0)
             expected = (np.asarray(high) - np.asarray(low)) / 2e-7
             # Nearest look-ups do not move with position or radius.
-            still = np.array([False, False, number in (1, 3), False])
+            still = np.array([False, False, number in (1, 3)])
             assert (np.abs(expected[~still]) > 1e-3).all()
             np.testing.assert_allclose(found[~still], expected[~still], rtol=1e-4)
             assert (np.asarray(found)[still] == 0).all()
@@ -136,7 +136,7 @@ def sum_arguments(seed, name):
     x, y = lookup.texel[..., 0], lookup.texel[..., 1]
     deepest = lookup.depth + jnp.asarray(rng.uniform(0, 0.1, (6, 7)))
     sites = Sites(x, y, lookup.depth, lookup.depth_per_texel, slope, None, radius, deepest=deepest)
-    steps = jnp.arange(KERNELS[name].texels) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 10, 1, 1))))
+    steps = jnp.arange(KERNELS[name].texels) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 5, 1, 1))))
     return KERNELS[name], pad(shadow_map, 6), SoftCompare(1.3), sites, steps
 
 
@@ -294,9 +294,11 @@ def test_slopes_stay_finite_where_the_surface_passes_the_light():
         surface = eqx.tree_at(lambda s: s.normal, surface, normal)
         known = eqx.tree_at(lambda p: p.surface, known, surface)
         at = lambda values: known.residual(with_values(known.technique, NAMES, values))
-        jacobian, value = jax.jit(jacfwd_and_value(at))(np.array(VALUES, np.float32))
+        values = np.array(VALUES, np.float32)
+        # Along all of them at once: what is not finite by one is not by the sum.
+        value, slope = jax.jit(lambda values: jax.jvp(at, (values,), (jnp.ones(4),)))(values)
     assert np.isfinite(np.asarray(value)).all()
-    assert np.isfinite(np.asarray(jacobian)).all()
+    assert np.isfinite(np.asarray(slope)).all()
 
 
 MODES = ["bilinear", pytest.param("nearest", marks=pytest.mark.exhaustive)]
@@ -324,7 +326,7 @@ def test_what_is_wanted_is_found_alone_and_its_derivative_too(mode):
 def test_early_out_differentiates_both_ways_and_maps_over_radii():
     rng = np.random.default_rng(7)
     shadow_map, lookup = random_map(rng), random_lookups(rng, (9, 10))
-    filter = RandomDisk(1.0, stratified((4, 4), 2), early_out=True)
+    filter = RandomDisk(1.0, stratified((3, 4), 2), early_out=True)
     visibility = lambda r: eqx.tree_at(lambda f: f.radius, filter, r)(shadow_map, lookup, SoftCompare(0.02, "linear"))
     weight, radii = rng.normal(size=(9, 10)), np.array([0.3, 1.1, 2.5], np.float32)
 
