@@ -159,7 +159,7 @@ def test_beyond_the_border_all_is_lit():
         np.testing.assert_allclose(found, 1, atol=2e-5)
 
 
-@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("kernel", ["box", pytest.param("tent", marks=pytest.mark.exhaustive), "gaussian"])
 def test_bounds_hold_for_any_depths(kernel, rng):
     """Visibility is never less than the share of the kernel that is not nearer than the receiver."""
     radius = 2.6

@@ -81,7 +81,13 @@ def assert_in_unit_range(visibility, tolerance=0.0):
     assert visibility.max() <= 1 + tolerance
 
 
-@pytest.mark.parametrize("name", FILTERS)
+# Those that others have in them.
+RARE = ("bilinear", "four taps", "VSM")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in RARE else []) for name in FILTERS]
+)
 @settings(max_examples=60, deadline=None)
 @given(radius=radii, width=widths, seed=seeds)
 @example(radius=0.0, width=1.0, seed=0)
