@@ -1,5 +1,6 @@
 """Biases: their units, their profiles, their gradients, and that several add up."""
 
+import functools
 import itertools
 
 import equinox as eqx
@@ -101,12 +102,19 @@ def test_slope_bias_of_shader_cookbooks_is_in_window_depth_and_converts_to_texel
     np.testing.assert_allclose(in_texels(receivers_at()).depth[0], expected, rtol=1e-5)
 
 
+@eqx.filter_jit
+def seen(shadow_map, surface):
+    return receiver(shadow_map, surface)
+
+
 def test_texels_convert_to_window_depth_by_the_view():
     surface, shadow_map = drawn("spot", 64, 64)
-    at, view = receiver(shadow_map, surface), shadow_map.view
-    distance = view.eye_depth(at.depth)
-    expected = view.texel_size(distance, shadow_map.resolution) * view.depth_slope(distance)
-    found, expected = (np.asarray(x)[np.asarray(surface.mask)] for x in (at.depth_per_texel, expected))
+    mask, light = np.asarray(surface.mask), shadow_map.light
+    at = seen(shadow_map, surface)
+    near, far = float(light.near), float(light.far)
+    distance = near * far / (far - np.asarray(at.depth, np.float64)[mask] * (far - near))
+    texel = 2 * distance * np.tan(np.radians(float(light.outer_angle))) / 64
+    found, expected = np.asarray(at.depth_per_texel)[mask], texel * near * far / (far - near) / distance**2
     assert np.ptp(found) > 0.1 * found.max()
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
@@ -127,15 +135,20 @@ def test_receiver_plane_subtracts_its_fudge_and_follows_the_plane():
 
 def test_taps_that_follow_a_plane_go_no_deeper_than_its_deepening():
     at = receivers_at(np.array([60.0]))
-    shadow_map, compare = ShadowMap(jnp.full((8, 8), 0.5), sun(floor_and_card())), SoftCompare(20.0, "linear")
+    shadow_map = ShadowMap(jnp.full((8, 8), 0.5), sun(floor_and_card()))
     slope, right = np.tan(np.radians(60)), np.array([-3.0, -1.0, 0.0, 1.0, 4.0])
-    one = lambda x: Pattern(jnp.array([[[[x, 0.0]]]]))
-    for deepening, most in ((None, np.inf), (1.0, 1.0), (0.0, 0.0)):
-        lookup = look_up(shadow_map, at, ReceiverPlane(deepening=deepening)(at))
-        lit = [mean_of_taps(shadow_map, lookup, compare, jnp.float32(1.0), one(x), "nearest")[0, 0] for x in right]
+    one = lambda x: Pattern(jnp.asarray(np.array([[[[x, 0.0]]]], np.float32)))
+    for deepening, most in ((1e9, np.inf), (1.0, 1.0), (0.0, 0.0)):
+        lit = np.array([taps_of_plane(shadow_map, at, ReceiverPlane(deepening=deepening), one(x)) for x in right])
         # In texels, from how dark a ramp finds it; a quarter of one from the receiver to the centre of its own.
-        found = 20 * (1 - 2 * np.array(lit))
+        found = 20 * (1 - 2 * lit)
         np.testing.assert_allclose(found, np.minimum(slope * (right - 0.25), most) - ROUNDING / 1e-3, atol=1e-3)
+
+
+@eqx.filter_jit
+def taps_of_plane(shadow_map, at, bias, pattern):
+    lookup, compare = look_up(shadow_map, at, bias(at)), SoftCompare(20.0, "linear")
+    return mean_of_taps(shadow_map, lookup, compare, jnp.float32(1.0), pattern, "nearest")[0, 0]
 
 
 def test_adaptive_bias_lifts_the_receiver_to_its_plane_at_the_texels_centre():
@@ -243,7 +256,7 @@ def test_bias_takes_modules_for_its_parts():
 
 
 def test_no_bias_moves_nothing_and_no_profile_has_a_nan_slope():
-    terms = Bias()(receivers_at())
+    terms = eqx.filter_jit(Bias())(receivers_at())
     assert (np.asarray(terms.depth) == 0).all()
     assert (np.asarray(terms.displacement) == 0).all()
 
@@ -255,25 +268,32 @@ def test_no_bias_moves_nothing_and_no_profile_has_a_nan_slope():
         return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(terms))
 
     edges = jnp.array([[1.0, 1.0 + 1e-7, 0.0, -1.0, 0.01, 0.5, -0.0]])
-    assert np.isfinite(np.asarray(jax.grad(total)(edges))).all()
+    assert np.isfinite(np.asarray(jax.jit(jax.grad(total))(edges))).all()
+
+
+@eqx.filter_jit
+def matrices(light):
+    view = light.view()
+    return view.matrix, view.world_to_eye
 
 
 @pytest.mark.parametrize("light", LIGHTS)
 def test_receivers_know_the_size_of_their_texels(light):
     """Against the projection itself: steps of a share of a texel's width move a point by that share of a texel."""
     surface, shadow_map = drawn(light, 64, 64)
-    at = receiver(shadow_map, surface)
-    view = shadow_map.view
-    rows = np.asarray(view.world_to_eye[:3, :3])
+    at = seen(shadow_map, surface)
+    mask = np.asarray(surface.mask)
+    matrix, world_to_eye = (np.asarray(x, np.float64) for x in matrices(shadow_map.light))
 
     def window(position):
-        clip = np.asarray(view.clip(position), np.float64)
+        clip = position @ matrix[:, :3].T + matrix[:, 3]
         return clip[..., :3] / clip[..., 3:] * 0.5 + 0.5
 
-    mask = np.asarray(surface.mask)
-    step = np.asarray(at.texel_size)[..., None]
-    middle = window(surface.position)
-    moved = [window(surface.position + jnp.asarray(step * rows[k] / 8, jnp.float32)) - middle for k in range(3)]
+    step, position = np.asarray(at.texel_size)[..., None], np.asarray(surface.position, np.float64)
+    middle = window(position)
+    np.testing.assert_allclose(np.asarray(at.texel)[mask], middle[mask][:, :2] * 64, atol=1e-3)
+    np.testing.assert_allclose(np.asarray(at.depth)[mask], middle[mask][:, 2], atol=1e-5)
+    moved = [window(position + step * world_to_eye[k, :3] / 8) - middle for k in range(3)]
     # The width is the mean of a texel's two sides, which differ under the sun.
     area = moved[0][mask][:, 0] * moved[1][mask][:, 1] * (8 * 64) ** 2
     np.testing.assert_allclose(area, 1, rtol=5e-3)
@@ -283,25 +303,38 @@ def test_receivers_know_the_size_of_their_texels(light):
     assert (np.abs(np.asarray(at.cosine)[mask]) <= 1 + 1e-6).all()
 
 
+def surface_of(position, normal, mask):
+    """A surface of arrays (h, w, 3), of whose fields the light sees these."""
+    position, normal = (jnp.asarray(np.asarray(x), jnp.float32) for x in (position, normal))
+    return Surface(position, normal, normal, position, jnp.asarray(mask, jnp.int32), jnp.asarray(mask))
+
+
 def test_maps_that_are_not_square_have_a_mean_texel():
     mesh = floor_and_card()
     light = sun(mesh)
-    position = jnp.zeros((1, 1, 3))
-    up = jnp.zeros((1, 1, 3)).at[..., 1].set(1.0)
-    surface = Surface(position, up, up, position, jnp.zeros((1, 1), jnp.int32), jnp.ones((1, 1), bool))
-    texel = float(receiver(ShadowMap(jnp.ones((40, 160)), light), surface).texel_size[0, 0])
+    x, z = np.meshgrid([-1.0, 0.0], [0.0, 1.0])
+    position = np.stack([x, 0 * x, z], axis=-1)
+    surface = surface_of(position, np.broadcast_to([0, 1, 0], position.shape), np.ones((2, 2), bool))
+    at = seen(ShadowMap(jnp.ones((40, 160)), light), surface)
     width, height = np.asarray(light.extent) / [160, 40]
-    assert texel == pytest.approx(float(np.sqrt(width * height)), rel=1e-5)
+    np.testing.assert_allclose(at.texel_size, np.sqrt(width * height), rtol=1e-5)
+    matrix = np.asarray(matrices(light)[0], np.float64)
+    window = (position @ matrix[:2, :3].T + matrix[:2, 3]) * 0.5 + 0.5
+    np.testing.assert_allclose(at.texel, window * [160, 40], rtol=1e-4)
+
+
+@eqx.filter_jit
+def seen_and_biased(shadow_map, surface):
+    at = receiver(shadow_map, surface)
+    return at, Bias(1.0, 1.0, 1.0)(at)
 
 
 def test_pixels_without_a_surface_hold_harmless_numbers():
     for light in (sun(floor_and_card()), lamp(floor_and_card())):
-        zero = jnp.zeros((2, 2, 3))
         # A position on the light itself, no normal, and no surface.
         where = light.position if hasattr(light, "position") else light.center
-        surface = Surface(zero + where, zero, zero, zero, jnp.full((2, 2), -1), jnp.array([[True, False]] * 2))
-        at = receiver(ShadowMap(jnp.ones((8, 8)), light), surface)
-        for leaf in jax.tree.leaves((at, Bias(1.0, 1.0, 1.0)(at))):
+        surface = surface_of(np.zeros((2, 2, 3)) + where, np.zeros((2, 2, 3)), np.array([[True, False]] * 2))
+        for leaf in jax.tree.leaves(seen_and_biased(ShadowMap(jnp.ones((8, 8)), light), surface)):
             assert np.isfinite(np.asarray(leaf)).all()
 
 
@@ -310,13 +343,13 @@ def test_receivers_know_the_slope_of_their_plane_in_the_map(light):
     """Against the projection itself: a step along the receiver's plane moves as far into depth as the slope says."""
     with jax.enable_x64(True):
         to_double = lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x
-        surface, shadow_map = jax.tree.map(to_double, drawn(light, 32, 64))
-        at = receiver(shadow_map, surface)
+        surface, shadow_map = jax.tree.map(to_double, drawn(light, 64, 64))
+        at = jax.tree.map(np.asarray, seen(shadow_map, surface))
         mask = np.asarray(surface.mask)
         across = np.cross(np.asarray(surface.normal), [0.3, 0.5, -0.8])
         for way in (across, np.cross(np.asarray(surface.normal), across)):
-            moved = eqx.tree_at(lambda s: s.position, surface, surface.position + 1e-5 * way)
-            there = receiver(shadow_map, moved)
+            moved = eqx.tree_at(lambda s: s.position, surface, jnp.asarray(np.asarray(surface.position) + 1e-5 * way))
+            there = jax.tree.map(np.asarray, seen(shadow_map, moved))
             step = np.asarray(there.texel - at.texel)[mask]
             expected = (np.asarray(at.slope)[mask] * step).sum(axis=-1) * np.asarray(at.depth_per_texel)[mask]
             found = np.asarray(there.depth - at.depth)[mask]
@@ -328,10 +361,9 @@ def test_receivers_know_the_slope_of_their_plane_in_the_map(light):
 def test_grazing_receivers_have_a_large_slope_but_no_endless_one():
     mesh = floor_and_card()
     shadow_map = ShadowMap(jnp.ones((40, 40)), sun(mesh, (1.0, 0.0, 0.0)))
-    position = jnp.zeros((1, 2, 3))
-    normal = jnp.array([[[0.0, 1.0, 0.0], [1e-4, 1.0, 0.0]]])
-    surface = Surface(position, normal, normal, position, jnp.zeros((1, 2), jnp.int32), jnp.ones((1, 2), bool))
-    steepness = np.linalg.norm(np.asarray(receiver(shadow_map, surface).slope), axis=-1)
+    normal = np.array([[[0.0, 1.0, 0.0], [1e-4, 1.0, 0.0]]])
+    surface = surface_of(np.zeros((1, 2, 3)), normal, np.ones((1, 2), bool))
+    steepness = np.linalg.norm(np.asarray(seen(shadow_map, surface).slope), axis=-1)
     extent = np.asarray(shadow_map.light.extent)
     np.testing.assert_allclose(steepness, 100 * extent[1] / np.sqrt(extent.prod()), rtol=1e-3)
 
@@ -365,6 +397,39 @@ GRADIENTS = {
 }
 
 
+@eqx.filter_jit
+def slopes_of_terms(bias, at, step):
+    """Everything that a bias says of receivers, and its derivative along `step`, a bias like it."""
+    numbers, rest = eqx.partition(bias, eqx.is_inexact_array)
+    steps, _ = eqx.partition(step, eqx.is_inexact_array)
+    terms = lambda numbers: jax.tree.leaves(eqx.combine(numbers, rest)(at))
+    return jax.jvp(terms, (numbers,), (steps,))
+
+
+@pytest.mark.parametrize("case", GRADIENTS)
+def test_terms_of_a_bias_follow_every_parameter(case):
+    with jax.enable_x64(True):
+        bias, _, names = GRADIENTS[case]
+        bias = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), bias())
+        # Some held by each bound.
+        at = receivers_at(np.linspace(1.0, 89.0, 60))
+        at = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, at)
+        still = jax.tree.map(jnp.zeros_like, bias)
+        for name in names:
+            path = name.removeprefix("bias.")
+            # A constant and an offset are known by their value.
+            path += "" if eqx.is_array(_named(bias, path)) else ".value"
+            part = functools.partial(_named, name=path)
+            one = lambda h, part=part: eqx.tree_at(part, still, jnp.asarray(h))
+            moved = lambda h, one=one: slopes_of_terms(jax.tree.map(jnp.add, bias, one(h)), at, one(1.0))
+            (low, _), (high, _), (_, found) = moved(-1e-7), moved(1e-7), moved(0.0)
+            expected = [(np.asarray(b) - np.asarray(a)) / 2e-7 for a, b in zip(low, high, strict=True)]
+            assert max(np.abs(e).max() for e in expected) > 1e-5
+            for slope, e in zip(found, expected, strict=True):
+                np.testing.assert_allclose(slope, e, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", GRADIENTS)
 def test_gradients_of_every_parameter_match_central_differences(case):
     bias, kernel, names = GRADIENTS[case]

@@ -1,11 +1,15 @@
 """Shadow mapping against formulas: tilted planes, squares over a floor, half-planes under wide filters."""
 
+import functools
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import (
     LIGHTS,
+    ROOM,
+    apply,
     floor_and_card,
     floor_camera,
     lookups_at,
@@ -15,21 +19,23 @@ from scenes import (
     shadows,
     side_camera,
     technique,
+    twice,
 )
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, Scene, SpotLight, merge
-from diffshadow.raster import Capacity, draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     AdaptiveBias,
     Bias,
-    ConstantBias,
     FourTap,
     HardCompare,
     Nearest,
     PercentageCloser,
     RandomDisk,
     ReceiverPlane,
+    ShadowMap,
     ShadowMapping,
     SlopeBias,
     draw_shadow_map,
@@ -37,38 +43,56 @@ from diffshadow.shadow import (
     stratified,
 )
 
-TEXELS, PIXELS = 32, 257
-"""Coprime, so that pixels fall on 257 different places of a texel along each axis: within 1/514 of its corners."""
+TEXELS, POINTS = 64, 64
+"""Of maps and images, along each side."""
 SNAPPING = 1 / 128
 """Texels by which snapping to 1/256 texel may move an edge, with room for rounding."""
 
 
-def tilted_plane(angle, azimuth):
-    """A plane that faces `+z`, whose depth along `-z` rises by tan(angle) along the direction `azimuth`, degrees."""
+def tilted_plane(angle, azimuth, least=-12.0, most=12.0):
+    """A plane that faces `+z`, whose depth along `-z` rises by tan(angle) along the direction `azimuth`, degrees.
+
+    It reaches from `least` to `most` along that direction.
+    """
     tilt, turn = np.radians([angle, azimuth])
     along = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), -np.sin(tilt)])
     across = np.array([-np.sin(turn), np.cos(turn), 0.0])
-    return quad((0, 0, 0), 12 * along, 12 * across)
+    return twice(quad((least + most) / 2 * along, (most - least) / 2 * along, 12 * across))
 
 
-@eqx.filter_jit
-def false_shadows(bias, shadow_map, surface):
-    visibility = ShadowMapping(Nearest(), bias).visibility(shadow_map, surface)
-    return jnp.sum(surface.mask & (visibility < 1))
+def unlit(bias, shadow_map, surface):
+    """How many pixels of a plane one nearest tap finds in shadow."""
+    visibility = np.asarray(shadows(ShadowMapping(Nearest(), bias), shadow_map, surface))
+    return np.sum(np.asarray(surface.mask) & (visibility < 1))
+
+
+def points_of_plane(angle, azimuth):
+    """Points of `tilted_plane` over the middle of a map 2 units wide: one in each of 64 x 64 texels.
+
+    They fall on as many different places of a texel along each axis, within 1/500 of its corners.
+    """
+    shape = (POINTS, POINTS)
+    # Scrambled, since neighbours in the texel need not be neighbours in the map.
+    places = np.linspace(0.002, 0.998, POINTS)[(np.arange(POINTS) * 27 + 13) % POINTS]
+    x, y = np.meshgrid(*2 * [(np.arange(POINTS) + places) * 2 / TEXELS - 1])
+    slope = -np.tan(np.radians(angle)) * np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    position = np.stack([x, y, slope[0] * x + slope[1] * y], axis=-1).astype(np.float32)
+    normal = np.array([-slope[0], -slope[1], 1]) / np.hypot(1, np.hypot(*slope))
+    normal = np.broadcast_to(normal, position.shape).astype(np.float32)
+    mask = np.pad(np.ones((POINTS - 2, POINTS - 2), bool), 1)
+    position, normal, face, mask = (jnp.asarray(x) for x in (position, normal, np.zeros(shape, np.int32), mask))
+    return Surface(position, normal, normal, normal, face, mask)
 
 
 def least_bias(make_bias, angle, azimuth):
     """The least value, in texels, that leaves no false shadow on a tilted plane lit along -z."""
-    mesh = tilted_plane(angle, azimuth)
-    light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -10, 10)
-    camera = OrthographicCamera((0, 0, 9), (0, 0, 0), height=1.9, near=0.1, far=18.0, resolution=(PIXELS, PIXELS))
-    surface = draw_surface(mesh, camera)
-    shadow_map = draw_shadow_map(mesh, light, (TEXELS, TEXELS))
-    assert bool(jnp.all(surface.mask))
+    light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -12, 12)
+    surface = points_of_plane(angle, azimuth)
+    shadow_map = draw_shadow_map(tilted_plane(angle, azimuth), light, (TEXELS, TEXELS), capacity=ROOM)
     low, high = 0.0, 8.0
     for _ in range(14):
         middle = (low + high) / 2
-        if int(false_shadows(make_bias(middle), shadow_map, surface)):
+        if unlit(make_bias(middle), shadow_map, surface):
             low = middle
         else:
             high = middle
@@ -80,20 +104,19 @@ def least_bias(make_bias, angle, azimuth):
 def test_least_acne_free_constant_bias_of_a_tilted_plane(angle, azimuth):
     slope = np.tan(np.radians(angle)) * np.abs([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
     exact = slope.sum() / 2
-    found = least_bias(ConstantBias, angle, azimuth)
-    # Finitely many pixels come within 1 % of the corners of texels; depths are rounded to a thousandth of a texel.
+    found = least_bias(lambda value: Bias(value), angle, azimuth)
+    # Finitely many points come within 1 % of the corners of texels; depths are rounded to a thousandth of a texel.
     assert 0.985 * exact - 2e-3 <= found <= exact + 2e-3
 
 
 @pytest.mark.parametrize(("azimuth", "exact"), [(0, 0.5), (45, np.sqrt(0.5))])
 def test_least_acne_free_slope_bias_does_not_depend_on_the_angle(azimuth, exact):
     for angle in (30, 70):
-        assert least_bias(SlopeBias, angle, azimuth) == pytest.approx(exact, rel=0.015)
+        assert least_bias(lambda value: Bias(0.0, value), angle, azimuth) == pytest.approx(exact, rel=0.015)
 
 
 PLANES = [(0, 0), (20, 25), (45, 110), (60, 160), (75, 45), (80, 200), (85, 0), (85, 30), (85, 290)]
 """Angles between normal and light's axis, and azimuths, degrees."""
-ROOM = Capacity(clipped=4, windows=(0, 0, 0, 0, 8), large=8, candidates=512, blocks=256)
 TURNED = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation, so that no number on the way is whole."""
 OVERHEAD = {
@@ -102,28 +125,37 @@ OVERHEAD = {
 }
 
 
+@functools.cache
 def lit_plane(angle, azimuth, light, depth_format="float32"):
     """A plane at `angle` to the light's axis that fills most of its map, as a camera beside the light sees it."""
-    plane = tilted_plane(angle, azimuth)
+    # Before a lamp it ends, so that nothing has to be clipped.
+    most = min(12.0, 4.4 / max(np.sin(np.radians(angle)), 0.1)) if light == "spot" else 12.0
+    plane = tilted_plane(angle, azimuth, -most, 12.0)
     mesh = Mesh(np.asarray(plane.vertices) @ TURNED.T, plane.faces)
     camera = OrthographicCamera(
-        4 * TURNED[:, 2], (0, 0, 0), tuple(TURNED[:, 1]), height=1.9, near=-12.0, far=20.0, resolution=(49, 49)
+        4 * TURNED[:, 2], (0, 0, 0), tuple(TURNED[:, 1]), height=1.9, near=-12.0, far=20.0, resolution=(64, 64)
     )
     shadow_map = draw_shadow_map(mesh, OVERHEAD[light](), (64, 64), depth_format=depth_format, capacity=ROOM)
     return shadow_map, draw_surface(mesh, camera, capacity=ROOM)
 
 
+KERNELS = {
+    "nearest": lambda radius: Nearest(),
+    "four_tap": FourTap,
+    "pcf": lambda radius: PercentageCloser(radius, 3.0),
+    "wide_pcf": lambda radius: PercentageCloser(radius, 16.0),
+    "nearest_disk": lambda radius: RandomDisk(radius, SETS, lookup="nearest"),
+    "disk": lambda radius: RandomDisk(radius, SETS, lookup="bilinear"),
+}
+SETS = stratified()
+# What a kernel does with a plane does not depend on the light, nor the plane on the kernel.
+USUAL = {"directional": ("four_tap", "pcf", "disk"), "spot": ("nearest", "nearest_disk")}
+
+
 @eqx.filter_jit
-def acne_of_filters(bias, shadow_map, surface, radius):
+def acne_of_filters(names, shadow_map, surface, radius):
     """Receivers that each filter shadows in part."""
-    kernels = [
-        Nearest(),
-        FourTap(radius),
-        PercentageCloser(radius, 16.0),
-        RandomDisk(radius, lookup="nearest"),
-        RandomDisk(radius, lookup="bilinear"),
-    ]
-    visibility = [ShadowMapping(kernel, bias).visibility(shadow_map, surface) for kernel in kernels]
+    visibility = [ShadowMapping(KERNELS[k](radius), ReceiverPlane()).visibility(shadow_map, surface) for k in names]
     # The shares of a box add up to 1 but for rounding.
     return jnp.stack([jnp.sum(surface.mask & (v < 1 - 1e-5)) for v in visibility])
 
@@ -132,33 +164,62 @@ def acne_of_filters(bias, shadow_map, surface, radius):
 @pytest.mark.parametrize("light", OVERHEAD)
 def test_receiver_plane_leaves_no_acne_on_a_plane_under_any_kernel(light, angle, azimuth):
     shadow_map, surface = lit_plane(angle, azimuth, light)
-    seen = int(jnp.sum(surface.mask))
+    seen = np.sum(surface.mask)
     assert seen > 0.5 * surface.mask.size
     for radius in (0.7, 3.0, 16.0):
-        assert acne_of_filters(ReceiverPlane(), shadow_map, surface, jnp.float32(radius)).tolist() == [0] * 5
-    assert int(false_shadows(Bias(), shadow_map, surface)) > 0.3 * seen or angle < 20
+        assert not np.asarray(acne_of_filters(USUAL[light], shadow_map, surface, jnp.float32(radius))).any()
+    assert unlit(Bias(), shadow_map, surface) > 0.3 * seen or angle < 20
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("light", OVERHEAD)
+def test_receiver_plane_leaves_no_acne_under_the_other_kernels(light):
+    others = tuple(name for name in KERNELS if name not in USUAL[light])
+    for angle, azimuth in PLANES:
+        shadow_map, surface = lit_plane(angle, azimuth, light)
+        for radius in (0.7, 3.0, 16.0):
+            assert not np.asarray(acne_of_filters(others, shadow_map, surface, jnp.float32(radius))).any()
 
 
 @pytest.mark.parametrize(
-    ("light", "depth_format", "deepening"), [("directional", "unorm24", None), ("spot", "unorm16", 0.0)]
+    ("light", "depth_format", "deepening"),
+    [pytest.param("directional", "unorm24", None, marks=pytest.mark.exhaustive), ("spot", "unorm16", 0.0)],
 )
 def test_receiver_plane_knows_how_maps_round(light, depth_format, deepening):
-    wide = ShadowMapping(RandomDisk(16.0, lookup="nearest"), ReceiverPlane(deepening=deepening))
+    wide = ShadowMapping(RandomDisk(16.0, SETS, lookup="nearest"), ReceiverPlane(deepening=deepening))
+    steps = {"unorm24": 2**24 - 1, "unorm16": 2**16 - 1}[depth_format]
     for angle, azimuth in ((0, 0), (60, 160), (85, 30)):
-        shadow_map, surface = lit_plane(angle, azimuth, light, depth_format)
-        assert float(shadows(wide, shadow_map, surface).min()) == 1
+        exact, surface = lit_plane(angle, azimuth, light)
+        depth = np.round(np.asarray(exact.depth, np.float64) * steps) / steps
+        shadow_map = ShadowMap(jnp.asarray(depth, jnp.float32), exact.light, depth_format)
+        assert np.asarray(shadows(wide, shadow_map, surface)).min() == 1
+
+
+@pytest.mark.exhaustive
+def test_receiver_plane_knows_how_the_rasterizer_rounds():
+    wide = ShadowMapping(RandomDisk(16.0, SETS, lookup="nearest"), ReceiverPlane(deepening=0.0))
+    for angle, azimuth in ((0, 0), (60, 160), (85, 30)):
+        shadow_map, surface = lit_plane(angle, azimuth, "spot", "unorm16")
+        assert np.asarray(shadows(wide, shadow_map, surface)).min() == 1
+
+
+@eqx.filter_jit
+def adaptively(shadow_map, surface):
+    """What a nearest tap makes of the adaptive bias; the bias with an epsilon of 0.05, what a texel spans and what
+    rounding may do, all in texels."""
+    at = receiver(shadow_map, surface)
+    spans = jnp.sum(jnp.abs(at.slope), axis=-1) / 2
+    lit = ShadowMapping(Nearest(), AdaptiveBias()).visibility(shadow_map, surface)
+    return lit, AdaptiveBias(0.05)(at).depth / at.depth_per_texel, spans, at.rounding / at.depth_per_texel
 
 
 @pytest.mark.parametrize(("angle", "azimuth"), PLANES)
-@pytest.mark.parametrize("light", OVERHEAD)
+@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
 def test_adaptive_bias_leaves_no_acne_and_is_no_more_than_a_texel_spans(light, angle, azimuth):
     shadow_map, surface = lit_plane(angle, azimuth, light)
-    assert int(false_shadows(AdaptiveBias(), shadow_map, surface)) == 0
-    at = eqx.filter_jit(receiver)(shadow_map, surface)
     mask = np.asarray(surface.mask)
-    spans = at.depth_per_texel * jnp.sum(jnp.abs(at.slope), axis=-1) / 2
-    depths = (AdaptiveBias(0.05)(at).depth, spans, at.rounding)
-    bias, spans, rounding = (np.asarray(depth / at.depth_per_texel)[mask] for depth in depths)
+    lit, bias, spans, rounding = (np.asarray(x)[mask] for x in adaptively(shadow_map, surface))
+    assert (lit == 1).all()
     lift = bias - rounding - 0.05
     # A constant bias needs what a texel spans everywhere.
     assert (lift <= spans * (1 + 1e-4) + 1e-5).all()
@@ -178,25 +239,30 @@ def inside_of_quad(points, corners):
     return np.min(inside, axis=0)
 
 
+@eqx.filter_jit
+def matrix_of(light):
+    return light.view().matrix
+
+
 def texels_of(light, points, resolution):
     """Where world `points` fall on the light's map, in texels."""
-    clip = np.asarray(light.view().clip(jnp.asarray(points, jnp.float32)), np.float64)
+    points = np.asarray(points, np.float64)
+    clip = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ np.asarray(matrix_of(light)).T
     return (clip[..., :2] / clip[..., 3:] * 0.5 + 0.5) * np.array(resolution[::-1])
 
 
-@pytest.mark.parametrize("light", LIGHTS)
-def test_shadow_of_a_square_lies_where_geometry_says(light):
+@pytest.mark.parametrize("name", LIGHTS)
+def test_shadow_of_a_square_lies_where_geometry_says(name):
     mesh = floor_and_card(0.5, height=1.0)
-    light = LIGHTS[light](mesh)
-    surface = draw_surface(mesh, floor_camera(1.5, (160, 160)))
-    resolution = (96, 80)
-    visibility = np.asarray(
-        shadows(technique(Nearest(), constant=1.0, slope=1.0), draw_shadow_map(mesh, light, resolution), surface)
-    )
+    light = LIGHTS[name](mesh)
+    surface = draw_surface(mesh, floor_camera(1.5, (64, 64)), capacity=ROOM)
+    resolution = (64, 64)
+    shadow_map = draw_shadow_map(mesh, light, resolution, capacity=ROOM)
+    visibility = np.asarray(shadows(technique(Nearest(), constant=1.0, slope=1.0), shadow_map, surface))
 
     # Where each ray to the light pierces the card's plane, by similar triangles.
     position = np.asarray(surface.position, np.float64)
-    to_light = np.asarray(light.towards(surface.position), np.float64)
+    to_light = np.asarray(light.position) - position if name == "spot" else -np.asarray(light.direction, np.float64)
     pierced = position + to_light / to_light[..., 1:2]
     truth = ~(np.abs(pierced[..., ::2]).max(axis=-1) < 0.5)
 
@@ -213,7 +279,7 @@ def test_shadow_of_a_square_lies_where_geometry_says(light):
 def test_pcf_of_half_plane_is_a_ramp_as_wide_as_its_box(radius):
     x = np.linspace(8, 24, 321)
     depth = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((12, 1))
-    visibility = PercentageCloser(radius)(map_of(depth), lookups_at(x, 6.3), HardCompare())
+    visibility = apply(PercentageCloser(radius, 4.0), map_of(depth), lookups_at(x, 6.3), HardCompare())
     np.testing.assert_allclose(visibility[0], np.clip((x - 16 + radius) / (2 * radius), 0, 1), atol=3e-6)
 
 
@@ -222,7 +288,7 @@ def test_random_disk_of_half_plane_is_a_circular_segment(early_out):
     radius, x = 6.0, np.linspace(8, 24, 65)
     depth = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((96, 1))
     disk = RandomDisk(radius, stratified((8, 8), pattern_size=64), "nearest", early_out)
-    visibility = disk(map_of(depth), lookups_at(x, np.full((64, 1), 48.0)), HardCompare())
+    visibility = np.asarray(apply(disk, map_of(depth), lookups_at(x, np.full((64, 1), 48.0)), HardCompare()))
     s = np.clip((x - 16) / radius, -1, 1)
     exact = 0.5 + (s * np.sqrt(1 - s * s) + np.arcsin(s)) / np.pi
     # 64 x 64 stratified samples: their error is below that of independent ones, whose 4.5 standard errors are allowed.
@@ -237,18 +303,18 @@ def test_random_disk_of_half_plane_is_a_circular_segment(early_out):
 @pytest.mark.parametrize("light", LIGHTS)
 def test_hard_map_agrees_with_rays_away_from_outlines(light):
     box = Mesh(*_box_corners())
-    mesh = merge([quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), box])
-    scene = Scene(mesh, side_camera((80, 80)), LIGHTS[light](mesh))
+    mesh = merge([quad((0, 0, 0), (2.2, 0, 0), (0, 0, -2.2)), box])
+    scene = Scene(mesh, side_camera((64, 64)), LIGHTS[light](mesh))
     reference = trace_visibility(scene)
-    surface = draw_surface(mesh, scene.camera)
-    shadow_map = draw_shadow_map(mesh, scene.light, (192, 192))
-    wide = shadows(technique(PercentageCloser(1.5), constant=1.5, slope=2.5), shadow_map, surface)
-    nearest = shadows(technique(Nearest(), constant=0.5, slope=0.9), shadow_map, surface)
+    surface = draw_surface(mesh, scene.camera, capacity=ROOM)
+    shadow_map = draw_shadow_map(mesh, scene.light, (64, 64), capacity=ROOM)
+    nearest = np.asarray(shadows(technique(Nearest(), constant=0.5, slope=0.9), shadow_map, surface))
     mask = np.asarray(surface.mask) & reference.mask
-    # A pixel whose 3 x 3 texels agree lies more than a texel from an outline.
-    far = mask & ((np.asarray(wide) < 1e-4) | (np.asarray(wide) > 1 - 1e-4))
+    # A texel is about as wide as three pixels: what is lit like all around it lies a texel from every outline.
+    reach = [minimum_filter(reference.visibility, 7), maximum_filter(reference.visibility, 7)]
+    far = mask & (reach[0] == reach[1])
     assert far.sum() > 0.7 * mask.sum()
-    assert (np.asarray(nearest) != reference.visibility)[far].sum() <= 2  # pixels on the box's own edges
+    assert (nearest != reference.visibility)[far].sum() <= 2  # pixels on the box's own edges
     assert 0.05 < np.mean(reference.visibility[far]) < 0.98
 
 
@@ -266,14 +332,14 @@ def test_a_plane_cut_off_at_the_receivers_depth_lights_the_foot_of_a_steep_wall(
     floor = quad((0, 0, half), (half, 0, 0), (0, 0, -half))
     mesh = merge([floor, wall])
     light = DirectionalLight((0, -1, 0), (0, 0, 0.4), (2, 2), -3, 3)
-    camera = OrthographicCamera((0, 1, 5), (0, 1, 0), height=1.9, near=0.1, far=9.0, resolution=(64, 16))
+    camera = OrthographicCamera((0, 1, 5), (0, 1, 0), height=1.9, near=0.1, far=9.0, resolution=(64, 64))
     surface = draw_surface(mesh, camera, capacity=ROOM)
     shadow_map = draw_shadow_map(mesh, light, (64, 64), capacity=ROOM)
     seen = lambda bias: np.asarray(shadows(ShadowMapping(FourTap(3.0), bias), shadow_map, surface))
     height = np.asarray(surface.position)[..., 1]
     # A texel holds 0.3 of the wall's height; the taps of its lower three reach over the floor.
-    foot = np.asarray(surface.mask) & (height < 0.7)
-    assert (seen(ReceiverPlane())[foot] < 0.6).all()
+    foot = np.asarray(surface.mask) & (height < 0.7) & (np.abs(surface.position[..., 0]) < 0.25)
+    assert (seen(ReceiverPlane(deepening=1e6))[foot] < 0.6).all()
     assert (seen(ReceiverPlane(deepening=0.0))[foot] > 0.99).all()
 
 
@@ -301,8 +367,9 @@ def test_visibility_does_not_change_with_scale_or_rigid_motion(light, case):
     mapping = ShadowMapping(*INVARIANT[case])
 
     def seen(scene):
-        surface = draw_surface(scene.mesh, scene.camera)
-        return np.asarray(shadows(mapping, draw_shadow_map(scene.mesh, scene.light, (64, 64)), surface))
+        surface = draw_surface(scene.mesh, scene.camera, capacity=ROOM)
+        shadow_map = draw_shadow_map(scene.mesh, scene.light, (64, 64), capacity=ROOM)
+        return np.asarray(shadows(mapping, shadow_map, surface))
 
     before = seen(scene)
     for name, linear in SIMILARITIES.items():

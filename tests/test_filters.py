@@ -31,70 +31,91 @@ def rng():
     return np.random.default_rng(7)
 
 
-@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+REACH = 4.0
+"""Of boxes, in texels."""
+SETS = stratified((4, 4), 4)
+SOFTLY = pytest.param(SOFT, id="soft")
+# What compares is not the filter's business.
+BOTH = [SOFTLY, pytest.param(HARD, id="hard", marks=pytest.mark.exhaustive)]
+
+
+@pytest.mark.parametrize("compare", BOTH)
 @pytest.mark.parametrize(
-    "kernel", [FourTap(0.0), RandomDisk(0.0), RandomDisk(0.0, early_out=True)], ids=["four", "disk", "early"]
+    "kernel",
+    [FourTap(0.0), RandomDisk(0.0, SETS), RandomDisk(0.0, SETS, early_out=True)],
+    ids=["four", "disk", "early"],
 )
 def test_radius_zero_is_one_bilinear_tap(kernel, compare, rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    expected = Bilinear()(shadow_map, lookup, compare)
+    expected = apply(Bilinear(), shadow_map, lookup, compare)
     np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=1e-6)
 
 
 def test_nearest_disk_and_box_of_radius_zero_are_one_nearest_tap(rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    expected = Nearest()(shadow_map, lookup, HARD)
-    np.testing.assert_array_equal(RandomDisk(0.0, lookup="nearest")(shadow_map, lookup, HARD), expected)
+    expected = np.asarray(apply(Nearest(), shadow_map, lookup, SOFT))
+    disk = apply(RandomDisk(0.0, SETS, lookup="nearest"), shadow_map, lookup, SOFT)
+    np.testing.assert_allclose(disk, expected, atol=1e-6)
     # The box is never narrower than a thousandth of a texel on each side: look-ups on a texel's border see both.
-    box = PercentageCloser(0.0)(shadow_map, lookup, HARD)
-    off_border = (jnp.abs(lookup.texel - jnp.round(lookup.texel)) > 2e-3).all(axis=-1)
-    np.testing.assert_allclose(jnp.where(off_border, box, 0), jnp.where(off_border, expected, 0), atol=1e-3)
+    box, texel = np.asarray(apply(PercentageCloser(0.0, REACH), shadow_map, lookup, SOFT)), np.asarray(lookup.texel)
+    off_border = (np.abs(texel - np.round(texel)) > 2e-3).all(axis=-1)
+    np.testing.assert_allclose(box[off_border], expected[off_border], atol=1e-3)
 
 
-@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("compare", BOTH)
 def test_box_of_half_a_texel_is_the_bilinear_compare(compare, rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    expected = Bilinear()(shadow_map, lookup, compare)
-    np.testing.assert_allclose(PercentageCloser(0.5)(shadow_map, lookup, compare), expected, atol=3e-6)
+    expected = apply(Bilinear(), shadow_map, lookup, compare)
+    np.testing.assert_allclose(apply(PercentageCloser(0.5, REACH), shadow_map, lookup, compare), expected, atol=3e-6)
 
 
 def test_box_at_a_texels_centre_is_the_mean_of_five_by_five(rng):
-    shadow_map = random_map(rng, (12, 13))
-    row, column = np.meshgrid(np.arange(2, 10), np.arange(2, 11), indexing="ij")
-    lit = np.where(shadow_map.depth < 1, shadow_map.depth, 9) >= 0.5
-    expected = [[lit[i - 2 : i + 3, j - 2 : j + 3].mean() for j in range(2, 11)] for i in range(2, 10)]
-    found = PercentageCloser(2.5)(shadow_map, lookups_at(column + 0.5, row + 0.5), HARD)
+    shadow_map = random_map(rng)
+    row, column = np.meshgrid(np.arange(2, 9), np.arange(2, 12), indexing="ij")
+    row, column = (np.resize(v, (9, 13)) for v in (row, column))
+    stored = np.asarray(shadow_map.depth, np.float64)
+    # Logistic, two texels of a depth of 0.05 wide; an empty texel is lit.
+    lit = np.where(stored < 1, 1 / (1 + np.exp(-(stored - 0.5) / 0.05 / 2)), 1)
+    expected = np.mean([lit[row + i, column + j] for i in range(-2, 3) for j in range(-2, 3)], axis=0)
+    found = apply(PercentageCloser(2.5, REACH), shadow_map, lookups_at(column + 0.5, row + 0.5), SOFT)
     np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 1.0, 1.7, 3.0])
 def test_box_does_not_depend_on_the_largest_radius(radius, rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    tight = PercentageCloser(radius)(shadow_map, lookup, SOFT)
-    np.testing.assert_allclose(apply(PercentageCloser(radius, 6.0), shadow_map, lookup, SOFT), tight, atol=2e-6)
+    tight = apply(PercentageCloser(radius), shadow_map, lookup, SOFT)
+    np.testing.assert_allclose(apply(PercentageCloser(radius, REACH), shadow_map, lookup, SOFT), tight, atol=2e-6)
+
+
+@jax.jit
+def box_along_an_axis(position, radius):
+    """The first texel of a box and where its lower edge lies in that; and shares of seven texels."""
+    first, edge = _lower_edge(position, radius)
+    return first, edge, [_covered(edge, radius, i).weight / _width(edge, radius) for i in range(7)]
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.2, 0.5, 1.3, 2.0, 3.0])
 def test_weights_of_the_box_sum_to_one(radius, rng):
     radius = jnp.float32(max(radius, 1e-3))
-    position = jnp.asarray(np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1), jnp.float32)
-    first, edge = _lower_edge(position, radius)
-    fractions = [_covered(edge, radius, i).weight / _width(edge, radius) for i in range(7)]
+    position = np.concatenate([rng.uniform(-1e3, 1e3, (4, 50)), np.full((4, 1), 1e9)], axis=1).astype(np.float32)
+    first, edge, fractions = (np.asarray(x) for x in box_along_an_axis(position, radius))
     np.testing.assert_allclose(sum(fractions), 1, atol=3e-7)
     # The box lies round the position: its lower edge is a radius below.
-    own = jnp.floor(position)
+    own = np.floor(position)
     below = ((first - own) + edge)[:, :-1]
-    np.testing.assert_allclose(below, ((position - own) - radius)[:, :-1], atol=1e-4)
+    np.testing.assert_allclose(below, ((position - own) - np.asarray(radius))[:, :-1], atol=1e-4)
 
 
 @pytest.mark.parametrize("width", [0.3, 3.0])
 def test_constant_maps_give_the_compare_itself(width, rng):
     """Weights sum to 1, whatever the filter."""
-    lookup = lookups_at(rng.uniform(6, 20, (7, 9)), rng.uniform(6, 20, (7, 9)), rng.uniform(0.4, 0.6, (7, 9)))
-    compare, shadow_map = SoftCompare(width), map_of(np.full((26, 26), 0.5))
-    expected = Nearest()(shadow_map, lookup, compare)
-    for kernel in (Bilinear(), FourTap(2.2), PercentageCloser(3.4), RandomDisk(4.0), RandomDisk(4.0, early_out=True)):
-        np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=3e-6)
+    x, y, depth = rng.uniform(4.5, 9.5, (9, 13)), rng.uniform(4.5, 6.5, (9, 13)), rng.uniform(0.4, 0.6, (9, 13))
+    lookup, compare, shadow_map = lookups_at(x, y, depth), SoftCompare(width), map_of(np.full((11, 14), 0.5))
+    expected = 1 / (1 + np.exp(-(0.5 - depth) / 0.05 / width))
+    disks = RandomDisk(4.0, SETS), RandomDisk(4.0, SETS, early_out=True)
+    for kernel in (Nearest(), Bilinear(), FourTap(2.2), PercentageCloser(3.4, REACH), *disks):
+        np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=4e-6)
 
 
 @pytest.mark.parametrize(("pattern", "samples"), [(8, (4, 8)), (3, (5, 2)), (1, (1, 1)), (4, (8, 8))])
@@ -119,23 +140,25 @@ def test_offset_table_follows_from_its_seed():
     assert (np.asarray(stratified((4, 4), 4, 5).offsets) != np.asarray(stratified((4, 4), 4, 6).offsets)).any()
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (5, 19), (8, 8), (17, 3)])
+@pytest.mark.parametrize(
+    "shape", [(5, 19), *(pytest.param(shape, marks=pytest.mark.exhaustive) for shape in ((1, 1), (8, 8), (17, 3)))]
+)
 def test_disk_uses_the_set_of_each_pixel(shape, rng):
     """Also where the image is no whole number of patterns."""
     disk, shadow_map = RandomDisk(2.5, stratified((3, 4))), random_map(rng)
     lookup = random_lookups(rng, shape)
-    found = np.asarray(disk(shadow_map, lookup, HARD))
+    found = np.asarray(apply(disk, shadow_map, lookup, HARD))
     assert found.shape == shape
-    expected = 0
+    expected, offsets, texel = 0, np.asarray(disk.pattern.offsets), np.asarray(lookup.texel)
     rows, columns = np.meshgrid(np.arange(shape[0]) % 8, np.arange(shape[1]) % 8, indexing="ij")
     for k in range(12):
-        moved = lookup.texel + 2.5 * disk.pattern.offsets[k, rows, columns]
+        moved = jnp.asarray(texel + np.float32(2.5) * offsets[k, rows, columns])
         tap = Lookup(moved, lookup.depth, lookup.depth_per_texel, lookup.inside)
         expected = expected + np.asarray(apply(Bilinear(), shadow_map, tap, HARD)) / 12
     np.testing.assert_allclose(found, expected, atol=3e-6)
 
 
-@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+@pytest.mark.parametrize("mode", [pytest.param("bilinear", marks=pytest.mark.exhaustive), "nearest"])
 def test_early_out_differs_only_where_the_first_eight_agree_and_the_rest_do_not(mode, rng):
     # Patches of depth larger than the disk, so that many look-ups see no edge.
     depth = np.kron(rng.uniform(0.2, 0.8, (4, 4)), np.ones((9, 9)))
@@ -160,16 +183,16 @@ def _first(disk, count):
 
 def test_early_out_of_few_samples_is_the_plain_mean(rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    plain, early = (RandomDisk(2.0, stratified((4, 2)), early_out=e)(shadow_map, lookup, HARD) for e in (False, True))
+    disks = [RandomDisk(2.0, stratified((4, 2)), early_out=early) for early in (False, True)]
+    plain, early = (apply(disk, shadow_map, lookup, HARD) for disk in disks)
     np.testing.assert_array_equal(plain, early)
 
 
-@jax.jit
 def every_filter(shadow_map, lookup, radius, width):
-    pattern = stratified((4, 4), 4)
-    kernels = (Nearest(), Bilinear(), FourTap(radius), PercentageCloser(radius, 4.0), RandomDisk(radius, pattern))
-    kernels += (RandomDisk(radius, pattern, early_out=True), RandomDisk(radius, pattern, "nearest"))
-    return jnp.stack([k(shadow_map, lookup, c) for k in kernels for c in (HARD, SoftCompare(width))])
+    """By the programs of the tests above."""
+    kernels = (Nearest(), Bilinear(), FourTap(radius), PercentageCloser(radius, REACH), RandomDisk(radius, SETS))
+    kernels += (RandomDisk(radius, SETS, early_out=True), RandomDisk(radius, SETS, "nearest"))
+    return np.stack([apply(kernel, shadow_map, lookup, SoftCompare(width)) for kernel in kernels])
 
 
 @settings(max_examples=60, deadline=None)
@@ -183,7 +206,8 @@ def every_filter(shadow_map, lookup, radius, width):
 def test_visibility_stays_in_its_range(seed, radius, width, scale, empty):
     rng = np.random.default_rng(seed)
     lookup = random_lookups(rng)
-    lookup = Lookup(lookup.texel * scale, lookup.depth, lookup.depth_per_texel, lookup.inside)
+    texel = jnp.asarray(np.asarray(lookup.texel) * np.float32(scale))
+    lookup = Lookup(texel, lookup.depth, lookup.depth_per_texel, lookup.inside)
     found = np.asarray(every_filter(random_map(rng, empty=empty), lookup, jnp.float32(radius), jnp.float32(width)))
     assert (found >= 0).all()
     assert (found <= 1 + 3e-5).all()

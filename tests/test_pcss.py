@@ -31,7 +31,7 @@ from diffshadow.geometry import (
     SpotLight,
     merge,
 )
-from diffshadow.raster import draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bilinear,
@@ -68,55 +68,90 @@ def penumbra_width(light, height):
     return 2 * float(light.radius) * height / (DISTANCE - height)
 
 
-@pytest.mark.parametrize(
-    ("light", "compare"),
-    [
-        pytest.param("directional", HARD, id="directional"),
-        pytest.param("spot", HARD, id="spot"),
-        pytest.param("point", HARD, id="point", marks=pytest.mark.exhaustive),
-        pytest.param("directional", SoftCompare(0.5), id="soft"),
-    ],
-)
-def test_penumbra_grows_as_the_blocker_rises(light, compare):
-    light = LIGHTS[light]
+def half_plane_over_floor(light, height, texels=512, columns=800):
+    """What a light sees of a half-plane over the floor whose edge lies along z, and a row of the floor's points."""
+    view = light.view()
+    matrix = np.asarray(view.matrix, np.float64)
+
+    def window(points):
+        clip = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ matrix.T
+        return clip[..., :3] / clip[..., 3:] * 0.5 + 0.5
+
+    # The light looks straight down: planes of one height have one depth, and the edge is one line in the map.
+    edge, floor = window(np.array([[0.0, height, 0.0], [0.0, 0.0, 0.0]]))
+    beside = window(np.array([[-1.0, height, 0.0]]))[0]
+    axis = int(np.argmax(np.abs(beside - edge)[:2]))
+    assert edge[1 - axis] == pytest.approx(beside[1 - axis])
+    x = (np.arange(texels) + 0.5) / texels
+    hidden = (x - edge[axis]) * (beside - edge)[axis] > 0
+    rows = np.where(np.expand_dims(hidden, axis), edge[2], floor[2])
+    depth = jnp.asarray(np.broadcast_to(rows, (texels, texels)), jnp.float32)
+    across, along = np.meshgrid(np.linspace(-0.5, 0.5, columns), np.linspace(-0.015, 0.015, 24))
+    position = jnp.asarray(np.stack([across, 0 * across, along], axis=-1), jnp.float32)
+    up = jnp.asarray(np.broadcast_to([0, 1, 0], position.shape), jnp.float32)
+    whole = jnp.asarray(np.ones(across.shape, bool))
+    return ShadowMap(depth, light), Surface(position, up, up, up, whole.astype(jnp.int32), whole), across[0]
+
+
+def check_penumbra(light, height, compare, shadow_map, surface, across):
     mapping = ShadowMapping(PercentageCloserSoft(), ConstantBias(1.5), compare)
+    visibility = np.asarray(shadows(mapping, shadow_map, surface)).mean(axis=0)
+    # A soft compare leaves a receiver with a bias of three widths not wholly lit.
+    visibility = visibility / visibility.max()
+    found = np.interp(0.9, visibility, across) - np.interp(0.1, visibility, across)
+    exact = penumbra_width(light, height)
+    assert found == pytest.approx(exact * SEGMENT_10_90 / 2, rel=0.1)
+    assert np.interp(0.5, visibility, across) == pytest.approx(0, abs=0.05 * exact)
+
+
+@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
+def test_penumbra_grows_as_the_blocker_rises(light):
+    light = LIGHTS[light]
     for height in (0.7, 2.0):
-        # A half-plane over the floor whose edge lies along z, seen by a long row of pixels.
+        check_penumbra(light, height, HARD, *half_plane_over_floor(light, height))
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("light", "compare"), [("directional", HARD), ("spot", HARD), ("point", HARD), ("directional", SoftCompare(0.5))]
+)
+def test_penumbra_of_a_drawn_map_grows_as_the_blocker_rises(light, compare):
+    light = LIGHTS[light]
+    for height in (0.7, 2.0):
+        # Seen by a long row of pixels.
         mesh = merge([quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((-1.5, height, 0), (1.5, 0, 0), (0, 0, -3))])
         camera = OrthographicCamera(
             (0, height / 2, 0), (0, 0, 0), (0, 0, -1), height=0.03, near=1e-3, far=height, resolution=(24, 800)
         )
-        surface = draw_surface(mesh, camera)
-        visibility = shadows(mapping, draw_shadow_map(mesh, light, (512, 512)), surface).mean(axis=0)
-        across = np.asarray(surface.position[0, :, 0])
-        # A soft compare leaves a receiver with a bias of three widths not wholly lit.
-        visibility = np.asarray(visibility) / float(visibility.max())
-        found = np.interp(0.9, visibility, across) - np.interp(0.1, visibility, across)
-        exact = penumbra_width(light, height)
-        assert found == pytest.approx(exact * SEGMENT_10_90 / 2, rel=0.1)
-        assert np.interp(0.5, visibility, across) == pytest.approx(0, abs=0.05 * exact)
+        surface, shadow_map = draw_surface(mesh, camera), draw_shadow_map(mesh, light, (512, 512))
+        check_penumbra(light, height, compare, shadow_map, surface, np.asarray(surface.position[0, :, 0]))
 
 
-def test_blockers_and_penumbra_of_flat_maps_follow_from_the_formulas():
-    lookup = lookups_at(np.linspace(10, 20, 4), 15.0, 0.9, depth_per_texel=0.05)
-    for name, light in LIGHTS.items():
-        if name == "point":
-            continue
-        view = light.view()
-        z_r, z_b = (float(view.eye_depth(jnp.float32(d))) for d in (0.9, 0.5))
-        shadow_map = ShadowMap(jnp.full((32, 32), 0.5), light)
-        size = 0.1 if view.is_perspective else np.tan(np.radians(3.0))
-        texel = float(view.texel_size(jnp.float32(z_r), (32, 32)))
-        world = (z_r - z_b) * size / (z_b if view.is_perspective else 1)
-        found = PercentageCloserSoft(max_radius=4.0).find_blockers(shadow_map, lookup, HARD)
-        np.testing.assert_allclose(found.share, 1, atol=1e-6)
-        np.testing.assert_allclose(found.depth, 0.5, atol=1e-6)
-        np.testing.assert_allclose(found.radius, world / texel, rtol=2e-5)
-        assert 0.05 < world / texel < 4
-        for low, high in ((4.0, 8.0), (0.0, 0.01)):
-            kernel = PercentageCloserSoft(min_radius=low, max_radius=high)
-            bounded = kernel.find_blockers(shadow_map, lookup, HARD).radius
-            np.testing.assert_allclose(bounded, low or high, rtol=1e-6)
+@eqx.filter_jit
+def blockers(kernel, shadow_map, lookup, compare):
+    """What a search finds; of the light's view, distances of two depths and the width of a texel at the first."""
+    view = shadow_map.view
+    z_r, z_b = view.eye_depth(jnp.float32(0.9)), view.eye_depth(jnp.float32(0.5))
+    return kernel.find_blockers(shadow_map, lookup, compare), z_r, z_b, view.texel_size(z_r, shadow_map.resolution)
+
+
+@pytest.mark.parametrize(("name", "compare"), [("directional", HARD), ("spot", SoftCompare(3.0))])
+def test_blockers_and_penumbra_of_flat_maps_follow_from_the_formulas(name, compare):
+    lookup, light = lookups_at(np.linspace(10, 20, 4), 15.0, 0.9, depth_per_texel=0.05), LIGHTS[name]
+    shadow_map = ShadowMap(jnp.full((32, 32), 0.5), light)
+    found, z_r, z_b, texel = blockers(PercentageCloserSoft(max_radius=4.0), shadow_map, lookup, compare)
+    z_r, z_b, texel = (float(x) for x in (z_r, z_b, texel))
+    size = 0.1 if name == "spot" else np.tan(np.radians(3.0))
+    world = (z_r - z_b) * size / (z_b if name == "spot" else 1)
+    # The blockers lie eight texels before the receiver.
+    dark = 1 if compare == HARD else 1 / (1 + np.exp(-8 / 3.0))
+    np.testing.assert_allclose(found.share, dark, atol=2e-6)
+    np.testing.assert_allclose(found.depth, 0.5, atol=1e-6)
+    np.testing.assert_allclose(found.radius, world / texel, rtol=2e-5)
+    assert 0.05 < world / texel < 4
+    for low, high in ((4.0, 8.0), (0.0, 0.01)):
+        bounded = blockers(PercentageCloserSoft(min_radius=low, max_radius=high), shadow_map, lookup, compare)[0]
+        np.testing.assert_allclose(bounded.radius, low or high, rtol=1e-6)
 
 
 @pytest.mark.exhaustive
@@ -161,7 +196,9 @@ def test_sizes_of_lights():
     panel = RectangleLight((0, 4, 0), (0, -1, 0), (0.4, 0.1), outer_angle=30.0, near=1.0, far=4.5)
     assert np.pi * float(half_width_of(panel, None)) ** 2 == pytest.approx(0.04, rel=1e-6)
     flat = eqx.tree_at(lambda lamp: lamp.size, panel, jnp.array([0.4, 0.0]))
-    slope = jax.grad(lambda size: half_width_of(eqx.tree_at(lambda lamp: lamp.size, panel, size), None))(flat.size)
+    slope = jax.jit(jax.grad(lambda size: half_width_of(eqx.tree_at(lambda lamp: lamp.size, panel, size), None)))(
+        flat.size
+    )
     assert float(half_width_of(flat, None)) == 0
     assert np.isfinite(np.asarray(slope)).all()
     unknown = SimpleNamespace(is_directional=False)
@@ -171,28 +208,30 @@ def test_sizes_of_lights():
         half_width_of.__wrapped__(unknown, None)
 
 
-def test_one_radius_for_all_is_the_random_disk():
+@pytest.mark.parametrize("compare", [HARD, SoftCompare(0.7)], ids=["hard", "soft"])
+def test_one_radius_for_all_is_the_random_disk(compare):
     rng = np.random.default_rng(5)
     shadow_map, lookup = random_map(rng), random_lookups(rng)
     # A light so large that the search has that radius too.
     pattern = stratified((4, 4))
-    for compare in (HARD, SoftCompare(0.7)):
-        soft = PercentageCloserSoft(89.0, pattern, pattern, min_radius=2.0, max_radius=2.0)
-        found = apply(soft, shadow_map, lookup, compare)
-        np.testing.assert_allclose(found, apply(RandomDisk(2.0, pattern), shadow_map, lookup, compare), atol=2e-5)
+    soft = PercentageCloserSoft(89.0, pattern, pattern, min_radius=2.0, max_radius=2.0)
+    found = apply(soft, shadow_map, lookup, compare)
+    np.testing.assert_allclose(found, apply(RandomDisk(2.0, pattern), shadow_map, lookup, compare), atol=2e-5)
 
 
 def test_lights_without_size_and_empty_maps():
     rng = np.random.default_rng(6)
     shadow_map, lookup = random_map(rng), random_lookups(rng)
-    point = apply(PercentageCloserSoft(), shadow_map, lookup, HARD)
+    pattern = stratified((4, 4))
+    point = apply(PercentageCloserSoft(None, pattern, pattern), shadow_map, lookup, HARD)
     np.testing.assert_allclose(point, apply(Bilinear(), shadow_map, lookup, HARD), atol=1e-6)
-    large = PercentageCloserSoft(30.0)
-    np.testing.assert_array_equal(apply(large, map_of(np.ones((11, 14))), lookup, HARD), 1)
-    np.testing.assert_array_equal(apply(large, map_of(np.ones((11, 14))), lookup, SoftCompare(0.5)), 1)
-    wholly = map_of(np.full((11, 14), 0.1))
-    inner = lookups_at(rng.uniform(5, 9, (4, 4)), rng.uniform(5, 6, (4, 4)))
-    np.testing.assert_array_equal(apply(PercentageCloserSoft(30.0, max_radius=4.0), wholly, inner, HARD), 0)
+    large, empty = PercentageCloserSoft(30.0, pattern, pattern), map_of(np.ones((11, 14)))
+    np.testing.assert_array_equal(apply(large, empty, lookup, HARD), 1)
+    np.testing.assert_array_equal(apply(large, empty, lookup, SoftCompare(0.5)), 1)
+    wholly, shape = map_of(np.full((11, 14), 0.1)), lookup.depth.shape
+    inner = lookups_at(rng.uniform(5, 9, shape), rng.uniform(5, 6, shape))
+    narrow = PercentageCloserSoft(30.0, pattern, pattern, max_radius=4.0)
+    np.testing.assert_array_equal(apply(narrow, wholly, inner, HARD), 0)
 
 
 POLE = merge(
@@ -231,18 +270,49 @@ def test_shadow_of_a_tall_pole_is_nearer_to_rays_than_with_any_one_radius(light)
     assert soft < 0.6 * min(fixed.values())
 
 
-@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("light", ["directional", "spot"])
 def test_gradient_of_the_loss_matches_central_differences(light):
     names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.light_size", "compare.width")
     with jax.enable_x64(True):
         size = 6.0 if light == "directional" else 1.0
         kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 3), 4), 0.0, 8.0)
-        known = problem(technique(kernel, compare=SoftCompare(2.0)), light, image=32, texels=32)
+        known = problem(technique(kernel, compare=SoftCompare(2.0)), light)
         at = (0.9, 0.6, 0.4, size, 2.0)
         slopes, forward, backward = slopes_of_loss(known, names, at, np.full(len(at), 1e-6), reverse=True)
     assert (np.abs(slopes) > 1e-6).all()
     np.testing.assert_allclose(forward, slopes, rtol=0.01)
     np.testing.assert_allclose(forward, backward, rtol=1e-8)
+
+
+@eqx.filter_jit
+def along(shadow_map, lookup, numbers, steps):
+    """The sum of visibilities, weighed, and its derivative along `steps` of depths, the light's size and a width."""
+    weights = 1 + jnp.arange(lookup.depth.size).reshape(lookup.depth.shape) % 7
+
+    def total(depth, size, width):
+        kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 3), 4), 0.0, 8.0)
+        at = Lookup(lookup.texel, depth, lookup.depth_per_texel, lookup.inside)
+        return jnp.sum(weights * kernel(shadow_map, at, SoftCompare(width)))
+
+    return jax.jvp(total, numbers, steps)
+
+
+def test_slopes_match_central_differences():
+    rng = np.random.default_rng(9)
+    with jax.enable_x64(True):
+        lamp = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), LIGHTS["spot"])
+        shadow_map, lookup = ShadowMap(random_map(rng).depth, lamp), random_lookups(rng)
+        at = [np.asarray(lookup.depth), np.asarray(0.3), np.asarray(2.0)]
+        for number in range(3):
+            steps = tuple(np.full(x.shape, float(k == number)) for k, x in enumerate(at))
+            (low, _), (high, _), (_, found) = (
+                along(shadow_map, lookup, tuple(np.asarray(x + h * d) for x, d in zip(at, steps, strict=True)), steps)
+                for h in (-1e-7, 1e-7, 0.0)
+            )
+            expected = (float(high) - float(low)) / 2e-7
+            assert abs(expected) > 1e-2
+            assert float(found) == pytest.approx(expected, rel=1e-4)
 
 
 @eqx.filter_jit

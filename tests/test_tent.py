@@ -12,7 +12,11 @@ from diffshadow.shadow import Bilinear, Castano, HardCompare, Lookup, Nearest, S
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
 WEIGHTS = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
 """Of bilinear compares one texel apart, as Castaño gives them."""
-HALF_PLANE = np.where(np.arange(32) < 16, 0.2, 1.0) * np.ones((12, 1))
+MAP, SHAPE = (16, 16), (9, 13)
+"""Of maps and of look-ups, so that each filter is compiled once for each compare."""
+COUNT = 9 * 13
+REACH = 4.0
+HALF_PLANE = np.where(np.arange(16) < 8, 0.2, 1.0) * np.ones((16, 1))
 
 
 @pytest.fixture
@@ -26,39 +30,48 @@ def tent_integral(u):
     return np.where(u < 0, (1 + u) ** 2 / 2, 1 - (1 - u) ** 2 / 2)
 
 
+def along(axis, values):
+    """Look-ups (9, 13) at these positions along an axis of a map (16, 16), in its middle along the other."""
+    positions = [np.resize(values, SHAPE), np.full(SHAPE, 8.3)]
+    return lookups_at(*positions[:: 1 - 2 * axis])
+
+
 @pytest.mark.parametrize("radius", [0.5, 1.0, 2.5, 3.3])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_tent_of_half_plane_is_the_tent_integral(radius, axis):
-    x = np.linspace(8, 24, 321)
-    depth, at = (HALF_PLANE, (x, 6.3)) if axis == 0 else (HALF_PLANE.T, (6.3, x))
-    visibility = apply(Tent(radius), map_of(depth), lookups_at(*at), HARD)
-    np.testing.assert_allclose(visibility[0], tent_integral((x - 16) / radius), atol=3e-6)
+    x = np.linspace(4, 12, COUNT)
+    visibility = apply(Tent(radius, REACH), map_of(HALF_PLANE if axis == 0 else HALF_PLANE.T), along(axis, x), HARD)
+    np.testing.assert_allclose(np.ravel(visibility), tent_integral((x - 8) / radius), atol=3e-6)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("size", WEIGHTS)
-def test_castano_of_half_plane_is_a_staircase_of_ramps(size):
+def test_castano_of_half_plane_is_a_staircase_of_ramps(size, axis):
     """Each bilinear compare makes a ramp one texel wide."""
-    x = np.linspace(8, 24, 321)
-    visibility = apply(Castano(size), map_of(HALF_PLANE), lookups_at(x, 6.3), HARD)
+    x = np.linspace(4, 12, COUNT)
+    visibility = apply(Castano(size), map_of(HALF_PLANE if axis == 0 else HALF_PLANE.T), along(axis, x), HARD)
     weights = np.array(WEIGHTS[size]) / sum(WEIGHTS[size])
     places = np.arange(size) - size // 2
-    exact = sum(w * np.clip(x + o - 16 + 0.5, 0, 1) for w, o in zip(weights, places, strict=True))
-    np.testing.assert_allclose(visibility[0], exact, atol=3e-6)
+    exact = sum(w * np.clip(x + o - 8 + 0.5, 0, 1) for w, o in zip(weights, places, strict=True))
+    np.testing.assert_allclose(np.ravel(visibility), exact, atol=3e-6)
     # The penumbra is as many texels wide.
-    inside = np.abs(x - 16) < size / 2 - 0.01
+    inside = np.abs(x - 8) < size / 2 - 0.01
     np.testing.assert_array_equal((exact > 0) & (exact < 1), inside)
 
 
-@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+BOTH = [pytest.param(HARD, id="hard"), pytest.param(SOFT, id="soft", marks=pytest.mark.exhaustive)]
+
+
+@pytest.mark.parametrize("compare", BOTH)
 @pytest.mark.parametrize("size", WEIGHTS)
 def test_castanos_few_taps_are_the_weighted_sum_of_many(size, compare, rng):
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
+    shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
     expected, weights, reach = 0, WEIGHTS[size], size // 2
     for i in range(size):
         for j in range(size):
-            moved = lookup.texel + jnp.array([i - reach, j - reach])
+            moved = jnp.asarray(np.asarray(lookup.texel) + np.array([i - reach, j - reach], np.float32))
             one = Lookup(moved, lookup.depth, lookup.depth_per_texel, lookup.inside)
-            expected = expected + weights[i] * weights[j] * apply(Bilinear(), shadow_map, one, compare)
+            expected = expected + weights[i] * weights[j] * np.asarray(apply(Bilinear(), shadow_map, one, compare))
     found = apply(Castano(size), shadow_map, lookup, compare)
     np.testing.assert_allclose(found, expected / sum(weights) ** 2, atol=3e-6)
 
@@ -66,49 +79,61 @@ def test_castanos_few_taps_are_the_weighted_sum_of_many(size, compare, rng):
 @pytest.mark.parametrize("radius", [0.7, 1.0, 2.3])
 def test_tent_weighs_each_texel_by_its_integral(radius, rng):
     """Of a map with one texel that shadows, both along an axis and across."""
-    depth = np.ones((11, 11))
-    depth[5, 5] = 0.2
-    x, y = rng.uniform(2, 9, (2, 6, 7))
-    found = apply(Tent(radius), map_of(depth), lookups_at(x, y), HARD)
-    share = lambda p: tent_integral((6 - p) / radius) - tent_integral((5 - p) / radius)
-    np.testing.assert_allclose(found, 1 - share(x) * share(y), atol=3e-6)
+    depth = np.ones(MAP)
+    depth[5, 6] = 0.2
+    x, y = rng.uniform(3.5, 10.5, SHAPE), rng.uniform(2.5, 9.5, SHAPE)
+    found = apply(Tent(radius, REACH), map_of(depth), lookups_at(x, y), HARD)
+    share = lambda p, low: tent_integral((low + 1 - p) / radius) - tent_integral((low - p) / radius)
+    np.testing.assert_allclose(found, 1 - share(x, 6) * share(y, 5), atol=3e-6)
     assert np.ptp(found) > 0.1
 
 
-@pytest.mark.parametrize("compare", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("compare", BOTH[::-1])
 @pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 1.7, 3.0])
 def test_tent_does_not_depend_on_the_largest_radius(radius, compare, rng):
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
-    tight = Tent(radius)(shadow_map, lookup, compare)
-    np.testing.assert_allclose(apply(Tent(radius, 5.2), shadow_map, lookup, compare), tight, atol=3e-6)
+    shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
+    tight = apply(Tent(radius), shadow_map, lookup, compare)
+    np.testing.assert_allclose(apply(Tent(radius, REACH), shadow_map, lookup, compare), tight, atol=3e-6)
 
 
 def test_tent_of_radius_zero_is_the_nearest_tap(rng):
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
-    off_border = (jnp.abs(lookup.texel - jnp.round(lookup.texel)) > 2e-3).all(axis=-1)
-    found, expected = (f(shadow_map, lookup, HARD) for f in (Tent(0.0), Nearest()))
-    np.testing.assert_allclose(jnp.where(off_border, found, 0), jnp.where(off_border, expected, 0), atol=1e-6)
-
-
-@pytest.mark.parametrize("kernel", [Tent(3.4), Castano(3), Castano(5), Castano(7)])
-def test_constant_maps_give_the_compare_itself_even_far_away(kernel, rng):
-    lookup = lookups_at(rng.uniform(6, 20, (7, 9)), rng.uniform(6, 20, (7, 9)), rng.uniform(0.4, 0.6, (7, 9)))
-    shadow_map = map_of(np.full((26, 26), 0.5))
-    expected = Nearest()(shadow_map, lookup, SOFT)
-    np.testing.assert_allclose(apply(kernel, shadow_map, lookup, SOFT), expected, atol=3e-6)
-    far = Lookup(lookup.texel * 1e6, lookup.depth, lookup.depth_per_texel, lookup.inside)
-    np.testing.assert_allclose(apply(kernel, shadow_map, far, SOFT), 1, atol=3e-5)
+    shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
+    texel = np.asarray(lookup.texel)
+    off_border = (np.abs(texel - np.round(texel)) > 2e-3).all(axis=-1)
+    found, expected = (np.asarray(apply(f, shadow_map, lookup, HARD)) for f in (Tent(0.0, REACH), Nearest()))
+    np.testing.assert_allclose(found[off_border], expected[off_border], atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("name", "kernel"), [("tent", lambda: Tent(1.0, 2.0)), ("castano", lambda: Castano(3))], ids=["tent", "castano"]
+    ("kernel", "compare"),
+    [
+        (Tent(3.4, 4.0), SOFT),
+        *((Castano(size), compare) for size in WEIGHTS for compare in (HARD, SOFT)),
+    ],
+)
+def test_constant_maps_give_the_compare_itself_even_far_away(kernel, compare, rng):
+    x, y, depth = rng.uniform(4.5, 11.5, SHAPE), rng.uniform(4.5, 11.5, SHAPE), rng.uniform(0.4, 0.6, SHAPE)
+    lookup, shadow_map = lookups_at(x, y, depth), map_of(np.full(MAP, 0.5))
+    # The compare of a depth of 0.5: a logistic curve two texels wide, each a depth of 0.05.
+    expected = depth <= 0.5 if compare == HARD else 1 / (1 + np.exp(-(0.5 - depth) / 0.05 / 2))
+    np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=3e-6)
+    far = lookups_at(x * 1e6, y * 1e6, depth)
+    np.testing.assert_allclose(apply(kernel, shadow_map, far, compare), 1, atol=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "kernel"),
+    [
+        pytest.param("tent", lambda: Tent(1.0, 2.0), id="tent", marks=pytest.mark.exhaustive),
+        pytest.param("castano", lambda: Castano(3), id="castano", marks=pytest.mark.exhaustive),
+    ],
 )
 def test_gradient_of_the_loss_matches_central_differences(name, kernel):
     names, values = ("bias.constant", "bias.slope", "bias.normal_offset"), (0.9, 0.6, 0.4)
     if name == "tent":
         names, values = (*names, "filter.radius"), (*values, 1.7)
     with jax.enable_x64(True):
-        known = problem(technique(kernel(), compare=SoftCompare(3.0)), "spot", image=32, texels=32)
+        known = problem(technique(kernel(), compare=SoftCompare(3.0)), "spot")
         slopes, forward, backward = slopes_of_loss(known, names, values, np.full(len(names), 1e-5), reverse=True)
     assert (np.abs(slopes) > 1e-6).all()
     np.testing.assert_allclose(forward, slopes, rtol=0.01)
@@ -116,22 +141,51 @@ def test_gradient_of_the_loss_matches_central_differences(name, kernel):
 
 
 @eqx.filter_jit
-@eqx.filter_grad
-def slopes_of_sum(arguments, shadow_map):
-    lookup, radius, width = arguments
-    kernels = (Tent(radius, 2.0), Castano(3))
-    return sum(jnp.sum(kernel(shadow_map, lookup, SoftCompare(width))) for kernel in kernels)
+def slopes_of_sum(arguments, shadow_map, steps):
+    """Of each filter the sum of its visibilities, its derivative along `steps`, and the gradient by reverse mode."""
+    kernels = (lambda radius: Tent(radius, 1.0), lambda _: Castano(3))
+
+    def total(arguments, make):
+        texel, depth, radius, width = arguments
+        lookup = Lookup(texel, depth, jnp.full(SHAPE, 0.05, depth.dtype), jnp.ones(SHAPE, bool))
+        return jnp.sum(make(radius)(shadow_map, lookup, SoftCompare(width)))
+
+    found = []
+    for make in kernels:
+        of = lambda arguments, make=make: total(arguments, make)
+        found.append((jax.jvp(of, (arguments,), (steps,)), jax.grad(of)(arguments)))
+    return found
 
 
 def test_no_gradient_is_nan_or_infinite(rng):
-    lookup, shadow_map = random_lookups(rng), random_map(rng)
-    for scale in (0.0, 1.0, 1e9, 1e30):
-        # Whole numbers of texels lie on the kinks of both filters.
-        texel = jnp.round(lookup.texel) * scale
-        moved = Lookup(texel, lookup.depth, lookup.depth_per_texel, lookup.inside)
-        for radius in (0.0, 1.0, 1.7):
-            found = slopes_of_sum((moved, jnp.float32(radius), jnp.float32(0.7)), shadow_map)
-            assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
+    with jax.enable_x64(True):
+        lookup, shadow_map = random_lookups(rng, SHAPE, MAP), random_map(rng, MAP)
+        texel, depth = np.asarray(lookup.texel), np.asarray(lookup.depth)
+        for scale in (0.0, 1.0, 1e9, 1e30):
+            for radius in (0.0, 0.7, 1.0):
+                # Whole numbers of texels lie on the kinks of both filters.
+                at = tuple(np.asarray(x) for x in (np.round(texel) * scale, depth, radius, 0.7))
+                found = slopes_of_sum(at, shadow_map, jax.tree.map(np.ones_like, at))
+                assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
+
+
+def test_slopes_match_central_differences_in_both_modes(rng):
+    """By where receivers fall in the map, by their depth, by the radius and by the compare's width."""
+    with jax.enable_x64(True):
+        lookup, shadow_map = random_lookups(rng, SHAPE, MAP), random_map(rng, MAP, empty=0.0)
+        at = tuple(np.asarray(x) for x in (lookup.texel, lookup.depth, 0.8, 0.7))
+        directions = [np.asarray(rng.uniform(0.2, 1, x.shape)) for x in at]
+        for k in range(4):
+            steps = tuple(np.asarray(d * (j == k)) for j, d in enumerate(directions))
+            moved = [tuple(np.asarray(x + h * d) for x, d in zip(at, steps, strict=True)) for h in (-1e-7, 1e-7, 0.0)]
+            lower, upper, middle = (slopes_of_sum(arguments, shadow_map, steps) for arguments in moved)
+            for which, name in enumerate(("tent", "castano")):
+                (_, slope), gradient = middle[which]
+                expected = (float(upper[which][0][0]) - float(lower[which][0][0])) / 2e-7
+                assert abs(expected) > 1e-2 or (name == "castano" and k == 2)
+                assert float(slope) == pytest.approx(expected, rel=1e-4, abs=1e-5)
+                reverse = sum(np.sum(np.asarray(g) * d) for g, d in zip(gradient, steps, strict=True))
+                assert reverse == pytest.approx(float(slope), rel=1e-9, abs=1e-12)
 
 
 def test_impossible_settings_are_refused():
