@@ -273,6 +273,7 @@ def test_what_an_image_cannot_tell_apart_is_named():
     told = precision_of("abcd", [np.full((20, 20), 0.01)], [slopes], [0.0], np.ones(4))
     assert told.names == ("a", "b", "c")
     assert told.undetermined == [("b", "c")]
+    assert told.deviations["a"] < 1 < min(told.deviations["b"], told.deviations["c"])
 
 
 def test_of_losses_within_the_noise_the_last_phase_is_chosen():
@@ -392,7 +393,7 @@ def test_precision_names_nothing_where_the_image_tells_all(recovered):
     _, _, result = recovered
     assert result.precision.names == (AZIMUTH, ELEVATION)
     assert result.precision.undetermined == []
-    assert all(0 < deviation < 0.05 for deviation in result.precision.deviations.values())
+    assert all(0 <= deviation < 0.05 for deviation in result.precision.deviations.values())
     assert np.diag(result.precision.correlations) == pytest.approx([1, 1])
 
 
@@ -400,7 +401,7 @@ def test_precision_names_nothing_where_the_image_tells_all(recovered):
 def test_height_of_a_card_along_the_light_is_not_determined():
     """Under a directional light a caster may move along the light, and its shadow stays."""
     along = np.asarray(SUN.direction) / np.linalg.norm(SUN.direction)
-    one = to_recover(problem(SUN, moves=True, texels=32), SHIFT, [0.0, 0.0, 0.0])
+    one = to_recover(problem(SUN, moves=True), SHIFT, [0.0, 0.0, 0.0])
     parameters = [
         Parameter(path, off, -0.4, 0.4, "world units") for path, off in zip(SHIFT, (0.1, 0.0, 0.1), strict=True)
     ]
@@ -427,8 +428,9 @@ def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypat
     result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
     assert result.enlargements >= 1
     # What overflowed is not remembered as a step.
-    phase_zero = [step.step for step in result.history]
-    assert phase_zero == list(range(len(phase_zero)))
+    for phase in range(len(result.phases)):
+        numbers = [step.step for step in result.history if step.phase == phase]
+        assert numbers == list(range(len(numbers)))
     # Nothing shows which way a light without a cone shines.
     assert result.flat == [AZIMUTH]
     assert result.fitted[paths[0]] == pytest.approx(truth[0], abs=0.02)

@@ -173,7 +173,8 @@ class PoseProblem(eqx.Module):
     def sharpest(self) -> float:
         """The sharpness at which differences tell most of where lights and meshes are, once these are nearly there.
 
-        A narrower blur does not cancel what a texel does to an outline, a wider one mixes outlines that move differently.
+        A narrower blur does not cancel what a texel does to an outline; a wider one mixes outlines that move
+        differently.
         """
         texel = float(_texel_in_pixels(self.light, self.camera, _points(self.meshes), self.settings.resolution))
         return self.blur / min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur) if self.blur else 1.0

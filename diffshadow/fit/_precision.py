@@ -40,7 +40,7 @@ class Precision(NamedTuple):
     square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: one draw's estimate of how far off that is.
 
     - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
-    - `deviations`: their standard deviations, in their units; not a number for what is not determined.
+    - `deviations`: their standard deviations, in their units; large for what is not determined.
     - `correlations`: (p, p), in [-1, 1].
     - `undetermined`: each entry names the parameters of a combination that the image hardly depends on.
     """
@@ -77,24 +77,28 @@ def precision_of(
     blurred = [np.stack([_blurred(slope[i], blur) for i in used]) for _, slope, blur in images]
     columns = np.concatenate([each.reshape(len(used), -1) for each in blurred], axis=1).T
     residual = np.concatenate([_blurred(difference, blur).ravel() for difference, _, blur in images])
-    scatter = sum(
-        _covariance_of_sum(difference * np.stack([_blurred(each, blur) for each in slope]), blur)
-        for (difference, _, blur), slope in zip(images, blurred, strict=True)
+    scatter = np.concatenate(
+        [
+            _root_of_covariance(difference * np.stack([_blurred(each, blur) for each in slope]), blur)
+            for (difference, _, blur), slope in zip(images, blurred, strict=True)
+        ],
+        axis=1,
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
     # Along the ways that the image tells best to worst, whose effects are independent. Where nothing is left to doubt,
     # the fit is exact and so are its values.
     inverse = 1 / np.maximum(effect, 1e-100) ** 2
     left = inverse * (ways @ (columns.T @ residual))
-    along = inverse[:, None] * (ways @ scatter @ ways.T) * inverse + np.outer(left, left)
-    lost = (effect < _LEAST_EFFECT * effect[0]) | (np.sqrt(np.maximum(np.diag(along), 0)) > _MOST_SPREAD)
+    # The covariance is the product of this and its transpose: positive, however little a combination does.
+    root = np.column_stack([inverse[:, None] * (ways @ scatter), left])
+    lost = (effect < _LEAST_EFFECT * effect[0]) | (np.linalg.norm(root, axis=1) > _MOST_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
         group = tuple(name for name, part in zip(kept, way, strict=True) if part >= _PART * way.max())
         if group not in undetermined:
             undetermined.append(group)
-    covariance = ways.T @ along @ ways
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0))
+    root = ways.T @ root
+    covariance, deviation = root @ root.T, np.linalg.norm(root, axis=1)
     product = np.outer(deviation, deviation)
     correlation = np.divide(covariance, product, out=np.eye(len(used)), where=product > 0)
     deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
@@ -106,12 +110,11 @@ def _blurred(image: Float[HostArray, "h w"], deviation: float) -> Float[HostArra
     return gaussian_filter(wide, deviation, mode="constant", truncate=REACH_OF_BLUR) if deviation else wide
 
 
-def _covariance_of_sum(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p p"]:
-    """The covariance of the sum of `scores` over the pixels of an image, where neighbours are correlated."""
+def _root_of_covariance(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p n"]:
+    """R with R Rᵀ the covariance of the sum of `scores` over all pixels, where neighbours are correlated."""
     side = max(1, round(_CORRELATED * blur))
     # Sums over every square of `side` x `side` pixels that meets the image, as differences of running sums.
     padded = np.pad(scores, ((0, 0), (side, side - 1), (side, side - 1)))
     running = padded.cumsum(axis=1).cumsum(axis=2)
     rows = running[:, side:] - running[:, :-side]
-    sums = (rows[:, :, side:] - rows[:, :, :-side]).reshape(len(scores), -1)
-    return sums @ sums.T / side**2
+    return (rows[:, :, side:] - rows[:, :, :-side]).reshape(len(scores), -1) / side

@@ -75,7 +75,7 @@ def count_fragments(
     count = weights.shape[0]
     clip, faces = padded(clip, faces)
     if faces.shape[0] > count:
-        weights = np.pad(np.asarray(weights), (0, faces.shape[0] - count))
+        weights = jnp.asarray(np.pad(np.asarray(weights), (0, faces.shape[0] - count)))
     return _count_fragments(clip, faces, weights, depth, when, capacity)
 
 
