@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FOLDER = Path(__file__).parent / "golden" / "stencil"
+FOLDER = Path(__file__).parent / "stencil"
 
 
 class StencilCase(NamedTuple):

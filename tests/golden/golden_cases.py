@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FOLDER = Path(__file__).parent / "golden"
+FOLDER = Path(__file__).parent
 # OpenGL moves the corners it clips to the frustum onto its grid of 1/256 pixel; along the edges they bound, a triangle
 # that is not clipped, or clipped otherwise, may gain or lose the centres that lie this near.
 NEAR_EDGE = 1 / 64

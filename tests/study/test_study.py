@@ -22,7 +22,7 @@ from diffshadow.config import ConfigError, build_scene, load_config
 from diffshadow.study._progress import Stages
 from diffshadow.study._setup import _traced
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 
 TINY = """

@@ -14,7 +14,7 @@ from diffshadow.io import FileError, MeshWarning, load_mesh
 from diffshadow.io._gltf import _matrix
 from diffshadow.io._gltf_schema import Node
 
-SHARED = Path(__file__).parents[1] / ".." / "shared" / "meshes"
+SHARED = Path(__file__).parents[2] / ".." / "shared" / "meshes"
 
 
 def as_trimesh(mesh):

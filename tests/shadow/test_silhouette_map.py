@@ -93,7 +93,7 @@ def _centred(mesh: Mesh) -> Mesh:
 
 
 def _bunny() -> Mesh:
-    path = Path(__file__).parents[2] / "shared" / "meshes" / "bunny.ply"
+    path = Path(__file__).parents[3] / "shared" / "meshes" / "bunny.ply"
     if not path.exists():
         pytest.skip(f"there is no {path}: the mesh is not part of the project")
     return load_mesh(path)

@@ -14,7 +14,7 @@ from diffshadow.config._marks import Limits
 from diffshadow.config._scene import BUILTIN_MESHES
 from diffshadow.config._section import Section
 
-CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.yaml"))
+CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 # Sections and keys that name files, or are made below by hand.
 BY_HAND = {"name", "output", "sweep", "fit", "meshes", "lights", "reference"}
 WANTED = 100

@@ -27,7 +27,7 @@ from diffshadow.config import Config, ConfigError, load_config, load_sweep
 from diffshadow.study._sweep_curves import curves_of
 from diffshadow.study._sweep_run import missing_runs
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 BASE = """
 scene:

@@ -34,7 +34,7 @@ from diffshadow.raster import Capacity, count_fragments, plan_counts, rasterize
 from diffshadow.reference import trace_visibility_exact
 from diffshadow.shadow import ShadowVolumes, VolumeCapacity
 
-REAL_MESHES = Path(__file__).parents[2] / "shared" / "meshes"
+REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 RESOLUTION = (48, 64)
 # Alike for all scenes, so that little is compiled.
 VERTICES, FACES, EDGES = 300, 600, 520

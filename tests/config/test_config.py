@@ -23,7 +23,7 @@ from diffshadow.config import (
     parse_config,
 )
 
-CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.yaml"))
+CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 QUICKSTART = next(path for path in CONFIGS if path.stem == "quickstart")
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
 # The machine may be busy, and each example is small.

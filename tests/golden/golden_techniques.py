@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FOLDER = Path(__file__).parent / "golden" / "techniques"
+FOLDER = Path(__file__).parent / "techniques"
 TAPS = {"nearest": 1, "bilinear": 1, "four_tap": 4, "box": 25, "random_disk": 32}
 DEPTH_STEP = np.float32(1 / ((1 << 24) - 1))
 
