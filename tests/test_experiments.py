@@ -57,6 +57,7 @@ def run(experiment: str, *overrides: str, **options: Any) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.stem)
 def test_every_configuration_is_valid(config, capsys):
     # In one small size, so that they share what is compiled.

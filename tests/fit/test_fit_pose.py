@@ -465,18 +465,15 @@ def pull(one, solver):
     return fit(one, parameters, solver=solver, levels=[1])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("camera", "solver", "pixels", "texels"),
     [
         ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 64, 32),
-        pytest.param(
-            "orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256, marks=pytest.mark.exhaustive
-        ),
-        pytest.param("orthographic", Solver("adam", 150, 1e-7, 1e-8), 512, 256, marks=pytest.mark.exhaustive),
-        pytest.param(
-            "perspective", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256, marks=pytest.mark.exhaustive
-        ),
-        pytest.param("perspective", Solver("adam", 150, 1e-7, 1e-8), 512, 256, marks=pytest.mark.exhaustive),
+        ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256),
+        ("orthographic", Solver("adam", 150, 1e-7, 1e-8), 512, 256),
+        ("perspective", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256),
+        ("perspective", Solver("adam", 150, 1e-7, 1e-8), 512, 256),
     ],
 )
 def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels):

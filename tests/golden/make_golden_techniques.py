@@ -2,7 +2,7 @@
 
     python tests/golden/make_golden_techniques.py
 
-needs what `make_golden.py` needs. `tests/golden_techniques.py` says what is stored.
+needs what `make_golden.py` needs. `golden_techniques.py` says what is stored.
 """
 
 from itertools import product

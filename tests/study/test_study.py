@@ -490,6 +490,7 @@ def test_volumes_come_closer_to_a_hard_reference_than_any_map():
     assert errors[1] < 0.1 * errors[0]
 
 
+@pytest.mark.exhaustive
 def test_fit_of_several_lights_is_joint(tmp_path):
     made, _ = run(*SMALL, *LIGHTS, "fit.solver.max_steps=2", "fit.anneal.phases=1")
     result = result_of(made)
