@@ -1196,8 +1196,8 @@ _FIT = (
     _fault(
         "precision: the step that is left does not count",
         "fit/_precision.py",
-        " + np.outer(left, left)",
-        "",
+        "root = np.column_stack([inverse[:, None] * (ways @ scatter), left])",
+        "root = inverse[:, None] * (ways @ scatter)",
         "test_fit_pose.py",
     ),
     _fault(
