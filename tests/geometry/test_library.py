@@ -157,6 +157,7 @@ def test_fences_slats_stand_apart():
     mesh = library_mesh("fence", slats=5, slat_width=0.1)
     x = np.asarray(mesh.vertices)[:, 0].reshape(5, 8)
     assert (x[1:].min(axis=1) > x[:-1].max(axis=1) + 0.1).all()
+    assert np.ptp(np.asarray(mesh.vertices)[:, 0]) == pytest.approx(1), "as wide as the whole fence"
     assert library_mesh("fence", slats=1).faces.shape == (12, 3)
 
 
