@@ -193,8 +193,12 @@ def test_light_is_recovered_from_its_shadow():
 def test_truth_lies_within_the_deviations_that_fits_report():
     camera = "scene.camera={resolution: [48, 48], eye: [0.6, 2.9, 2.4], target: [0.2, 0.1, -0.1], fov_y: 42}"
     bias = "bias={constant: 0.5, plane: {type: receiver_plane, deepening: 0.5}}"
-    hard = "scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}", "fit.levels=[1]"
-    found = run("coverage", camera, bias, *hard, lights="directional", meshes="builtin:blob", draws=16)
+    hard = "scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}"
+    # The draws replace what is fitted.
+    moved = "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, levels: [1]}"
+    plane = "{path: builtin:plane, options: {size: 4}}"
+    meshes = f"scene.meshes=[{{path: builtin:torus, size: 1, drop_to_ground: true}}, {plane}]"
+    found = run("coverage", camera, bias, meshes, *hard, moved, lights="directional", meshes="builtin:blob", draws=16)
     covered = found["covered"]["directional"]
     assert (covered["fits"], covered["values"] + covered["without"]) == (16, 32)
     # Four of a binomial's standard deviations below 68 % and 95 % of 32.

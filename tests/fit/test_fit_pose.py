@@ -470,10 +470,8 @@ def pull(one, solver):
     ("camera", "solver", "pixels", "texels"),
     [
         ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 64, 32),
-        ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256),
         ("orthographic", Solver("adam", 150, 1e-7, 1e-8), 512, 256),
         ("perspective", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256),
-        ("perspective", Solver("adam", 150, 1e-7, 1e-8), 512, 256),
     ],
 )
 def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels):

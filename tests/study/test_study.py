@@ -435,8 +435,8 @@ def test_render_of_several_lights_tells_them_apart():
     assert [light["light"] for light in metrics["lights"]] == ["scene.lights.0", "scene.lights.1"]
     assert metrics["pixels"] == sum(light["pixels"] for light in metrics["lights"])
     with np.load(folder / "arrays.npz") as arrays:
-        assert arrays["visibility"].shape == arrays["mask"].shape == (2, 40, 40)
-        assert arrays["shadow_map_depth_1"].shape == (6, 48, 48)
+        assert arrays["visibility"].shape == arrays["mask"].shape == (2, 64, 64)
+        assert arrays["shadow_map_depth_1"].shape == (6, 128, 128)
         difference = (arrays["visibility"].astype(np.float64) - arrays["reference"])[arrays["mask"]]
     # The errors of all lights together are those over all their pixels.
     assert metrics["errors"]["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-6)
