@@ -344,7 +344,7 @@ _RASTER = (
         "raster/_depth_test.py",
         "jnp.round(depth * _STEPS[self.format])",
         "jnp.floor(depth * _STEPS[self.format])",
-        "test_shadow_map.py",
+        "test_depth_test.py",
     ),
     _fault(
         "depth format: a power of two of steps",
