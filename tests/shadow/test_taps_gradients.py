@@ -164,6 +164,15 @@ def derivatives(arguments, tangents, weight):
     return jax.jvp(function, primals, tangents), jax.jvp(plain, primals, tangents), gradients
 
 
+def test_a_sum_counts_each_step_once_however_many_there_are():
+    """Some are written out in each turn of a loop, and what is left after it."""
+    _, _, _, sites, _ = sum_arguments(0, "nearest")
+    numbers = (1, 7, 23, 25, 37, 64)
+    total = lambda n: _Plain(KERNELS["nearest"]).add_up(lambda at, step: 0 * at.x + step, None, sites, jnp.arange(n))
+    found = jax.jit(lambda: [total(n)[0, 0] for n in numbers])()
+    np.testing.assert_array_equal(found, [n * (n - 1) / 2 for n in numbers])
+
+
 @pytest.mark.parametrize("name", KERNELS)
 def test_custom_derivative_is_the_plain_one(name):
     with jax.enable_x64(True):
