@@ -481,6 +481,18 @@ def test_hard_shadows_end_where_casters_do():
     assert wrong < 5e-4 < 0.01 < wrong_plain
 
 
+def test_a_silhouettes_texel_holds_the_depth_of_what_lies_behind():
+    """Of the square over a ground that reaches beyond the map."""
+    mesh, edges = _of_size(merge([_square(), library_mesh("plane", size=6, segments=20)]))
+    found = _draw(mesh, edges, _sun(jnp.zeros(2)))
+    depth, slot = np.asarray(found.depth), np.asarray(found.silhouettes.slot)
+    both = np.stack([found.silhouettes.inner, found.silhouettes.outer])[:, slot[slot >= 0]]
+    assert both.shape[1] > 40
+    assert both.max() <= depth.max() < 1
+    # The square hovers by a sixth of the light's depths.
+    assert (np.ptp(both, axis=0) > 0.1).all()
+
+
 def test_a_rim_does_not_shadow_itself():
     sphere = library_mesh("sphere", subdivisions=3)
     direction = np.array([0.3, -1.0, 0.2])
