@@ -37,7 +37,7 @@ def _remove_oldest(folder: Path) -> None:
     """Removes the programs that were written first, as long as all together are too large."""
     try:
         files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in folder.glob("jit_*"))
-    except FileNotFoundError:  # another session is at it
+    except FileNotFoundError:  # another process removes them too
         return
     total = sum(size for _, size, _ in files)
     for _, size, file in files:

@@ -49,7 +49,11 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
-    clip, faces = padded(clip.astype(jnp.float32), faces)
+    return _plan_padded(*padded(clip.astype(jnp.float32), faces), resolution, cull)
+
+
+def _plan_padded(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, cull: Cull) -> Capacity:
+    """`plan` of triangles as `padded` returns them."""
     clip = clip.reshape(-1, *clip.shape[-2:])
     # What is clipped, and what is large, must have room before its parts can be counted. Nearly every scene has large
     # triangles, few need clipping. One view after another, so that any number of them share what is compiled.
@@ -149,14 +153,14 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
         raise ValueError(f"the resolution is {resolution}; expected (height, width), each from 1 to 8192 pixels")
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces)
-    if capacity is None:
-        if isinstance(clip, Tracer) or isinstance(faces, Tracer):
-            raise ValueError(
-                "rasterize was called inside jax.jit (or grad, or vmap) without a capacity; expected one, since shapes "
-                "must be known there: call plan(clip, faces, resolution) outside on typical values and pass its result"
-            )
-        capacity = plan(clip, faces, resolution, cull=cull)
+    if capacity is None and (isinstance(clip, Tracer) or isinstance(faces, Tracer)):
+        raise ValueError(
+            "rasterize was called inside jax.jit (or grad, or vmap) without a capacity; expected one, since shapes "
+            "must be known there: call plan(clip, faces, resolution) outside on typical values and pass its result"
+        )
     clip, faces = padded(clip, faces)
+    if capacity is None:
+        capacity = _plan_padded(clip, faces, resolution, cull)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
     checked = overflows is None

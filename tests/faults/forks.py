@@ -17,7 +17,7 @@ from typing import Any
 def main() -> None:
     for name in sys.argv[1:]:
         importlib.import_module(name)
-    # So that no fork looks through what all of them share.
+    # The garbage collector of a fork then leaves alone what all forks share.
     gc.freeze()
     for line in sys.stdin:
         output, *arguments = json.loads(line)

@@ -88,8 +88,7 @@ class Copy:
             if os.path.lexists(root / name):
                 (to / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(root / name, to / name, follow_symlinks=False)
-        programs = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(root / ".pytest_cache" / "d" / "jax")
-        self._environment = {**os.environ, "PYTHONPATH": str(to), "JAX_COMPILATION_CACHE_DIR": programs}
+        self._environment = {**os.environ, "PYTHONPATH": str(to)}
 
     def check_import(self) -> None:
         """**Raises** `RuntimeError` unless the package that Python imports here is the copy's, not an installed one."""

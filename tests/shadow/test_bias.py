@@ -83,7 +83,7 @@ def test_slope_bias_is_held_between_its_bounds():
 
 
 def test_a_bias_on_its_bound_keeps_its_derivative():
-    """Else a fit that starts there would stay."""
+    """Without one, a fit that starts there would never leave it."""
     for held in (at_least, at_most):
         for x, slope in ((0.5, held is at_most), (1.0, True), (1.5, held is at_least)):
             found = jax.jvp(lambda x, held=held: held(x, jnp.float32(1)), (jnp.float32(x),), (jnp.float32(1),))[1]
