@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 def as_float(x: Any) -> Array:
@@ -48,6 +48,11 @@ def safe_divide(a: Float[Array, "*n"], b: Float[Array, "*n"], otherwise: float =
 def normalize(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
     """`x` scaled to unit length along the last axis; the zero vector stays zero."""
     return safe_divide(x, jnp.broadcast_to(safe_norm(x)[..., None], x.shape))
+
+
+def take(values: Array, index: Int[Array, "*n"]) -> Array:
+    """`values[index]` along the first axis, for indices in bounds. A negative one reads the first element."""
+    return values.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def round_up_to_power_of_two(n: int) -> int:

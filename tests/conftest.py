@@ -8,7 +8,8 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-install_import_hook("diffshadow", "beartype.beartype")
+_ARRAYS = ("_misc", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
+install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "beartype.beartype")
 
 # Of the file system, whatever the tests set DIFFSHADOW_CACHE to.
 PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "diffshadow-tests"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import diffshadow.study
-from diffshadow.cli import main
+from diffshadow.cli import _console, main
 from diffshadow.config import Config, load_config
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
@@ -145,6 +145,11 @@ def test_what_a_terminal_would_obey_is_printed_as_escapes(arguments, capsys, tmp
     (line,) = err.splitlines()
     assert line.isprintable()
     assert "\\" in line
+
+
+def test_console_prints_control_characters_of_any_text_as_escapes(capsys):
+    _console().print("a\x1b[2J\nb\u202e")
+    assert capsys.readouterr().out == "a\\x1b[2J\nb\\u202e\n"
 
 
 def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeypatch):

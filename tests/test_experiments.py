@@ -95,6 +95,7 @@ def test_fit_ends_where_the_landscape_is_lowest():
     assert acne[0].min() > 2 * acne[-1].max()
 
 
+@pytest.mark.exhaustive
 def test_soft_compare_nears_the_hard_one_and_its_gradient():
     found = run("soft_width", kernels="linear", widths=3, least=0.02, most=8.0, points=2, scale=0.5)
     narrow, middle, wide = found["rows"]
@@ -108,6 +109,7 @@ def test_soft_compare_nears_the_hard_one_and_its_gradient():
     assert (np.array(found["truth"])[:, 0] != 0).any()
 
 
+@pytest.mark.exhaustive
 def test_shootout_fits_before_it_times():
     found = run("shootout", only="nearest,disk", repeats=3, most=1)
     nearest, disk = found["rows"]
@@ -119,6 +121,7 @@ def test_shootout_fits_before_it_times():
     assert nearest["pareto"] == (nearest["milliseconds"] < disk["milliseconds"])
 
 
+@pytest.mark.exhaustive
 def test_values_do_best_where_they_were_fitted():
     found = run("generalisation", over="light", count=2)
     errors = np.array([row["rmse"] for row in found["rows"]]).reshape(2, 2)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import round_up_to_power_of_two
+from .._misc import round_up_to_power_of_two, take
 from .._types import ClipVertices, Faces, Resolution
 from ._clip import FAN, clip_triangles, needs_clipping
 from ._compact import Ranks, compact, rank_in_class
@@ -143,8 +143,8 @@ class Triangles(eqx.Module):
 
     def corners(self, member: Int[Array, " m"]) -> Corners:
         """The corners of the triangles `member`."""
-        vertices = [self.faces[member, k] for k in range(3)]
-        return Corners(*([values[vertex] for vertex in vertices] for values in (self.x, self.y, self.z)))
+        vertices = [take(self.faces[:, k], member) for k in range(3)]
+        return Corners(*([take(values, vertex) for vertex in vertices] for values in (self.x, self.y, self.z)))
 
 
 def to_window(clip: Float[Array, "n 4"], resolution: Resolution) -> tuple[Array, Array, Array]:
@@ -198,7 +198,7 @@ def _sides(clip: ClipVertices, faces: Faces, resolution: Resolution) -> tuple[Bo
     # One code a vertex, and so one gather a corner: 6 bits for the frustum's planes, 1 for clipping.
     tests = [x > w, x < -w, y > w, y < -w, z > w, z < -w, needs_clipping(clip, resolution)]
     codes = lax.optimization_barrier(sum(test.astype(jnp.int32) << bit for bit, test in enumerate(tests)))
-    first, second, third = (codes[faces[:, k]] for k in range(3))
+    first, second, third = (take(codes, faces[:, k]) for k in range(3))
     visible = (first & second & third & 0b111111) == 0
     return visible, visible & (((first | second | third) >> 6) != 0)
 
@@ -212,7 +212,7 @@ def _classify(
     cull: Cull,
     classes: Sequence[int],
 ) -> Int[Array, " f"]:
-    xs, ys = ([values[faces[:, k]] for k in range(3)] for values in (x, y))
+    xs, ys = ([take(values, faces[:, k]) for k in range(3)] for values in (x, y))
     area = signed_area(xs, ys)
     facing = {"none": area != 0, "back": area > 0, "front": area < 0}[cull]
     box = pixel_box(xs, ys, resolution)

@@ -4,6 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._misc import take
+
 
 class Crossings(eqx.Module):
     """Places where segments cross grid lines, which are those on which one coordinate is a whole number.
@@ -44,5 +46,5 @@ def grid_crossings(
     owner = jnp.repeat(jnp.arange(each.shape[0], dtype=jnp.int32), each, total_repeat_length=room)
     segment, axis = owner // 2, owner % 2
     low = jnp.floor(jnp.minimum(start, end)).astype(jnp.int32).reshape(-1)
-    line = low[owner] + 1 + number - (last - each)[owner]
+    line = take(low, owner) + 1 + number - take(last - each, owner)
     return Crossings(jnp.where(number < last[-1], segment, -1), axis, line)

@@ -19,6 +19,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
+from .._misc import take
 from .._types import FaceMap, Resolution
 from ._bins import BLOCK, LARGE, WINDOWS, Capacity, Counts, Triangles, pixel_box
 from ._compact import compact, members
@@ -98,7 +99,7 @@ def windows(
         used, rooms = used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)), (*rooms, capacity.blocks)
     # One set-up for all classes, which is far quicker to compile than one for each.
     form = edge_form(lax.optimization_barrier(triangles.corners(member)), x, y, test, polygon_offset)
-    return Windows(form, jnp.where(member >= 0, triangles.source[member], -1), used, rooms)
+    return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, rooms)
 
 
 def candidates(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> Candidates:
@@ -119,9 +120,9 @@ def candidates(triangles: Triangles, resolution: Resolution, capacity: Capacity)
     marks = marks.at[jnp.where(lengths > 0, starts, capacity.candidates)].add(1, mode="drop")
     owner = jnp.maximum(jnp.cumsum(marks[:-1]) - 1, 0)
     used = number < ends[-1]
-    within, across = number - starts[owner], jnp.maximum(columns[owner], 1)
-    x, y = left[owner] + within % across, bottom[owner] + within // across
-    blocks = Blocks(jnp.where(used, member[owner], -1), *(jnp.where(used, tile * BLOCK, 0) for tile in (x, y)))
+    within, across = number - take(starts, owner), jnp.maximum(take(columns, owner), 1)
+    x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
+    blocks = Blocks(jnp.where(used, take(member, owner), -1), *(jnp.where(used, tile * BLOCK, 0) for tile in (x, y)))
     form = edge_form(triangles.corners(blocks.member), blocks.x, blocks.y, DepthTest(), None)
     # Hundreds of thousands of faces as large as the map would wrap the integer round; none has room for that many.
     too_many = jnp.sum(lengths.astype(jnp.float32)) > _MOST_BLOCKS
@@ -130,7 +131,7 @@ def candidates(triangles: Triangles, resolution: Resolution, capacity: Capacity)
 
 def _kept(candidates: Candidates, room: int) -> Blocks:
     kept = compact(candidates.hit, room)
-    pick = lambda values, empty: jnp.where(kept >= 0, values[kept], empty)
+    pick = lambda values, empty: jnp.where(kept >= 0, take(values, kept), empty)
     blocks = candidates.blocks
     return Blocks(pick(blocks.member, -1), pick(blocks.x, 0), pick(blocks.y, 0))
 

@@ -15,7 +15,6 @@ from ._projective import ProjectiveTexture as ProjectiveTexture
 from ._projective import draw_projective_texture as draw_projective_texture
 from ._receiver import Receiver as Receiver
 from ._receiver import receiver as receiver
-from ._silhouette_map import SilhouetteMap as SilhouetteMap
 from ._taps import mean_of_taps as mean_of_taps
 from ._technique import ShadowMapping as ShadowMapping
 from ._volumes import ShadowVolumes as ShadowVolumes
@@ -51,3 +50,4 @@ from .patterns import sobol as sobol
 from .patterns import stratified as stratified
 from .patterns import uniform as uniform
 from .patterns import vogel as vogel
+from .silhouettes import SilhouetteMap as SilhouetteMap

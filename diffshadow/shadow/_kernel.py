@@ -15,9 +15,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ._compare import AbstractCompare
-from ._cut_rectangle import WHOLE_TEXEL, Rectangle
 from ._lookup import Lookup
 from ._padded_map import PaddedMap
+from .silhouettes import WHOLE_TEXEL, Rectangle
 
 # A compare with a texel of a row, in nearest taps, which have to find theirs.
 _COST_OF_A_TEXEL = 0.4

@@ -21,7 +21,7 @@ from ..raster import (
     rasterize,
     rasterize_depth,
 )
-from ._silhouette_map import Outline, SilhouetteMap, find_silhouettes
+from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
 DepthLayer = Literal["nearest", "midpoint", "second"]

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._cut_rectangle import Rectangle
+from .._misc import take
 from ._map import ShadowMap
-from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
+from .silhouettes import NO_SILHOUETTE, Rectangle, SilhouetteMap
 
 # Deeper than any receiver by far more than any soft compare is wide.
 _NOTHING = 1e6
@@ -71,11 +71,11 @@ class PaddedMap(eqx.Module):
         Only for texels with a silhouette, which is taken to have moved by `motion`.
         """
         found = self._found
-        slot = jnp.maximum(_at(found.slot, place), 0)
-        inner, outer = function(_at(found.inner, slot)), function(_at(found.outer, slot))
+        slot = jnp.maximum(take(found.slot, place), 0)
+        inner, outer = function(take(found.inner, slot)), function(take(found.outer, slot))
         area = (part.right - part.left) * (part.above - part.below)
         share = found.area_within(slot, part, motion) / jnp.maximum(area, _LEAST_AREA)
-        return outer + share * (inner - outer) - function(_at(self.depth, place))
+        return outer + share * (inner - outer) - function(take(self.depth, place))
 
     @property
     def _found(self) -> SilhouetteMap:
@@ -84,11 +84,7 @@ class PaddedMap(eqx.Module):
 
     def _read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
-        return _at(from_there, place)
-
-
-def _at(values: Array, place: Int[Array, "*n"]) -> Array:
-    return values.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return take(from_there, place)
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:

@@ -33,7 +33,7 @@ from diffshadow.fit._poses import Room
 from diffshadow.fit._precision import precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._settings import levels_of
-from diffshadow.fit._solve import _Path
+from diffshadow.fit._solve import _Path, _Run
 from diffshadow.fit._starts import starts_within
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, PointLight, SpotLight, merge
 from diffshadow.raster import draw_surface
@@ -282,6 +282,25 @@ def test_of_losses_within_the_noise_the_last_phase_is_chosen():
     assert path(1.0, 1.2).chosen(0.25) == 1
     assert path(1.0, 1.2, 1.3).chosen(0.25) == 1
     assert path(1.0, 1.2).chosen(0.0) == 0
+
+
+def test_the_start_with_the_least_loss_runs_the_remaining_phases():
+    losses, runs = {(1.0,): 0.7, (2.0,): 0.2, (3.0,): 0.4}, []
+
+    def along(phases, path):
+        runs.append((phases, path.values[0]))
+        return _Path([], path.values, [losses[path.values[0]]], [], [])
+
+    solving = SimpleNamespace(
+        phases=[SimpleNamespace(level=level) for level in (4, 1, 1)],
+        reporter=SimpleNamespace(start=None),
+        _along=along,
+        _start=lambda initial: _Path([], [(float(initial[0]),)], [], [], []),
+    )
+    path, tried = _Run.through(solving, jnp.array(list(losses)))
+    assert [start.loss for start in tried] == [0.7, 0.2, 0.4]
+    assert runs == [*(([0], start) for start in losses), ([1, 2], (2.0,))]
+    assert (path.values[0], solving.reporter.start) == ((2.0,), 1)
 
 
 def test_fits_of_other_numbers_share_a_program():

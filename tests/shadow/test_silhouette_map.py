@@ -44,9 +44,9 @@ from diffshadow.shadow import (
     plan_shadow_map,
     stratified,
 )
-from diffshadow.shadow._cut_rectangle import HalfPlane, Rectangle, cut_area
 from diffshadow.shadow._map import _about_corners
 from diffshadow.shadow._padded_map import _Pyramid
+from diffshadow.shadow.silhouettes import HalfPlanes, Rectangle, cut_area
 
 # What every mesh of the usual run is filled up to, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
@@ -241,8 +241,8 @@ def _turned_cuts(values):
     """The area that two half-planes at angles leave of rectangles, and its derivatives, for each of many."""
 
     def area_of(values):
-        planes = [HalfPlane(jnp.cos(values[k]), jnp.sin(values[k]), values[k + 2]) for k in (4, 5)]
-        return cut_area(Rectangle(*values[:4]), *planes)
+        angles, offsets = values[4:6], values[6:]
+        return cut_area(Rectangle(*values[:4]), HalfPlanes(jnp.cos(angles), jnp.sin(angles), offsets))
 
     area, pull = jax.vjp(area_of, values)
     return area, pull(jnp.ones_like(area))[0]
@@ -272,7 +272,7 @@ def test_half_planes_that_end_on_a_side_of_the_rectangle():
     on_sides = [(sign, 0, sign * side) for sign in (1, -1) for side in part[:2]]
     on_sides += [(0, sign, sign * side) for sign in (1, -1) for side in part[2:]]
     pairs = np.array([(one, other) for one in on_sides for other in [*on_sides, (0.6, 0.8, 0.125)]])
-    areas = np.asarray(_cut(part, *(HalfPlane(*pairs[:, k].T.astype(np.float32)) for k in (0, 1))))
+    areas = np.asarray(_cut(part, HalfPlanes(*pairs.T.astype(np.float32))))
     for area, pair in zip(areas, pairs, strict=True):
         polygon = corners
         for x, y, offset in pair:
@@ -282,10 +282,10 @@ def test_half_planes_that_end_on_a_side_of_the_rectangle():
 
 def test_one_half_plane_twice():
     # As many as above, so that nothing is compiled anew.
-    plane, turned = (HalfPlane(*np.full((3, 72), sign * np.float32([[0.6], [0.8], [0.0]]))) for sign in (1, -1))
+    pair = lambda *signs: HalfPlanes(*np.multiply.outer(np.float32([0.6, 0.8, 0.0]), np.tile(signs, (72, 1)).T))
     # A line through the middle halves a texel.
-    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), plane, plane) == pytest.approx(0.5, abs=1e-7)
-    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), plane, turned) == pytest.approx(0, abs=1e-7)
+    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), pair(1, 1)) == pytest.approx(0.5, abs=1e-7)
+    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), pair(1, -1)) == pytest.approx(0, abs=1e-7)
 
 
 def _clip(polygon, normal, offset):
@@ -537,10 +537,10 @@ def test_point_lights_find_silhouettes_in_all_their_maps():
 def _variance(shadow_map, surface):
     """Each texel's share of casters, and how visibility changes as each silhouette's first half-plane moves."""
     share = shadow_map.silhouettes.mean_of(lambda depth: jnp.where(depth < 1, 1.0, 0.0), shadow_map.depth)
-    offset = lambda m: m.silhouettes.planes[0].offset
+    offset = lambda m: m.silhouettes.planes.offset
 
     def visibility(by):
-        moved = eqx.tree_at(offset, shadow_map, offset(shadow_map) + by)
+        moved = eqx.tree_at(offset, shadow_map, offset(shadow_map).at[0].add(by))
         return _technique(VarianceShadowMap(1.5)).visibility(moved, surface)
 
     return share, jax.jvp(visibility, (jnp.zeros(()),), (jnp.ones(()),))[1]

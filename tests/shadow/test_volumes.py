@@ -229,6 +229,18 @@ def test_receivers_cast_nothing_and_let_shadows_through():
     assert np.any(seen.lit & (seen.face >= 4) & (as_caster == 0))
 
 
+def test_a_receiver_seen_from_its_unlit_side_is_dark():
+    # It lies above the card, outside its volume, and does not cast: only its side tells that it is dark.
+    card = quad((0, 0.3, 0), (0.5, 0, 0), (0, 0, -0.5))
+    ceiling = merge([quad((x, 1.2, 0), (1, 0, 0), (0, 0, -1)) for x in (0, 0.1)])
+    below = PinholeCamera((0.2, 0.6, 1.5), (0.1, 1.2, 0), fov_y=50.0, near=0.1, far=9.0, resolution=RESOLUTION)
+    visibility, counts = found(card, LAMP, below, receivers=ceiling)
+    seen = trace_visibility_exact(Scene(merge([card, ceiling]), below, LAMP), 1).mask
+    assert np.mean(seen) > 0.2
+    assert (counts[seen] == 0).all()
+    assert (visibility == ~seen).all()
+
+
 def test_a_far_plane_in_front_of_the_ground_leaves_it_lit():
     casters = merge([library_mesh("box"), GROUND])
     camera = PinholeCamera((1.8, 2.2, 3.0), (0.1, 0.3, 0.0), fov_y=35.0, near=0.1, far=3.6, resolution=RESOLUTION)

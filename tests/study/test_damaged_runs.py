@@ -188,6 +188,7 @@ HARMS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "text": (archive(lambda a: a.update(after=a["after"].astype("U"))), "holds <U32; expected real numbers of 32 bits"),
     "complex": (archive(lambda a: a.update(after=a["after"] + 1j)), "the array after holds complex64"),
     "mask": (archive(lambda a: a.update(mask=a["mask"].astype(np.uint8))), "holds uint8; expected booleans"),
+    "unmasked": (archive(lambda a: a["mask"].fill(False)), "0 pixels count in the array mask; expected the 640"),
     "picture": (archive(lambda a: a.update(shaded_after=a["shaded_after"][..., :2])), "expected 24 × 32 × 3"),
     "not a number": (archive(lambda a: a["after"].fill(np.nan)), "holds values from nan to nan; expected 0 to 1"),
     "infinite": (archive(lambda a: a["reference"].fill(np.inf)), "reference holds values from inf to inf"),

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,9 @@ from stored_runs import write_fit, write_sweep
 
 from diffshadow import study
 from diffshadow.cli import main
+from diffshadow.study._compare import _errors
+from diffshadow.study._record import combined
+from diffshadow.study._table import ERRORS
 
 
 class Parsed(html.parser.HTMLParser):
@@ -181,6 +185,19 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     assert parsed.names[0] == "Reference"
     assert parsed.names[1:3] == [str(first), str(second)]
     assert "Reference of" not in parsed.text
+
+
+def test_comparison_marks_the_greatest_ssim_and_the_least_of_the_other_errors():
+    errors = [dict.fromkeys(ERRORS, value) for value in (0.3, 0.2, 0.4)]
+    lines = _errors([SimpleNamespace(errors=[("", each)]) for each in errors])
+    ssim = list(ERRORS).index("ssim")
+    assert [line.best for line in lines] == [{2} if i == ssim else {1} for i in range(len(lines))]
+
+
+def test_errors_of_several_lights_are_those_of_all_their_pixels():
+    errors = [{"mae": 0.1, "rmse": 0.3}, {"mae": 0.4, "rmse": 0.1}, {"mae": np.nan, "rmse": np.nan}]
+    drawn = [SimpleNamespace(pixels=pixels) for pixels in (30, 10, 0)]
+    assert combined(errors, drawn) == pytest.approx({"mae": 0.175, "rmse": np.sqrt(0.07)})
 
 
 def test_any_text_may_name_a_run(tmp_path):

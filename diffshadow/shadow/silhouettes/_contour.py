@@ -1,0 +1,164 @@
+"""The line that the outline draws through each texel, as two half-planes."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._misc import normalize
+from ._crossings import BEGIN, END, Crossings, Grid
+from ._half_planes import HalfPlanes
+
+# So low an offset that a half-plane contains all of any texel.
+_EVERYWHERE = -1e6
+# The sine of the least angle by which an outline turns within a texel.
+_LEAST_TURN = 1e-3
+
+# A texel's corners and sides in the order in which a walk around it, anticlockwise from its lower left corner, meets
+# them. The walk runs along the third and the fourth side backwards, where a caster begins that ends forwards.
+_CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
+_SIDES = np.array([(0, 0), (0, 1), (1, 0), (0, 0)], np.int32)
+_UPRIGHT = np.array([[False], [True], [False], [True]])
+_FORWARD = np.array([[True], [True], [False], [False]])
+_ROWS = np.array([[END, END, BEGIN, BEGIN], [BEGIN, BEGIN, END, END]], np.int32)[..., None]
+_ALONG = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+_OUTWARDS = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)])
+
+
+class Contours(NamedTuple):
+    """What the outline leaves of texels (t,).
+
+    - `planes`: (2, t), relative to the texel's centre.
+    - `inner`, `outer`: window depths inside both half-planes, and elsewhere in the texel.
+    - `follows`: whether edges define the line, whose derivative the half-planes then carry.
+    - `exists`: whether the outline passes through the texel at all.
+    """
+
+    planes: HalfPlanes
+    inner: Float[Array, " t"]
+    outer: Float[Array, " t"]
+    follows: Bool[Array, " t"]
+    exists: Bool[Array, " t"]
+
+
+class _Points(NamedTuple):
+    """Where the outline enters or leaves texels, relative to their centres.
+
+    The direction is 0 where no edge is known; `motion` is zero, with the derivative of the edge's point.
+    """
+
+    place: Float[Array, "*k t 2"]
+    direction: Float[Array, "*k t 2"]
+    motion: Float[Array, "*k t 2"]
+
+    @property
+    def on_edge(self) -> Bool[Array, "*k t"]:
+        return jnp.any(lax.stop_gradient(self.direction) != 0, axis=-1)
+
+
+def find_contours(
+    depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: Crossings, texel: Int[Array, " t"], grid: Grid
+) -> Contours:
+    """The contours of texels (t,).
+
+    On a walk around a texel casters begin and end. The outline runs from where one ends to where one begins, with the
+    caster to its left.
+    """
+    layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
+    at = lambda steps: (layer, row + steps[:, :1], column + steps[:, 1:])
+    z, own = corners[grid.corner(*at(_CORNERS))], depth[texel]
+    # (2, 4, t): where a caster ends, and where one begins, on each side.
+    crossing = crossings.at[_ROWS, grid.side(_UPRIGHT, *at(_SIDES))]
+    edge_depth = crossings.depth[crossing]
+    near, far = jnp.min(edge_depth, axis=(0, 1)), jnp.max(z, axis=0)
+    threshold = lax.stop_gradient(jnp.minimum(near, far) + far) / 2
+
+    covered, exists = z < threshold, edge_depth < threshold
+    following = jnp.roll(covered, -1, axis=0)
+    place = jnp.where(_FORWARD, crossings.place[crossing], 1 - crossings.place[crossing])
+    # A caster narrower than the side, between two corners that it misses.
+    bar = ~covered & ~following & exists[0] & exists[1] & (place[1] < place[0])
+    used = jnp.stack([covered & ~following, ~covered & following]) | bar
+    along = (jnp.where(exists, place, 0.5) - 0.5)[..., None]
+    of_edge = lambda values: jnp.where(exists[..., None], values[crossing], 0)
+    points = _Points(
+        (along * _ALONG[:, None] + 0.5 * _OUTWARDS[:, None]).astype(place.dtype),
+        of_edge(crossings.direction),
+        of_edge(crossings.motion),
+    )
+    # Of two casters that meet in a texel, whether they are one there; a caster that misses all corners is.
+    is_band = ~jnp.any(covered, axis=0) | (own < threshold)
+    start, end, has_two = _pair(points, used[0], used[1], is_band)
+    start, end = _moved(start, end), _moved(end, start)
+
+    bend = jnp.where(has_two, 0, _bend(start, end))
+    at_ends = jax.tree.map(lambda start, end: jnp.stack([start[0], end[0]]), start, end)
+    straight = start._replace(direction=normalize(end.place - start.place))
+    planes = jax.tree.map(lambda a, b: jnp.where(bend != 0, a, b), _left_of(at_ends), _left_of(straight))
+    # Two casters apart, and a corner that juts in, are what lies outside both half-planes flipped.
+    flipped = (has_two & ~is_band) | (bend < 0)
+    everywhere = HalfPlanes(*(jnp.array([[0], [value]]) for value in (0, 0, _EVERYWHERE)))
+    is_one = ~(has_two | (bend != 0)) & np.array([[False], [True]])
+    planes = jax.tree.map(lambda v, all_: jnp.where(is_one, all_, jnp.where(flipped, -v, v)), planes, everywhere)
+
+    # A caster that misses the centre is at most as deep as its outline: nearer, it would shadow itself.
+    deepest = jnp.max(jnp.where(used & exists, edge_depth, 0), axis=(0, 1))
+    near = jnp.where(own < threshold, own, jnp.where(deepest > 0, deepest, near))
+    inner, outer = jnp.where(flipped, far, near), jnp.where(flipped, near, far)
+    on_edge = start.on_edge | end.on_edge
+    follows = on_edge[0] & (~has_two | on_edge[1])
+    planes = jax.tree.map(lambda v: jnp.where(follows, v, lax.stop_gradient(v)), planes)
+    return Contours(planes, inner, outer, follows, jnp.any(used[0], axis=0))
+
+
+def _pair(
+    points: _Points, ends: Bool[Array, "4 t"], begins: Bool[Array, "4 t"], is_band: Bool[Array, " t"]
+) -> tuple[_Points, _Points, Bool[Array, " t"]]:
+    """Start and end of the outline's first and second line through each texel, (2, t), and whether there are two.
+
+    A line starts where a caster `ends` and ends where one `begins`.
+    """
+    number = jnp.arange(4, dtype=jnp.int32)[:, None]
+    first = lax.argmax(ends, 0, jnp.int32)
+    start = jnp.stack([first, lax.argmax(ends & (number > first), 0, jnp.int32)])
+    # Where the caster that ends there began: on the same side, or on the last one before it.
+    steps = jnp.where(begins, (start[:, None] - number) % 4, 4)
+    began = lax.argmin(steps, 1, jnp.int32)
+    has_two = jnp.sum(ends, axis=0) > 1
+    end = jnp.where(has_two & is_band, began[::-1], began)
+    side = jnp.stack([start, end])
+    pick = lambda values: jnp.take_along_axis(values, side[..., None], axis=1)
+    picked = _Points(*map(pick, points))
+    return _Points(*(values[0] for values in picked)), _Points(*(values[1] for values in picked)), has_two
+
+
+def _moved(points: _Points, other: _Points) -> _Points:
+    """The points with their derivatives; one that lies on no edge moves as the `other` end of its line does."""
+    motion = jnp.where(points.on_edge[..., None], points.motion, other.motion)
+    return points._replace(place=points.place + motion)
+
+
+def _left_of(points: _Points) -> HalfPlanes:
+    """What lies to the left of the lines through points along their direction."""
+    x, y = -points.direction[..., 1], points.direction[..., 0]
+    return HalfPlanes(x, y, x * points.place[..., 0] + y * points.place[..., 1])
+
+
+def _bend(start: _Points, end: _Points) -> Float[Array, " t"]:
+    """Whether the first line turns within the texel: left, positive, or right, negative; 0 if it does not.
+
+    It does where the edges along which it enters and leaves meet there, ahead of one point and behind the other.
+    """
+    take_first = lambda points: _Points(*(lax.stop_gradient(values[0]) for values in points))
+    start, end = take_first(start), take_first(end)
+    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    turn, way = cross(start.direction, end.direction), end.place - start.place
+    bends = jnp.abs(turn) > _LEAST_TURN
+    safe = jnp.where(bends, turn, 1)
+    ahead, behind = cross(way, end.direction) / safe, cross(start.direction, way) / safe
+    corner = start.place + ahead[:, None] * start.direction
+    inside = (ahead > 0) & (behind > 0) & jnp.all(jnp.abs(corner) < 0.5, axis=1)
+    return jnp.where(bends & inside, turn, 0)

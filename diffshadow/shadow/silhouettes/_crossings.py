@@ -1,0 +1,143 @@
+"""Where the outline crosses the sides of texels."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..._misc import normalize
+from ..._types import HostArray
+from ...raster import grid_crossings
+from ._outline import Outline
+
+# As a fraction of a side; several times the rasterizer's sub-pixel.
+_NEAR_CORNER = 1 / 64
+
+END, BEGIN = 0, 1
+"""Rows of `Crossings.at`."""
+
+
+class Grid(NamedTuple):
+    """How texels, their corners and their sides are numbered, for a map of this size and number of layers.
+
+    Each layer's upright sides come first, (h, w + 1), then its level ones, (h + 1, w).
+    """
+
+    layers: int
+    height: int
+    width: int
+
+    @property
+    def upright_sides(self) -> int:
+        return self.height * (self.width + 1)
+
+    @property
+    def sides(self) -> int:
+        return self.layers * (self.upright_sides + (self.height + 1) * self.width)
+
+    @property
+    def texels(self) -> int:
+        return self.layers * self.height * self.width
+
+    def texel(self, layer: Array, row: Array, column: Array) -> Array:
+        return (layer * self.height + row) * self.width + column
+
+    def corner(self, layer: Array, row: Array, column: Array) -> Array:
+        return (layer * (self.height + 1) + row) * (self.width + 1) + column
+
+    def side(self, upright: Array | HostArray, layer: Array, row: Array, column: Array) -> Array:
+        """The side that runs from corner (row, column) upwards or to the right."""
+        number = jnp.where(upright, row * (self.width + 1) + column, self.upright_sides + row * self.width + column)
+        return layer * (self.sides // self.layers) + number
+
+
+class Crossings(eqx.Module):
+    """Where the outline crosses the sides of texels, which run upwards or to the right.
+
+    - `at`: (2, n), for each side the crossing at which a caster ends that covers the side's first corner (row `END`),
+        and the one at which a caster begins that covers its last (row `BEGIN`). Of several it is the outermost; c, the
+        number of crossings, stands for none.
+    - `place`, `depth`: (c + 1,), of each crossing: how far along its side, in [0, 1], and its window depth.
+    - `direction`: (c + 1, 2), the edge's unit direction, with the caster to its left; 0 for none.
+    - `motion`: (c + 1, 2), zero, with the derivative of the edge's point there.
+    """
+
+    at: Int[Array, "2 n"]
+    place: Float[Array, " c"]
+    depth: Float[Array, " c"]
+    direction: Float[Array, "c 2"]
+    motion: Float[Array, "c 2"]
+
+
+def find_crossings(
+    outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int
+) -> tuple[Crossings, Int[Array, " t"]]:
+    """The crossings of all sides, and the texels on either side of each; `grid.texels` stands for none.
+
+    **Arguments:**
+
+    - `corners`: (k,), window depth at the corners of texels. A crossing counts only where its edge is nearer.
+    """
+    found = grid_crossings(*lax.stop_gradient((outline.start, outline.end)), outline.counts, capacity)
+    start, end, z = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
+    upright = found.axis == 0
+    across = lambda point: jnp.where(upright, point[:, 0], point[:, 1])
+    along = lambda point: jnp.where(upright, point[:, 1], point[:, 0])
+    rise = lax.stop_gradient(across(end) - across(start))
+    fraction = lax.stop_gradient(found.line - across(start)) / jnp.where(rise == 0, 1, rise)
+    depth = z[:, 0] + fraction * (z[:, 1] - z[:, 0])
+    # The derivative is that of the edge's point, which leaves the side. The crossing itself races along the side where
+    # the edge is almost parallel to it, and both points define the same line.
+    point = start + fraction[:, None] * (end - start)
+    motion = point - lax.stop_gradient(point)
+    position = lax.stop_gradient(along(point))
+    own = jnp.floor(position).astype(jnp.int32)
+    place = position - own
+    on_map = (found.segment >= 0) & (found.line >= 0) & (found.line <= jnp.where(upright, grid.width, grid.height))
+    line, layer = jnp.where(on_map, found.line, 0), outline.layer[found.segment]
+    # The caster is to the left: above an edge that runs to the right, and before one that runs upwards.
+    begins = (rise > 0) == upright
+
+    # Samples are taken of vertices snapped to a grid: a crossing this near to a corner may belong to the next side.
+    step = jnp.where(place < _NEAR_CORNER, -1, jnp.where(place > 1 - _NEAR_CORNER, 1, 0))
+    number, exists = jnp.stack([own, own + step]), jnp.stack([on_map, on_map & (step != 0)])
+    exists = exists & (number >= 0) & (number < jnp.where(upright, grid.height, grid.width))
+    number = jnp.where(exists, number, 0)
+    row, column = jnp.where(upright, number, line), jnp.where(upright, line, number)
+    first = corners[grid.corner(layer, row, column)]
+    last = corners[grid.corner(layer, row + jnp.where(upright, 1, 0), column + jnp.where(upright, 0, 1))]
+    hides = exists & (depth < jnp.where(begins, first, last))
+    side = jnp.where(hides, grid.side(upright, layer, row, column), grid.sides)
+
+    offset = jnp.stack([place, place - step])
+    direction = normalize(end - start)
+    # Where samples show a crossing and there is none, it is put into the side's middle.
+    none = jnp.zeros((1, 2), place.dtype)
+    crossings = Crossings(
+        at=_outermost(side, begins, offset, grid),
+        place=jnp.concatenate([*offset, jnp.full(1, 0.5, place.dtype)]),
+        depth=jnp.concatenate([depth, depth, jnp.ones(1, place.dtype)]),
+        direction=jnp.concatenate([direction, direction, none]),
+        motion=jnp.concatenate([motion, motion, none]),
+    )
+    back = jnp.arange(2, dtype=jnp.int32)[:, None]
+    y, x = row[0] - jnp.where(upright, 0, back), column[0] - jnp.where(upright, back, 0)
+    inside = exists[0] & (x >= 0) & (x < grid.width) & (y >= 0) & (y < grid.height)
+    return crossings, jnp.where(inside, grid.texel(layer, y, x), grid.texels).reshape(-1)
+
+
+def _outermost(side: Int[Array, "2 c"], begins: Array, offset: Float[Array, "2 c"], grid: Grid) -> Int[Array, "2 n"]:
+    """`Crossings.at`, from the sides that crossings lie on (row 0) or may belong to (row 1).
+
+    One of row 1 counts only where there is none of row 0.
+    """
+    count = side.shape[1]
+    role, row = jnp.where(begins, BEGIN, END), jnp.arange(2, dtype=jnp.int32)[:, None]
+    key = jnp.where(begins, -offset, offset)
+    greatest = jnp.full((2, 2, grid.sides + 1), -2, key.dtype).at[role, row, side].max(key)
+    wins = jnp.where(key == greatest[role, row, side], side, grid.sides)
+    number = jnp.arange(2 * count, dtype=jnp.int32).reshape(2, count)
+    found = jnp.full((2, 2, grid.sides + 1), 2 * count, jnp.int32).at[role, row, wins].min(number)[..., :-1]
+    return jnp.where(found[:, 0] < 2 * count, found[:, 0], found[:, 1])

@@ -1,0 +1,59 @@
+"""The outline of a mesh as a light sees it, in the window of its map."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..._types import Resolution
+from ...geometry import AbstractLight, Edges, Mesh
+from ...raster import count_crossings, light_sides, silhouettes_by_adjacency
+
+
+class Outline(eqx.Module):
+    """Silhouette edges clipped to the map and a texel around it; the caster lies to their left.
+
+    - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), of the map.
+    - `counts`: (n, 2), how many texel boundaries each crosses: upright ones, then level ones.
+    """
+
+    start: Float[Array, "n 2"]
+    end: Float[Array, "n 2"]
+    depth: Float[Array, "n 2"]
+    layer: Int[Array, " n"]
+    counts: Int[Array, "n 2"]
+
+    @classmethod
+    def of(
+        cls, clip: Float[Array, "*l v 4"], mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution
+    ) -> "Outline":
+        """The silhouettes that `light` sees of a `mesh` with these `edges` and clip coordinates (v, 4)."""
+        found = silhouettes_by_adjacency(edges, light_sides(mesh, light))
+        ends = jnp.where((found.multiplicity >= 0)[:, None], found.vertices, found.vertices[:, ::-1])
+        clip = clip.reshape(-1, *clip.shape[-2:])
+        corners = clip[:, ends].reshape(-1, 2, 4)
+        first, last = _clip(lax.stop_gradient(corners), resolution)
+        used = jnp.tile(found.multiplicity != 0, clip.shape[0]) & (first < last)
+        edge = corners[:, 1] - corners[:, 0]
+        clipped = corners[:, :1] + jnp.stack([first, last], axis=1)[..., None] * edge[:, None]
+        window = clipped[..., :3] / jnp.where(used[:, None, None], clipped[..., 3:], 1) * 0.5 + 0.5
+        height, width = resolution
+        texel = window[..., :2] * jnp.array([width, height], window.dtype)
+        counts = count_crossings(*lax.stop_gradient((texel[:, 0], texel[:, 1])), used)
+        layer = jnp.repeat(jnp.arange(clip.shape[0], dtype=jnp.int32), ends.shape[0])
+        return cls(texel[:, 0], texel[:, 1], window[..., 2], layer, counts)
+
+
+def _clip(corners: Float[Array, "n 2 4"], resolution: Resolution) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """The part of each edge that the map and a texel around it show, as fractions of the edge (Liang & Barsky 1984).
+
+    The first fraction is not less than the last where nothing is left.
+    """
+    x, y, z, w = jnp.moveaxis(corners, -1, 0)
+    x, y = x / (1 + 2 / resolution[1]), y / (1 + 2 / resolution[0])
+    planes = jnp.stack([x, -x, y, -y, z, -z])
+    a, b = jnp.moveaxis(w + planes, -1, 0)
+    fraction = a / jnp.where(a == b, 1, a - b)
+    first = jnp.max(jnp.where((a < 0) & (b > a), fraction, 0), axis=0)
+    last = jnp.min(jnp.where((b < 0) & (a > b), fraction, 1), axis=0)
+    return first, jnp.where(jnp.any((a < 0) & (b < 0), axis=0), 0, last)

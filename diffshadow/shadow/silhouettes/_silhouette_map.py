@@ -1,0 +1,94 @@
+"""Silhouette maps: shadow maps that know where within a texel the caster ends.
+
+Sen, Cammarano & Hanrahan ("Shadow Silhouette Maps", SIGGRAPH 2003) store a point of the silhouette in each texel that
+it passes through. Here the outline is followed as marching squares follow a contour (Lorensen & Cline 1987), but its
+crossings with the sides of texels are those of the silhouette edges rather than guesses from samples. So the outline
+is closed, hidden folds of a mesh drop out, and hard shadows are accurate below a texel. The crossings move with the
+light and the vertices, which gives visibility its derivatives.
+
+Two edges that meet within a texel keep their corner. Of a longer chain only the first and the last edge are kept, or
+the chain is cut short. Parts of a caster narrower than a texel are lost where they cross fewer than two of its sides.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._misc import take
+from ._contour import find_contours
+from ._crossings import Grid, find_crossings
+from ._half_planes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
+from ._outline import Outline
+
+NO_SILHOUETTE = -1
+"""What a texel without a silhouette holds in `SilhouetteMap.slot`."""
+
+
+class SilhouetteMap(eqx.Module):
+    """The silhouettes in a shadow map.
+
+    - `slot`: (h, w), or (l, h, w), the index of each texel's silhouette in the other arrays; `NO_SILHOUETTE` for none.
+    - `planes`: two half-planes each, (2, s), in texels from the texel's centre. They carry the outline's derivative.
+    - `inner`, `outer`: (s,), window depths inside both half-planes, and elsewhere in the texel; 1 for nothing.
+    - `follows`: (s,), whether the outline is that of silhouette edges, and moves as they do. Elsewhere only samples
+        show that there is one, such as where meshes intersect.
+    """
+
+    slot: Int[Array, "*l h w"]
+    planes: HalfPlanes
+    inner: Float[Array, " s"]
+    outer: Float[Array, " s"]
+    follows: Bool[Array, " s"]
+
+    def mean_of(self, function: Callable[[Array], Any], depth: Float[Array, "*l h w"]) -> Any:
+        """The mean over each texel of a function of depth, which gives arrays of its shape; `depth` is the map's."""
+        fraction = self.area_within(jnp.arange(self.inner.shape[0], dtype=jnp.int32), WHOLE_TEXEL)
+        blend = lambda inner, outer: outer + fraction * (inner - outer)
+        means = jax.tree.map(blend, function(self.inner), function(self.outer))
+        pick = lambda plain, mean: jnp.where(self.slot == NO_SILHOUETTE, plain, take(mean, jnp.maximum(self.slot, 0)))
+        return jax.tree.map(pick, function(depth), means)
+
+    def area_within(
+        self,
+        slot: Int[Array, "*n"],
+        part: Rectangle,
+        motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
+    ) -> Float[Array, "*n"]:
+        """The area, in square texels, of the `part` of a texel, relative to its centre, inside both half-planes.
+
+        With a `motion`, half-planes that follow edges have moved by that, in texels.
+        """
+        x, y, offset = (jnp.stack([take(one, slot) for one in values]) for values in self.planes)
+        if motion is not None:
+            along = x * motion[0] + y * motion[1]
+            offset = offset + jnp.where(take(self.follows, slot), along, 0)
+        return cut_area(part, HalfPlanes(x, y, offset))
+
+
+def find_silhouettes(
+    depth: Float[Array, "*l h w"],
+    corners: Float[Array, "*l H W"],
+    outline: Outline,
+    capacity: int,
+) -> SilhouetteMap:
+    """The silhouettes in a map.
+
+    **Arguments:**
+
+    - `depth`: (h, w), the map's; `corners`: (h + 1, w + 1), depth at the corners of its texels.
+    - `capacity`: the number of crossings that are processed; compare it with `outline.counts`.
+    """
+    height, width = depth.shape[-2:]
+    grid = Grid(depth.size // (height * width), height, width)
+    # Nothing can be read from an empty table.
+    capacity = max(capacity, 1)
+    crossings, texel = find_crossings(outline, corners.reshape(-1), grid, capacity)
+    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, jnp.minimum(texel, grid.texels - 1), grid)
+    number = jnp.arange(2 * capacity, dtype=jnp.int32)
+    place = jnp.where(found.exists, texel, grid.texels)
+    slot = jnp.full(grid.texels + 1, NO_SILHOUETTE, jnp.int32).at[place].max(number)[:-1]
+    return SilhouetteMap(slot.reshape(depth.shape), found.planes, found.inner, found.outer, found.follows)
