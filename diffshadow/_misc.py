@@ -26,6 +26,11 @@ def concrete(x: Any) -> np.ndarray | None:
     return None if isinstance(x, Tracer) else np.asarray(x)
 
 
+def array_module(*arrays: Any) -> Any:
+    """`jax.numpy` if one of the `arrays` is traced; else NumPy, which compiles nothing for their shapes."""
+    return jnp if any(isinstance(array, Tracer) for array in arrays) else np
+
+
 def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]:
     """Dot product over the last axis."""
     # Written out: XLA fuses sums with what is round them, but no reductions.

@@ -132,6 +132,7 @@ def test_values_do_best_where_they_were_fitted():
     assert len(set(fitted.values())) == 2, "suns of different heights want different biases"
 
 
+@pytest.mark.exhaustive
 def test_nothing_changes_with_the_scale():
     found = run("scale_invariance", scales="0.01,100")
     assert [row["scale"] for row in found["rows"]] == [0.01, 1, 100]
@@ -143,6 +144,7 @@ def test_nothing_changes_with_the_scale():
     assert worst["filter.radius"] < 0.05
 
 
+@pytest.mark.exhaustive
 def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
     script = importlib.import_module("scale_invariance")
     every = script.scaled

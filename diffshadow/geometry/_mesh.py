@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_float, as_int, concrete, normalize
+from .._misc import array_module, as_float, as_int, concrete, normalize
 from .._types import Faces, Mat4, Vertices
 from ._transforms import transform_points, transform_vectors
 
@@ -69,8 +70,9 @@ class Mesh(eqx.Module):
     @property
     def bounds(self) -> Float[Array, "2 3"]:
         """Least and greatest coordinate of the vertices that faces use, (2, 3), world units."""
-        used = self.vertices[self.faces].reshape(-1, 3)
-        return jnp.stack([used.min(axis=0), used.max(axis=0)])
+        xp = array_module(self.vertices, self.faces)
+        used = xp.asarray(self.vertices)[xp.asarray(self.faces)].reshape(-1, 3)
+        return jnp.asarray(xp.stack([used.min(axis=0), used.max(axis=0)]))
 
 
 def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
@@ -83,10 +85,11 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     """One mesh that holds the triangles of all `meshes`, in their order."""
     if not meshes:
         raise ValueError("got no meshes to merge; expected at least one")
+    xp = array_module(*jax.tree.leaves(list(meshes)))
     starts = np.cumsum([0] + [mesh.vertices.shape[0] for mesh in meshes])
     return Mesh(
-        jnp.concatenate([mesh.vertices for mesh in meshes]),
-        jnp.concatenate([mesh.faces + int(start) for mesh, start in zip(meshes, starts, strict=False)]),
-        jnp.concatenate([mesh.corner_normals for mesh in meshes]),
-        jnp.concatenate([mesh.albedo for mesh in meshes]),
+        xp.concatenate([mesh.vertices for mesh in meshes]),
+        xp.concatenate([xp.asarray(mesh.faces) + int(start) for mesh, start in zip(meshes, starts, strict=False)]),
+        xp.concatenate([mesh.corner_normals for mesh in meshes]),
+        xp.concatenate([mesh.albedo for mesh in meshes]),
     )

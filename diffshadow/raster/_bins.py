@@ -16,10 +16,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import round_up_to_power_of_two, take
-from .._types import ClipVertices, Faces, Resolution
+from .._types import ClipVertices, Faces
 from ._clip import FAN, clip_triangles, needs_clipping
 from ._compact import Ranks, compact, rank_in_class
-from ._fixed import first_centre, last_centre, signed_area, snap
+from ._fixed import Size, first_centre, last_centre, signed_area, snap
 
 Cull = Literal["none", "back", "front"]
 
@@ -147,7 +147,7 @@ class Triangles(eqx.Module):
         return Corners(*([take(values, vertex) for vertex in vertices] for values in (self.x, self.y, self.z)))
 
 
-def to_window(clip: Float[Array, "n 4"], resolution: Resolution) -> tuple[Array, Array, Array]:
+def to_window(clip: Float[Array, "n 4"], resolution: Size) -> tuple[Array, Array, Array]:
     """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (n,); `w = 0` maps to the middle."""
     height, width = resolution
     w = clip[:, 3]
@@ -157,7 +157,7 @@ def to_window(clip: Float[Array, "n 4"], resolution: Resolution) -> tuple[Array,
     return scaled(0, width / 2), scaled(1, height / 2), scaled(2, 0.5)
 
 
-def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Resolution) -> Box:
+def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Size) -> Box:
     """The pixel box of triangles whose three corners are at fixed-point `x` and `y`."""
     height, width = resolution
     least = lambda values: jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
@@ -171,7 +171,7 @@ def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], reso
 
 
 def bin_triangles(
-    clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, clip_capacity: int, classes: Sequence[int]
+    clip: ClipVertices, faces: Faces, resolution: Size, cull: Cull, clip_capacity: int, classes: Sequence[int]
 ) -> Triangles:
     """Every triangle and its size class, which is one of `classes`, or `LARGE`."""
     visible, clipped = _sides(clip, faces, resolution)
@@ -192,7 +192,7 @@ def bin_triangles(
     return Triangles(x, y, z, faces, source, size_class, ranks, jnp.sum(clipped))
 
 
-def _sides(clip: ClipVertices, faces: Faces, resolution: Resolution) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
+def _sides(clip: ClipVertices, faces: Faces, resolution: Size) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
     """Which faces may be seen at all, and which of those need clipping."""
     x, y, z, w = (clip[:, k] for k in range(4))
     # One code a vertex, and so one gather a corner: 6 bits for the frustum's planes, 1 for clipping.
@@ -208,7 +208,7 @@ def _classify(
     y: Int[Array, " v"],
     faces: Faces,
     drawn: Array,
-    resolution: Resolution,
+    resolution: Size,
     cull: Cull,
     classes: Sequence[int],
 ) -> Int[Array, " f"]:

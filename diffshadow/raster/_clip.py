@@ -10,8 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._misc import dot
-from .._types import Resolution
-from ._fixed import GUARD_BAND
+from ._fixed import GUARD_BAND, Size
 
 PLANES = 6
 # A plane adds at most one corner to a convex polygon; a polygon of k corners is a fan of k - 2 triangles.
@@ -21,20 +20,20 @@ FAN = _CORNERS - 2
 _LEAST_W = 1e-6
 
 
-def guard_ratio(resolution: Resolution) -> tuple[float, float]:
+def guard_ratio(resolution: Size) -> tuple[Float[Array, ""] | float, Float[Array, ""] | float]:
     """The guard band as a multiple of the viewport's half width and half height."""
     height, width = resolution
     return 2 * GUARD_BAND / width, 2 * GUARD_BAND / height
 
 
-def needs_clipping(clip: Float[Array, "*n 4"], resolution: Resolution) -> Bool[Array, "*n"]:
+def needs_clipping(clip: Float[Array, "*n 4"], resolution: Size) -> Bool[Array, "*n"]:
     """Whether a vertex lies before the near plane, behind the eye, or outside the guard band."""
     x, y, z, w = (clip[..., k] for k in range(4))
     gx, gy = guard_ratio(resolution)
     return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
 
 
-def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Float[Array, "n fan 3 4"]:
+def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Size) -> Float[Array, "n fan 3 4"]:
     """The parts of triangles inside the near plane and the guard band.
 
     **Arguments:**

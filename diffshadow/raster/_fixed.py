@@ -19,6 +19,8 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._types import Resolution
+
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
 
@@ -27,6 +29,10 @@ SUBPIXELS = 1 << SUBPIXEL_BITS
 GUARD_BAND = 4096
 # Beyond this an edge function cannot change sign within a block of 32 x 32 pixels (2²¹ · 2 · 32 = 2²⁷).
 _FAR = 1 << 29
+
+
+Size = Resolution | Int[Array, "2"]
+"""A resolution that only positions depend on, no shape: it may be an array, so that all share a program."""
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:

@@ -10,10 +10,11 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float
+from .._misc import as_float, as_int
 from .._types import ClipVertices, Faces, Resolution
 from ._bins import LARGE, WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
+from ._fixed import Size
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
 # The least room in which what must be cut into parts is counted, which is enough for most scenes.
@@ -59,7 +60,7 @@ def _plan_padded(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolut
     # triangles, few need clipping. One view after another, so that any number of them share what is compiled.
     room = _ROOM_FOR_PARTS
     while True:
-        counted = [_count(view, faces, resolution, cull, room) for view in clip]
+        counted = [_count(view, faces, as_int(resolution), cull, room) for view in clip]
         needed = jax.tree.map(lambda *each: np.max(np.stack(each), axis=0), *counted).capacity()
         # Of windows and blocks there is no room to be made: what is compiled does not depend on how many there are.
         parts = needed._replace(windows=room.windows, blocks=room.blocks)
@@ -173,7 +174,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
 
 
 @eqx.filter_jit
-def _count(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull, capacity: Capacity) -> Counts:
+def _count(clip: ClipVertices, faces: Faces, resolution: Size, cull: Cull, capacity: Capacity) -> Counts:
     triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, range(LARGE))
     return count(triangles, candidates(triangles, resolution, capacity))
 

@@ -25,6 +25,7 @@ from ._bins import BLOCK, LARGE, WINDOWS, Capacity, Counts, Triangles, pixel_box
 from ._compact import compact, members
 from ._coverage import EdgeForm, edge_form, window_depth
 from ._depth_test import DepthTest
+from ._fixed import Size
 
 PADDING = max(WINDOWS)
 SCATTER = lax.ScatterDimensionNumbers(
@@ -102,7 +103,7 @@ def windows(
     return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, rooms)
 
 
-def candidates(triangles: Triangles, resolution: Resolution, capacity: Capacity) -> Candidates:
+def candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Candidates:
     """The blocks that large triangles may touch."""
     if not capacity.large:
         none = jnp.zeros(0, jnp.int32)

@@ -168,8 +168,8 @@ _GEOMETRY = (
     _fault(
         "merged meshes: indices not shifted",
         "geometry/_mesh.py",
-        "mesh.faces + int(start)",
-        "mesh.faces",
+        "xp.asarray(mesh.faces) + int(start)",
+        "xp.asarray(mesh.faces)",
         "test_geometry.py",
     ),
     _fault(
