@@ -15,7 +15,6 @@ from ._projective import ProjectiveTexture as ProjectiveTexture
 from ._projective import draw_projective_texture as draw_projective_texture
 from ._receiver import Receiver as Receiver
 from ._receiver import receiver as receiver
-from ._taps import mean_of_taps as mean_of_taps
 from ._technique import ShadowMapping as ShadowMapping
 from ._volumes import ShadowVolumes as ShadowVolumes
 from ._volumes import VolumeCapacity as VolumeCapacity
@@ -42,6 +41,7 @@ from .filters import PercentageCloserSoft as PercentageCloserSoft
 from .filters import RandomDisk as RandomDisk
 from .filters import Tent as Tent
 from .filters import VarianceShadowMap as VarianceShadowMap
+from .kernels import mean_of_taps as mean_of_taps
 from .patterns import DiskMapping as DiskMapping
 from .patterns import Pattern as Pattern
 from .patterns import halton as halton

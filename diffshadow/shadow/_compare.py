@@ -15,7 +15,14 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 
 
 class AbstractCompare(eqx.Module):
-    """Compares stored depths with a receiver's."""
+    """Compares stored depths with a receiver's.
+
+    - `has_depth_derivative`: whether the result has a derivative with respect to depth.
+    """
+
+    @property
+    def has_depth_derivative(self) -> bool:
+        return True
 
     @abc.abstractmethod
     def __call__(
@@ -42,6 +49,10 @@ class HardCompare(AbstractCompare):
     def __check_init__(self):
         if self.operator not in ("less_equal", "less"):
             raise ValueError(f'the comparison is {self.operator!r}; expected "less_equal" or "less"')
+
+    @property
+    def has_depth_derivative(self) -> bool:
+        return False
 
     def __call__(self, stored, receiver, depth_per_texel):
         lit = receiver <= stored if self.operator == "less_equal" else receiver < stored

@@ -1,39 +1,81 @@
-"""Look-ups: where receivers look into the map once they are biased, and what they compare with."""
+"""Look-ups: where biased receivers look into the map, and what they compare with."""
+
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._types import DepthMap, Mask, TexelMap
+from .._types import Mask
 from ._map import ShadowMap
 from ._receiver import Receiver, project
 from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """Where a receiver looks into the map, and what it compares with.
+    """Where receivers look into the map, and what they compare with: the pixels of an image, or in any other layout.
 
-    - `texel`: (h, w, 2), x and y in texels; the centre of the first texel is at (0.5, 0.5).
-    - `depth`: (h, w), the receiver's window depth less its bias.
-    - `depth_per_texel`: (h, w), window depth per texel's width, the unit of a soft compare.
+    - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes them as one
+        array `texel` (h, w, 2).
+    - `depth`: (h, w), the receiver's window depth minus its bias.
+    - `depth_per_texel`: (h, w), window depth per texel width, the unit of a soft compare.
     - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
-    - `slope`: (h, w, 2), window depth per texel along x and y, by which each tap's depth follows the receiver's plane
-        to the centre of its texel; none where all taps compare with the one depth.
-    - `layer`: (h, w), which of the light's maps is looked into; none where there is but one.
-    - `deepest`: (h, w), the window depth at which a plane that taps follow is cut off; none for nowhere.
+    - `slope`: window depth per texel along x and y, (h, w) each, by which each tap's depth follows the receiver's
+        plane to the centre of its texel; none where all taps compare with the same depth. `Lookup(...)` takes one array
+        (h, w, 2).
+    - `layer`: (h, w), which of the light's maps is read; none if there is only one.
+    - `deepest`: (h, w), the greatest window depth of a plane that taps follow; none for no limit.
     """
 
-    texel: TexelMap
-    depth: DepthMap
-    depth_per_texel: Float[Array, "h w"]
-    inside: Bool[Array, "h w"]
-    slope: TexelMap | None = None
-    layer: Int[Array, "h w"] | None = None
-    deepest: DepthMap | None = None
+    # x and y apart, since XLA vectorizes neither when they are interleaved in memory.
+    x: Float[Array, "*n"]
+    y: Float[Array, "*n"]
+    depth: Float[Array, "*n"]
+    depth_per_texel: Float[Array, "*n"]
+    inside: Bool[Array, "*n"]
+    slope: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None
+    layer: Int[Array, "*n"] | None
+    deepest: Float[Array, "*n"] | None
+
+    def __init__(
+        self,
+        texel: Float[Array, "*n 2"],
+        depth: Float[Array, "*n"],
+        depth_per_texel: Float[Array, "*n"],
+        inside: Bool[Array, "*n"],
+        slope: Float[Array, "*n 2"] | None = None,
+        layer: Int[Array, "*n"] | None = None,
+        deepest: Float[Array, "*n"] | None = None,
+    ):
+        self.x, self.y = texel[..., 0], texel[..., 1]
+        self.depth, self.depth_per_texel, self.inside = depth, depth_per_texel, inside
+        self.slope = None if slope is None else (slope[..., 0], slope[..., 1])
+        self.layer, self.deepest = layer, deepest
+
+    @property
+    def texel(self) -> Float[Array, "*n 2"]:
+        """x and y in one array."""
+        return jnp.stack([self.x, self.y], axis=-1)
+
+    def at(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> "Lookup":
+        """The same look-up at another place."""
+        return eqx.tree_at(lambda lookup: (lookup.x, lookup.y), self, (x, y))
+
+    def detached(self) -> "Lookup":
+        """Without derivatives with respect to the position."""
+        return self.at(*lax.stop_gradient((self.x, self.y)))
+
+
+def rearranged(tree: Any, function: Callable[[Array], Array]) -> Any:
+    """`function` of all arrays of a look-up or a kernel that have a value for each pixel."""
+    return jax.tree.map(lambda leaf: function(leaf) if eqx.is_array(leaf) and leaf.ndim else leaf, tree)
 
 
 def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
-    """Where receivers look up under a bias."""
+    """The look-ups of receivers under a bias."""
     texel, depth, in_front = at.texel, at.depth, at.in_front
     if terms.displacement is not None:
         texel, depth, in_front = project(shadow_map, at.position + terms.displacement, at.layer)
@@ -53,7 +95,6 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
 
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
-    """Whether each receiver looks up a texel of the map, rather than its border."""
+    """Whether each receiver reads a texel of the map rather than its border, (h, w)."""
     height, width = shadow_map.resolution
-    low = jnp.all(lookup.texel >= 0, axis=-1)
-    return lookup.inside & low & (lookup.texel[..., 0] <= width) & (lookup.texel[..., 1] <= height)
+    return lookup.inside & (lookup.x >= 0) & (lookup.y >= 0) & (lookup.x <= width) & (lookup.y <= height)

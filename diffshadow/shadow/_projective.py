@@ -18,7 +18,8 @@ from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Mesh
 from ..raster import NO_FACE, Capacity, Surface, rasterize
 from ._map import clip_vertices
-from .filters._prefilter import Blur, Kernel, bilinear_fetch, check_kernel, check_radius, radius_limit
+from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
+from .kernels import Shape
 
 LayerMap = Int[Array, "h w"]
 
@@ -83,7 +84,7 @@ def draw_projective_texture(
     blur: float | Scalar = 0.0,
     *,
     max_blur: float | None = None,
-    kernel: Kernel = "box",
+    kernel: Shape = "box",
     capacity: Capacity | None = None,
 ) -> ProjectiveTexture:
     """The silhouette of `casters` under `light`.

@@ -39,15 +39,14 @@ class ShadowMapping(eqx.Module):
         """
         lookup, cosine = self._look_up(shadow_map, surface)
         turned_away = surface.mask & ~(cosine > 0)
-        asked = surface.mask & lookup.inside & ~turned_away
-        # The rest looks where nothing has to be worked out.
-        xy = [jnp.where(asked, lookup.texel[..., axis], _NOWHERE) for axis in (0, 1)]
-        # Else XLA projects every receiver anew for each tap; x and y apart, so that it does not interleave them, and
-        # each by itself, so that what carries no derivative stays without one.
-        xy, lookup = jax.tree.map(lax.optimization_barrier, (xy, lookup))
-        lookup = eqx.tree_at(lambda lookup: lookup.texel, lookup, jnp.stack(xy, axis=-1))
+        active = surface.mask & lookup.inside & ~turned_away
+        # The others look where nothing has to be computed.
+        lookup = lookup.at(*(jnp.where(active, place, _NOWHERE) for place in (lookup.x, lookup.y)))
+        # Barrier: otherwise XLA recomputes the projection for every tap. One for each array, so that those without a
+        # derivative stay without one.
+        lookup = jax.tree.map(lax.optimization_barrier, lookup)
         lit = in_unit_range(self.filter(shadow_map, lookup, self.compare))
-        return jnp.where(asked, lit, jnp.where(turned_away, 0, 1))
+        return jnp.where(active, lit, jnp.where(turned_away, 0, 1))
 
     def covered(self, shadow_map: ShadowMap, surface: Surface) -> Mask:
         """Pixels whose surface lies within the light's frustum, (h, w): those that the map can say something of."""
@@ -56,6 +55,6 @@ class ShadowMapping(eqx.Module):
 
     @eqx.filter_checkpoint
     def _look_up(self, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
-        # Reverse mode works this out anew: keeping what it needs of every pixel in memory takes longer.
+        # Reverse mode recomputes this: storing what it needs for every pixel takes longer.
         at = receiver(shadow_map, surface)
         return look_up(shadow_map, at, self.bias(at)), at.cosine

@@ -27,9 +27,9 @@ from diffshadow.shadow import (
     SlopeBias,
     SoftCompare,
     look_up,
+    mean_of_taps,
     receiver,
 )
-from diffshadow.shadow._taps import mean_of_taps
 from diffshadow.shadow.biases._abstract import at_least, at_most
 
 ANGLES = np.array([0.0, 10.0, 45.0, 80.0, 89.9, 90.0, 120.0])

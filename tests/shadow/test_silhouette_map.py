@@ -45,8 +45,8 @@ from diffshadow.shadow import (
     stratified,
 )
 from diffshadow.shadow._map import _about_corners
-from diffshadow.shadow._padded_map import _Pyramid
 from diffshadow.shadow.silhouettes import HalfPlanes, Rectangle, cut_area
+from diffshadow.shadow.silhouettes._padded import Pyramid
 
 # What every mesh of the usual run is filled up to, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
@@ -435,7 +435,7 @@ def _along_x(shadow_map, lookup, along):
     """The sum of all look-ups moved by so many texels, and its derivative."""
 
     def lit(along):
-        moved = dataclasses.replace(lookup, texel=lookup.texel + along * jnp.array([1.0, 0.0]))
+        moved = lookup.at(lookup.x + along, lookup.y)
         return jnp.sum(Bilinear()(shadow_map, moved, HardCompare()))
 
     return jacfwd_and_value(lit)(along)
@@ -580,7 +580,7 @@ def test_no_marked_texel_within_reach_is_overlooked():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(-3, 17, 0.7), np.arange(-3, 12, 0.7)))
     row, column = np.nonzero(marked)
     for reach in (0.0, 0.4, 0.5, 0.9, 1.5, 2.5, 4.0, 20.0):
-        found = _Pyramid.of(jnp.asarray(marked)).any_within(
+        found = Pyramid.of(jnp.asarray(marked)).any_within(
             jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32), None, jnp.float32(reach)
         )
         across = np.maximum(column - x[:, None], x[:, None] - column - 1)

@@ -21,11 +21,10 @@ from diffshadow.shadow import (
     SoftCompare,
     stratified,
 )
-from diffshadow.shadow._kernel import Sites
-from diffshadow.shadow._padded_map import pad
-from diffshadow.shadow._sum import _Plain, _sum, sum_over
-from diffshadow.shadow._taps import Tap, mean_of_taps
 from diffshadow.shadow.filters._pcf import _Row
+from diffshadow.shadow.kernels import Tap, mean_of_taps, pad, sum_over
+from diffshadow.shadow.kernels._sum import _Plain
+from diffshadow.shadow.kernels._terms import _sum
 
 NAMES = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
 VALUES = (0.9, 0.6, 0.4, 1.7)
@@ -124,32 +123,38 @@ def test_slopes_of_filters_match_central_differences():
             assert (np.asarray(found)[still] == 0).all()
 
 
-KERNELS = {"bilinear": Tap("bilinear"), "nearest": Tap("nearest"), "pcf": _Row(1.0)}
+KERNELS = {
+    "bilinear": lambda radius: Tap("bilinear", radius),
+    "nearest": lambda radius: Tap("nearest", radius),
+    "pcf": lambda radius: _Row(1.0, radius),
+}
 
 
 def sum_arguments(seed, name):
-    """What `sum_over` takes, at random, with sites whose planes are followed."""
+    """What `sum_over` takes, at random, with look-ups whose planes are followed."""
     rng = np.random.default_rng(seed)
     shadow_map, lookup = random_map(rng, (9, 9)), random_lookups(rng, (6, 7), (9, 9))
-    slope = tuple(jnp.asarray(rng.normal(scale=0.05, size=(6, 7))) for _ in range(2))
+    slope = jnp.stack([jnp.asarray(rng.normal(scale=0.05, size=(6, 7))) for _ in range(2)], axis=-1)
     radius = jnp.asarray(rng.uniform(0.1, 1.0 if name == "pcf" else 2.5, (6, 7)))
-    x, y = lookup.texel[..., 0], lookup.texel[..., 1]
     deepest = lookup.depth + jnp.asarray(rng.uniform(0, 0.1, (6, 7)))
-    sites = Sites(x, y, lookup.depth, lookup.depth_per_texel, slope, None, radius, deepest=deepest)
-    steps = jnp.arange(KERNELS[name].texels) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 3, 1, 1))))
-    return KERNELS[name], pad(shadow_map, 6), SoftCompare(1.3), sites, steps
+    lookup = Lookup(lookup.texel, lookup.depth, lookup.depth_per_texel, lookup.inside, slope, deepest=deepest)
+    kernel = KERNELS[name](radius)
+    steps = jnp.arange(kernel.texels) if name == "pcf" else tuple(jnp.asarray(rng.uniform(-1, 1, (2, 3, 1, 1))))
+    return kernel, pad(shadow_map, 6), SoftCompare(1.3), lookup, steps
 
 
 def moving(function, arguments):
     """`function` of a sum's arguments as one of all that it may be differentiated by, and those."""
-    kernel, padded, compare, sites, steps = arguments
-    primals = (padded.depth, compare.width, sites.x, sites.y, sites.depth, sites.depth_per_texel, *sites.slope)
-    primals += (sites.deepest, sites.radius)
+    kernel, padded, compare, lookup, steps = arguments
+    primals = (padded.depth, compare.width, lookup.x, lookup.y, lookup.depth, lookup.depth_per_texel, *lookup.slope)
+    primals += (lookup.deepest, kernel.radius)
 
     def moved(depth, width, x, y, receiver, unit, slope_x, slope_y, deepest, radius):
         new = eqx.tree_at(lambda p: p.depth, padded, depth)
-        at = Sites(x, y, receiver, unit, (slope_x, slope_y), None, radius, deepest=deepest)
-        return function(kernel, new, eqx.tree_at(lambda c: c.width, compare, width), at, steps)
+        at = Lookup(jnp.stack([x, y], axis=-1), receiver, unit, lookup.inside, deepest=deepest)
+        at = eqx.tree_at(lambda lookup: lookup.slope, at, (slope_x, slope_y), is_leaf=lambda x: x is None)
+        sized = eqx.tree_at(lambda kernel: kernel.radius, kernel, radius)
+        return function(sized, new, eqx.tree_at(lambda c: c.width, compare, width), at, steps)
 
     return moved, primals
 
@@ -159,16 +164,17 @@ def derivatives(arguments, tangents, weight):
     """Values and derivatives of a sum along `tangents`, by the package and by plain automatic differentiation; and
     the gradient of the sum weighed."""
     function, primals = moving(sum_over, arguments)
-    plain, _ = moving(lambda kernel, *rest: _sum(_Plain(kernel), *rest, None), arguments)
+    plain = lambda kernel, padded, compare, at, steps: _sum(_Plain(), padded, compare, (kernel, at), steps, None)
+    plain, _ = moving(plain, arguments)
     gradients = jax.grad(lambda p: jnp.sum(weight * function(*p)))(primals)
     return jax.jvp(function, primals, tangents), jax.jvp(plain, primals, tangents), gradients
 
 
 def test_a_sum_counts_each_step_once_however_many_there_are():
     """Some are written out in each turn of a loop, and what is left after it."""
-    _, _, _, sites, _ = sum_arguments(0, "nearest")
+    kernel, _, _, lookup, _ = sum_arguments(0, "nearest")
     numbers = (1, 7, 23, 25, 37, 64)
-    total = lambda n: _Plain(KERNELS["nearest"]).add_up(lambda at, step: 0 * at.x + step, None, sites, jnp.arange(n))
+    total = lambda n: _Plain().add_up(lambda at, step: 0 * at[1].x + step, None, (kernel, lookup), jnp.arange(n))
     found = jax.jit(lambda: [total(n)[0, 0] for n in numbers])()
     np.testing.assert_array_equal(found, [n * (n - 1) / 2 for n in numbers])
 
@@ -314,21 +320,21 @@ MODES = ["bilinear", pytest.param("nearest", marks=pytest.mark.exhaustive)]
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_what_is_wanted_is_found_alone_and_its_derivative_too(mode):
-    """Whatever the share of pixels that are wanted, with more of them than fit in a step of the loop."""
+def test_what_is_active_is_found_alone_and_its_derivative_too(mode):
+    """Whatever the share of pixels that are active, with more of them than fit in a step of the loop."""
     rng = np.random.default_rng(6)
     shape = (70, 150)
     shadow_map, lookup = random_map(rng), random_lookups(rng, shape)
     pattern, compare = stratified((2, 3), 4), SoftCompare(1.0)
-    mean = lambda radius, wanted=None: mean_of_taps(shadow_map, lookup, compare, radius, pattern, mode, wanted)
+    mean = lambda radius, active=None: mean_of_taps(shadow_map, lookup, compare, radius, pattern, mode, active)
     pushed = lambda *of: jax.jvp(lambda r: mean(r, *of), (jnp.float32(1.7),), (jnp.float32(1.0),))
-    found = jax.jit(lambda wanted: (mean(jnp.float32(1.7), wanted), *pushed(wanted), *pushed()))
+    found = jax.jit(lambda active: (mean(jnp.float32(1.7), active), *pushed(active), *pushed()))
     for share in (0.0, 0.01, 0.3, 1.0):
-        wanted = rng.random(shape) < share
-        alone, again, slope_alone, value, slope = (np.asarray(x) for x in found(wanted))
-        np.testing.assert_allclose(alone, np.where(wanted, value, 0), atol=1e-6)
-        np.testing.assert_array_equal(again, np.where(wanted, value, 0))
-        np.testing.assert_array_equal(slope_alone, np.where(wanted, slope, 0))
+        active = rng.random(shape) < share
+        alone, again, slope_alone, value, slope = (np.asarray(x) for x in found(active))
+        np.testing.assert_allclose(alone, np.where(active, value, 0), atol=1e-6)
+        np.testing.assert_array_equal(again, np.where(active, value, 0))
+        np.testing.assert_array_equal(slope_alone, np.where(active, slope, 0))
     assert (np.abs(slope).max() > 1e-3) == (mode == "bilinear")
 
 

@@ -8,10 +8,9 @@ from jaxtyping import Array, Float, Int
 
 from ..._types import Visibility
 from .._compare import AbstractCompare
-from .._kernel import AbstractRow, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._sum import sum_over_rows
+from ..kernels import AbstractRow, Footprint, Span, sum_over_rows
 from ._abstract import AbstractFilter
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
@@ -37,7 +36,7 @@ class Castano(AbstractFilter):
             raise ValueError(f"Castaño's kernel has size {self.size}; expected 3, 5 or 7")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        return sum_over_rows(_Row(self.size), shadow_map, compare, sites_of(lookup))
+        return sum_over_rows(_Row(self.size), shadow_map, compare, lookup)
 
 
 class _Row(AbstractRow):
@@ -54,15 +53,15 @@ class _Row(AbstractRow):
         """Texels that the kernel reads along a side."""
         return self.size + 1
 
-    def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
-        column, right = self._first(sites.x)
-        row, above = self._first(sites.y)
+    def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
+        column, right = self._first(lookup.x)
+        row, above = self._first(lookup.y)
         k = CASTANO_KERNELS[self.size]
-        kernel = jnp.array([0, *k, 0], sites.x.dtype) / sum(k)
+        kernel = jnp.array([0, *k, 0], lookup.x.dtype) / sum(k)
         span = lambda s, i: Span((1 - s) * kernel[i + 1] + s * kernel[i])
         return Footprint(column, row, [span(right, i) for i in range(self.texels)], [span(above, step)], step)
 
-    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
+    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
         return jnp.asarray(self.size / 2 + 0.5)
 
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:

@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import DepthMap, Scalar, Visibility
-from ._prefilter import AbstractPrefiltered, Kernel
+from ..kernels import Shape
+from ._prefilter import AbstractPrefiltered
 
 # e^-80 is still a normal number in 32 bits; e^-88 is not.
 _MAX_EXPONENT = 80.0
@@ -40,7 +41,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
         self,
         radius: float | Scalar = 2.5,
         max_radius: float | None = None,
-        kernel: Kernel = "box",
+        kernel: Shape = "box",
         exponent: float | Scalar = 80.0,
         light_bleeding: float | Scalar = 0.0,
     ):

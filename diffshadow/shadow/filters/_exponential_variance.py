@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import DepthMap, Scalar, Visibility
-from ._prefilter import AbstractPrefiltered, Kernel, chebyshev
+from ..kernels import Shape
+from ._prefilter import AbstractPrefiltered, chebyshev
 
 # e^84, the square of the largest warped depth, is still a number in 32 bits.
 _MAX_EXPONENT = 42.0
@@ -51,7 +52,7 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
         self,
         radius: float | Scalar = 2.5,
         max_radius: float | None = None,
-        kernel: Kernel = "box",
+        kernel: Shape = "box",
         positive_exponent: float | Scalar = 40.0,
         negative_exponent: float | Scalar = 5.0,
         least_variance: float | Scalar = 1e-6,

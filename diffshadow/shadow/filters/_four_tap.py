@@ -9,7 +9,7 @@ from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import mean_of_taps
+from ..kernels import mean_of_taps
 from ..patterns import Pattern
 from ._abstract import AbstractFilter
 

@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float, safe_divide
 from ..._types import DepthMap, Scalar, Visibility
-from ._prefilter import AbstractPrefiltered, Kernel
+from ..kernels import Shape
+from ._prefilter import AbstractPrefiltered
 
 # Moments of 3/8 spread over both ends of [-1, 1] and 5/8 in its middle: far from what any two depths can have.
 _WELL_CONDITIONED = (0.0, 0.375, 0.0, 0.375)
@@ -46,7 +47,7 @@ class MomentShadowMap(AbstractPrefiltered):
         self,
         radius: float | Scalar = 2.5,
         max_radius: float | None = None,
-        kernel: Kernel = "box",
+        kernel: Shape = "box",
         moment_bias: float | Scalar = 3e-6,
         light_bleeding: float | Scalar = 0.0,
     ):

@@ -10,10 +10,9 @@ from jaxtyping import Array, Float, Int
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
-from .._kernel import AbstractRow, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._sum import sum_over_rows
+from ..kernels import AbstractRow, Footprint, Span, sum_over_rows
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit
 
@@ -45,30 +44,31 @@ class PercentageCloser(AbstractFilter):
         check_radius("filter", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        sites = sites_of(lookup, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
-        return sum_over_rows(_Row(self.max_radius), shadow_map, compare, sites)
+        row = _Row(self.max_radius, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
+        return sum_over_rows(row, shadow_map, compare, lookup)
 
 
 class _Row(AbstractRow):
     """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
 
     max_radius: float = eqx.field(static=True)
+    radius: Float[Array, "..."]
 
     @property
     def texels(self) -> int:
         """Texels that a box may cover along a side."""
         return math.ceil(2 * self.max_radius) + 1
 
-    def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
-        column, left = _lower_edge(sites.x, sites.radius)
-        row, below = _lower_edge(sites.y, sites.radius)
-        columns = [_covered(left, sites.radius, i) for i in range(self.texels)]
-        own = _covered(below, sites.radius, step)
-        area = _width(left, sites.radius) * _width(below, sites.radius)
+    def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
+        column, left = _lower_edge(lookup.x, self.radius)
+        row, below = _lower_edge(lookup.y, self.radius)
+        columns = [_covered(left, self.radius, i) for i in range(self.texels)]
+        own = _covered(below, self.radius, step)
+        area = _width(left, self.radius) * _width(below, self.radius)
         return Footprint(column, row, columns, [own._replace(weight=own.weight / area)], step)
 
-    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
-        return sites.radius
+    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
+        return self.radius
 
 
 def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from ...geometry import AbstractLight
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import mean_of_taps
+from ..kernels import mean_of_taps
 from ..patterns import Pattern, stratified
 from ._abstract import AbstractFilter
 
@@ -82,15 +82,15 @@ class PercentageCloserSoft(AbstractFilter):
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)
         some = found.some
-        lit = mean_of_taps(shadow_map, lookup, compare, found.radius, self.pattern, "bilinear", wanted=some)
+        lit = mean_of_taps(shadow_map, lookup, compare, found.radius, self.pattern, "bilinear", active=some)
         return jnp.where(some, lit, 1)
 
     def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
         """What the first round of taps finds."""
         penumbra = _Penumbra.of(shadow_map, lookup, self.light_size)
         reach = jnp.minimum(penumbra.reach, self.max_radius)
-        mean = lambda value, wanted: mean_of_taps(
-            shadow_map, lookup, value, reach, self.search, "bilinear", wanted=wanted
+        mean = lambda value, active: mean_of_taps(
+            shadow_map, lookup, value, reach, self.search, "bilinear", active=active
         )
         share = mean(_Blocking(compare), None)
         some = share > _FEW
@@ -121,6 +121,10 @@ class _Blocking(AbstractCompare):
     """How much of the light a stored depth keeps from the receiver."""
 
     compare: AbstractCompare
+
+    @property
+    def has_depth_derivative(self) -> bool:
+        return self.compare.has_depth_derivative
 
     def __call__(self, stored, receiver, depth_per_texel):
         return 1 - self.compare(stored, receiver, depth_per_texel)

@@ -9,7 +9,7 @@ across it.
 import abc
 import math
 from collections.abc import Callable
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,40 +21,11 @@ from ..._types import DepthMap, Resolution, Scalar, TexelMap, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from ..kernels import INTEGRALS, Shape, weight_between
 from ._abstract import AbstractFilter
 
-Kernel = Literal["box", "tent", "gaussian"]
-"""Shapes of a blur. All end at the radius: the box's half width, the tent's, or three of the Gaussian's standard
-deviations."""
-
-# Narrower than this a kernel cannot be told from a point.
-_LEAST_RADIUS = 1e-3
 # The largest amount by which light bleeding can be reduced.
 _MAX_BLEEDING = 0.99
-# Standard deviations after which the Gaussian is cut off.
-_DEVIATIONS = 3.0
-_WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
-
-
-_INTEGRALS: dict[Kernel, Callable[[Array], Array]] = {
-    "box": lambda u: u / 2,
-    "tent": lambda u: u - u * jnp.abs(u) / 2,
-    "gaussian": lambda u: lax.erf(u * (_DEVIATIONS / math.sqrt(2))) / (2 * _WITHIN_DEVIATIONS),
-}
-"""Integrals of the kernels of radius 1 from 0 to u, for u in [-1, 1]."""
-
-
-def share(
-    kernel: Kernel, radius: Float[Array, "..."], low: Float[Array, "*n"], high: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """Share of a kernel of `radius` round 0 that lies between `low` and `high`, in its unit.
-
-    Shares of pieces that cover the kernel add up to 1.
-    """
-    radius = jnp.maximum(radius, _LEAST_RADIUS)
-    until = lambda x: _INTEGRALS[kernel](jnp.clip(x / radius, -1, 1))
-    # Rounding must not make a share negative: exponentials would follow it.
-    return jnp.maximum(until(high) - until(low), 0)
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
@@ -74,8 +45,8 @@ def check_radius(name: str, radius: Scalar, max_radius: float) -> None:
 
 def check_kernel(name: str, kernel: str) -> None:
     """**Raises** `ValueError` for an unknown kernel."""
-    if kernel not in _INTEGRALS:
-        raise ValueError(f"the {name}'s kernel is {kernel!r}; expected one of {', '.join(_INTEGRALS)}")
+    if kernel not in INTEGRALS:
+        raise ValueError(f"the {name}'s kernel is {kernel!r}; expected one of {', '.join(INTEGRALS)}")
 
 
 def check_number(name: str, what: str, value: Scalar, low: float, high: float) -> None:
@@ -95,7 +66,7 @@ class Blur(eqx.Module):
 
     radius: Scalar
     max_radius: float = eqx.field(static=True)
-    kernel: Kernel = eqx.field(static=True)
+    kernel: Shape = eqx.field(static=True)
 
     @property
     def reach(self) -> int:
@@ -108,17 +79,17 @@ class Blur(eqx.Module):
         return self.reach + 1
 
     @property
-    def shares(self) -> Float[Array, " k"]:
-        """What the texels in a row count, the middle one at the kernel's centre."""
+    def weights(self) -> Float[Array, " k"]:
+        """The weights of the texels in a row, the middle one at the kernel's centre."""
         offset = jnp.arange(-self.reach, self.reach + 1, dtype=self.radius.dtype)
-        return share(self.kernel, jnp.minimum(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
+        return weight_between(self.kernel, jnp.minimum(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
 
     def __call__(self, values: Float[Array, "*n h w"], beyond: Scalar) -> Float[Array, "*n H W"]:
         """`values` blurred, `margin` texels wider on each side; `beyond` is what lies round them."""
         around = [(0, 0)] * (values.ndim - 2) + [(self.reach + self.margin,) * 2] * 2
         wide = jnp.pad(values, around, constant_values=beyond)
-        shares = self.shares
-        return sums_along(sums_along(wide, shares, values.ndim - 1), shares, values.ndim - 2)
+        weights = self.weights
+        return sums_along(sums_along(wide, weights, values.ndim - 1), weights, values.ndim - 2)
 
 
 def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -196,12 +167,10 @@ class AbstractPrefiltered(AbstractFilter):
 
     radius: Scalar
     max_radius: float = eqx.field(static=True)
-    kernel: Kernel = eqx.field(static=True)
+    kernel: Shape = eqx.field(static=True)
     light_bleeding: Scalar
 
-    def __init__(
-        self, radius: float | Scalar, max_radius: float | None, kernel: Kernel, light_bleeding: float | Scalar
-    ):
+    def __init__(self, radius: float | Scalar, max_radius: float | None, kernel: Shape, light_bleeding: float | Scalar):
         self.radius = as_float(radius)
         self.max_radius = radius_limit(radius, max_radius)
         self.kernel = kernel

@@ -10,7 +10,7 @@ from ..._types import Mask, Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import TapMode, mean_of_taps
+from ..kernels import TapMode, mean_of_taps
 from ..patterns import EARLY_SAMPLES, Pattern, stratified
 from ._abstract import AbstractFilter
 
@@ -52,8 +52,8 @@ class RandomDisk(AbstractFilter):
             raise ValueError(f"the random disk's radius is {radius}; expected 0 or more texels")
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        def mean(pattern: Pattern, wanted: Mask | None = None) -> Visibility:
-            return mean_of_taps(shadow_map, lookup, compare, self.radius, pattern, self.lookup, wanted)
+        def mean(pattern: Pattern, active: Mask | None = None) -> Visibility:
+            return mean_of_taps(shadow_map, lookup, compare, self.radius, pattern, self.lookup, active)
 
         offsets, count = self.pattern.offsets, self.pattern.samples
         if not self.early_out or count <= EARLY_SAMPLES:

@@ -4,7 +4,7 @@ from ..._types import Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._taps import single_tap
+from ..kernels import single_tap
 from ._abstract import AbstractFilter
 
 

@@ -1,21 +1,16 @@
 """Percentage-closer filtering with a tent instead of a box."""
 
-import math
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
-from .._kernel import AbstractRow, Footprint, Sites, Span, sites_of
 from .._lookup import Lookup
 from .._map import ShadowMap
-from .._sum import sum_over_rows
+from ..kernels import SeparableRow, sum_over_rows
 from ._abstract import AbstractFilter
-from ._prefilter import check_radius, radius_limit, share
+from ._prefilter import check_radius, radius_limit
 
 
 class Tent(AbstractFilter):
@@ -42,33 +37,5 @@ class Tent(AbstractFilter):
         check_radius("tent", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        sites = sites_of(lookup, jnp.minimum(self.radius, self.max_radius))
-        return sum_over_rows(_Row(self.max_radius), shadow_map, compare, sites)
-
-
-class _Row(AbstractRow):
-    """One row of the tent's texels, numbered from the lowest that the widest tent covers."""
-
-    max_radius: float = eqx.field(static=True)
-
-    @property
-    def texels(self) -> int:
-        """Texels that a tent may cover along a side."""
-        return math.ceil(2 * self.max_radius) + 1
-
-    def footprint(self, sites: Sites, step: Int[Array, "*n"]) -> Footprint:
-        column, left = self._first(sites.x)
-        row, below = self._first(sites.y)
-        span = lambda first, i: Span(share("tent", sites.radius, first + i, first + (i + 1)))
-        return Footprint(column, row, [span(left, i) for i in range(self.texels)], [span(below, step)], step)
-
-    def reach(self, sites: Sites, steps: Any) -> Float[Array, "..."]:
-        return sites.radius
-
-    def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """The first texel along one axis, and where it begins, seen from `position`."""
-        own = jnp.floor(position)
-        # Measured from the position's own texel, so that shares add up to 1 however far away that is.
-        within = position - own
-        first = jnp.floor(within - self.max_radius)
-        return own + first, first - within
+        row = SeparableRow("tent", self.max_radius, jnp.minimum(self.radius, self.max_radius))
+        return sum_over_rows(row, shadow_map, compare, lookup)

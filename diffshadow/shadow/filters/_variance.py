@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import DepthMap, Scalar, Visibility
-from ._prefilter import AbstractPrefiltered, Kernel, chebyshev
+from ..kernels import Shape
+from ._prefilter import AbstractPrefiltered, chebyshev
 
 
 class VarianceShadowMap(AbstractPrefiltered):
@@ -37,7 +38,7 @@ class VarianceShadowMap(AbstractPrefiltered):
         self,
         radius: float | Scalar = 2.5,
         max_radius: float | None = None,
-        kernel: Kernel = "box",
+        kernel: Shape = "box",
         least_variance: float | Scalar = 1e-6,
         light_bleeding: float | Scalar = 0.0,
     ):

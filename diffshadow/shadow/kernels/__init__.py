@@ -1,0 +1,25 @@
+"""Kernels: the texels that filters read, their weights, and sums over them.
+
+For authors of filters, who choose one of these:
+
+- `mean_of_taps` averages compares at the points of a pattern, `single_tap` makes one.
+- `sum_over_rows` weighs a square of texels, under a `SeparableRow` or another `AbstractRow`.
+- `sum_over` sums over any other `AbstractKernel`, on a map that `pad` has laid out.
+"""
+
+from ._kernel import AbstractKernel as AbstractKernel
+from ._kernel import AbstractRow as AbstractRow
+from ._kernel import Footprint as Footprint
+from ._kernel import Span as Span
+from ._padded_map import PaddedMap as PaddedMap
+from ._padded_map import pad as pad
+from ._separable import INTEGRALS as INTEGRALS
+from ._separable import SeparableRow as SeparableRow
+from ._separable import Shape as Shape
+from ._separable import weight_between as weight_between
+from ._sum import sum_over as sum_over
+from ._sum import sum_over_rows as sum_over_rows
+from ._taps import Tap as Tap
+from ._taps import TapMode as TapMode
+from ._taps import mean_of_taps as mean_of_taps
+from ._taps import single_tap as single_tap

@@ -1,0 +1,108 @@
+"""Kernels: the texels that a filter reads around a receiver, and their weights.
+
+A filter is a sum of steps, such as taps or rows of texels; at each step its kernel names a few neighbouring texels. A
+kernel is separable: the weight of a texel is the product of its column's and its row's.
+"""
+
+import abc
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._compare import AbstractCompare
+from .._lookup import Lookup
+from ._padded_map import PaddedMap
+
+# The cost of a compare with a texel of a row, in nearest taps, which have to find theirs.
+_COST_OF_A_TEXEL = 0.4
+
+
+class Span(NamedTuple):
+    """The weight of a column or a row of texels, and the interval of it that the kernel covers, relative to its
+    middle."""
+
+    weight: Float[Array, "*n"] | float
+    low: Float[Array, "*n"] | float = -0.5
+    high: Float[Array, "*n"] | float = 0.5
+
+
+class Footprint(NamedTuple):
+    """The texels that a step reads.
+
+    - `column`, `row`: (n,), of the first, whole numbers; rows are counted from `up` above it.
+    - `columns`, `rows`: the columns and rows from there on.
+    """
+
+    column: Float[Array, "*n"]
+    row: Float[Array, "*n"]
+    columns: Sequence[Span]
+    rows: Sequence[Span]
+    up: Int[Array, "*n"] | int = 0
+
+    def places(self, padded: PaddedMap, lookup: Lookup) -> list[tuple[Array, Array | int]]:
+        """Where all texels are stored, row by row: the place of the first, and the distance from it to each."""
+        first = padded.place(self.column, self.row, lookup.layer)
+        texels = [(i, j) for j in range(len(self.rows)) for i in range(len(self.columns))]
+        return [(first, (self.up + j) * padded.stride + i) for i, j in texels]
+
+    def lit(self, padded: PaddedMap, compare: AbstractCompare, lookup: Lookup) -> Float[Array, "*n"]:
+        """The weighted sum of compares with the texels' stored depths."""
+        first = padded.place(self.column, self.row, lookup.layer)
+
+        def row(up: Array | int) -> Array:
+            total = jnp.zeros_like(lookup.depth)
+            for i, span in enumerate(self.columns):
+                stored = padded.depth_at(first, up * padded.stride + i)
+                total = total + span.weight * compare(stored, self.depth(lookup, i, up), lookup.depth_per_texel)
+            return total
+
+        rows = (span.weight * row(self.up + j) for j, span in enumerate(self.rows))
+        return sum(rows, start=jnp.zeros_like(lookup.x))
+
+    def depth(self, lookup: Lookup, right: Array | int, up: Array | int) -> Float[Array, "*n"]:
+        """The depth that a texel is compared with: that of the receiver's plane at the texel's centre."""
+        if lookup.slope is None:
+            return lookup.depth
+        along_x, along_y = lookup.slope
+        x, y = self.column + right + 0.5 - lookup.x, self.row + up + 0.5 - lookup.y
+        depth = lookup.depth + along_x * x + along_y * y
+        return depth if lookup.deepest is None else jnp.minimum(depth, lookup.deepest)
+
+
+class AbstractKernel(eqx.Module):
+    """The texels that a filter reads around each look-up, step by step, and their weights.
+
+    Its arrays are scalars, or hold a value for each look-up; visibility is differentiable with respect to them.
+
+    - `cost`: of a step, in nearest taps.
+    """
+
+    @property
+    @abc.abstractmethod
+    def cost(self) -> float: ...
+
+    @abc.abstractmethod
+    def footprint(self, lookup: Lookup, step: Any) -> Footprint:
+        """The texels that look-ups read at a step, either one step for all or one for each."""
+
+    @abc.abstractmethod
+    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
+        """Half the width, in texels, of a square around a look-up that contains all that it reads."""
+
+
+class AbstractRow(AbstractKernel):
+    """One row of a square of texels that a filter reads; a step is the row's number from the lowest.
+
+    - `texels`: along a side of the square.
+    """
+
+    @property
+    @abc.abstractmethod
+    def texels(self) -> int: ...
+
+    @property
+    def cost(self) -> float:
+        return _COST_OF_A_TEXEL * self.texels

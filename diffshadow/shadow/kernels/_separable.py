@@ -1,0 +1,79 @@
+"""Separable kernels of any radius: box, tent and Gaussian.
+
+A texel's weight is the integral of the kernel over it, so that the kernel moves and grows smoothly. Integrals are given
+for radius 1, as pbrt gives its filters (Pharr, Jakob & Humphreys, "Physically Based Rendering", section 8.8).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._lookup import Lookup
+from ._kernel import AbstractRow, Footprint, Span
+
+Shape = Literal["box", "tent", "gaussian"]
+"""Shapes of a kernel. All end at the radius: half the box's width, half the tent's, or three standard deviations of the
+Gaussian."""
+
+# Standard deviations at which the Gaussian is cut off.
+_DEVIATIONS = 3.0
+_WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
+# A narrower kernel counts as a point.
+_LEAST_RADIUS = 1e-3
+
+INTEGRALS: dict[Shape, Callable[[Array], Array]] = {
+    "box": lambda u: u / 2,
+    "tent": lambda u: u - u * jnp.abs(u) / 2,
+    "gaussian": lambda u: lax.erf(u * (_DEVIATIONS / math.sqrt(2))) / (2 * _WITHIN_DEVIATIONS),
+}
+"""Integrals of the kernels of radius 1 from 0 to u, for u in [-1, 1]."""
+
+
+def weight_between(
+    shape: Shape, radius: Float[Array, "..."], low: Float[Array, "*n"], high: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """The weight, in [0, 1], of the interval from `low` to `high` under a kernel of this `radius` around 0.
+
+    Weights of intervals that cover the kernel sum to 1.
+    """
+    radius = jnp.maximum(radius, _LEAST_RADIUS)
+    until = lambda x: INTEGRALS[shape](jnp.clip(x / radius, -1, 1))
+    # Rounding must not make a weight negative: exponentials would follow it.
+    return jnp.maximum(until(high) - until(low), 0)
+
+
+class SeparableRow(AbstractRow):
+    """One row of the texels under a kernel, numbered from the lowest that the widest kernel covers.
+
+    - `radius`: in texels; `max_radius`: the largest.
+    """
+
+    shape: Shape = eqx.field(static=True)
+    max_radius: float = eqx.field(static=True)
+    radius: Float[Array, "..."]
+
+    @property
+    def texels(self) -> int:
+        return math.ceil(2 * self.max_radius) + 1
+
+    def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
+        column, left = self._first(lookup.x)
+        row, below = self._first(lookup.y)
+        span = lambda first, i: Span(weight_between(self.shape, self.radius, first + i, first + (i + 1)))
+        return Footprint(column, row, [span(left, i) for i in range(self.texels)], [span(below, step)], step)
+
+    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
+        return self.radius
+
+    def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """The first texel along one axis, and where it begins, relative to `position`."""
+        own = jnp.floor(position)
+        # Relative to the position's own texel, so that weights sum to 1 however far away that is.
+        within = position - own
+        first = jnp.floor(within - self.max_radius)
+        return own + first, first - within

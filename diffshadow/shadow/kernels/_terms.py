@@ -1,0 +1,132 @@
+"""Sums over what kernels read, and their derivatives."""
+
+import abc
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._misc import round_up_to_power_of_two
+from .._compare import AbstractCompare
+from .._lookup import Lookup, rearranged
+from ._kernel import AbstractKernel
+from ._padded_map import PaddedMap
+
+# Pixels that one step of the loop over active pixels takes.
+_PIXELS_A_STEP = 8192
+
+At = tuple[AbstractKernel, Lookup]
+"""Where a sum is evaluated: look-ups, and a kernel whose arrays hold a value for each of them."""
+
+
+class AbstractTerms(eqx.Module):
+    """The terms of a sum, and the order in which they are added up."""
+
+    @abc.abstractmethod
+    def term(self, padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Float[Array, "*n"]:
+        """The terms of all look-ups at a step."""
+
+    @abc.abstractmethod
+    def add_up(self, function: Callable[[At, Any], Any], padded: PaddedMap, at: At, steps: Any) -> Any:
+        """The sum of `function(at, step)`, arrays with a value for each look-up, over all steps."""
+
+
+def _sum(
+    terms: AbstractTerms,
+    padded: PaddedMap,
+    compare: AbstractCompare,
+    at: At,
+    steps: Any,
+    active: Bool[Array, "i p j q"] | None,
+) -> Any:
+    """The sum of all terms where look-ups are `active`, and 0 elsewhere."""
+    one = lambda at, step: terms.term(padded, compare, at, step)
+    some = lambda at: terms.add_up(one, padded, at, steps)
+    return some(at) if active is None else _where_active(some, at, active)
+
+
+total: Any = eqx.filter_custom_jvp(_sum)
+
+
+@total.def_jvp
+def _total_jvp(primals, tangents):
+    """Each term gives its derivatives with respect to all numbers of a look-up at once, in reverse mode, and they are
+    summed as the terms are: a Jacobian then costs the same for any number of parameters. Derivatives with respect to
+    the map and the compare cannot be summed per look-up, and are added up separately."""
+    terms, padded, compare, at, steps, active = primals
+    _, d_padded, d_compare, d_at, _, _ = tangents
+    kernel, lookup = at
+    # A number of all look-ups has a derivative at each.
+    spread = lambda leaf: jnp.broadcast_to(leaf, lookup.depth.shape) if eqx.is_inexact_array(leaf) else leaf
+    at = jax.tree.map(spread, kernel), lookup
+    moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
+    if not compare.has_depth_derivative:
+        d_padded = _without_depths(d_padded)
+
+    def one(at: At, step: Any) -> Any:
+        moving, still = eqx.partition(at, moves)
+        value, pull = jax.vjp(lambda moving: terms.term(padded, compare, eqx.combine(moving, still), step), moving)
+        of_term = lambda padded, compare: terms.term(padded, compare, at, step)
+        change = eqx.filter_jvp(of_term, (padded, compare), (d_padded, d_compare))[1]
+        return value, pull(jnp.ones_like(value))[0], change
+
+    some = lambda at: terms.add_up(one, padded, at, steps)
+    value, slopes, change = some(at) if active is None else _where_active(some, at, active)
+    tangent = jnp.zeros_like(value) if change is None else change
+    for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_at), strict=True):
+        tangent = tangent + slope * d
+    return value, tangent
+
+
+def _without_depths(change: Any) -> Any:
+    """A map's tangent without that of its depths: else it would be evaluated for the whole map, though unused."""
+    outlined = change.silhouettes is not None
+    of_outline = lambda d: (d.silhouettes.map.inner, d.silhouettes.map.outer) if outlined else ()
+    return eqx.tree_at(lambda d: (d.depth, *of_outline(d)), change, replace_fn=lambda _: None, is_leaf=_is_none)
+
+
+def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i p j q"]) -> Any:
+    """`function` of look-ups laid out by `Blocks`, which gives arrays, where these are active; 0 elsewhere.
+
+    Runs of `q` pixels that contain an active one are gathered, those of each of a block's rows together so that a table
+    of offsets still fits, and taken a fixed number at a time. Steps that find none left do nothing.
+    """
+    i, p, j, q = active.shape
+    runs = i * p * j
+    chosen = jnp.moveaxis(jnp.any(active, axis=-1), 1, 0).reshape(p, i * j)
+    number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
+    rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
+    most = jnp.max(rank) + 1
+    a_step = min(i * j, round_up_to_power_of_two(max(1, _PIXELS_A_STEP // (p * q))))
+    capacity = math.ceil(i * j / a_step) * a_step
+    # Runs that are not chosen go to a place that is never read, and places that no run takes name none.
+    queue = jnp.full((p, capacity + 1), runs, jnp.int32)
+    queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)].set(number, mode="promise_in_bounds")
+    queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // a_step, a_step), 1, 0)
+
+    @jax.checkpoint
+    def some(own: Int[Array, "p n"]) -> Any:
+        run = jnp.minimum(own, runs - 1)
+        return function(rearranged(at, lambda a: a.reshape(runs, q).at[run].get(mode="promise_in_bounds")))
+
+    like = jax.eval_shape(some, queue[0])
+    none = lambda own: jax.tree.map(zeros_like, like)
+    step = lambda at_step: lax.cond(at_step[0] * a_step < most, some, none, at_step[1])
+    values = lax.map(step, (jnp.arange(capacity // a_step, dtype=jnp.int32), queue))
+    # No run is put twice; what is added up, unlike what is set, has a transpose.
+    put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
+    return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)
+
+
+def zeros_like(like: jax.ShapeDtypeStruct) -> Array:
+    """Zeros of a shape and dtype."""
+    return jnp.zeros(like.shape, like.dtype)
+
+
+def _is_none(x: Any) -> bool:
+    return x is None

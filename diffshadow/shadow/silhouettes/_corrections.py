@@ -1,0 +1,128 @@
+"""What silhouettes change in a sum of compares over texels.
+
+Few of the texels that are read have a silhouette, and one costs many times a plain texel. So the sum over stored
+depths is evaluated everywhere, and corrected texel by texel that has one.
+"""
+
+from operator import itemgetter
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..._misc import take
+from .._compare import AbstractCompare
+from .._lookup import Lookup, rearranged
+from ..kernels._kernel import Footprint, Span
+from ..kernels._padded_map import PaddedMap
+from ..kernels._terms import AbstractTerms, At, zeros_like
+from ._half_planes import Rectangle
+from ._set_bits import SetBits, empty_words, put_bits
+
+# Texels with silhouettes that one step of the loop over them takes.
+_TEXELS_A_STEP = 16384
+
+
+class Corrections(AbstractTerms):
+    """The change of each texel that has a silhouette, one after another; a step is a kernel's and the texel's number.
+
+    - `follows_outlines`: whether a look-up that moves has the derivative of outlines that move the opposite way.
+    """
+
+    follows_outlines: bool = eqx.field(static=True)
+
+    def term(self, padded, compare, at, step):
+        kernel, lookup = at
+        step, number = step
+        if not self.follows_outlines:
+            return _correction(kernel.footprint(lookup, step), padded, compare, lookup, number, None)
+        here = lookup.detached()
+        # No motion, but its derivative.
+        motion = here.x - lookup.x, here.y - lookup.y
+        return _correction(kernel.footprint(here, step), padded, compare, here, number, motion)
+
+    def add_up(self, function, padded, at, steps):
+        shape = at[1].depth.shape
+        # A step's number, or its table, which gets a row for each step of all look-ups.
+        wide = lambda s: (
+            jnp.asarray(s) if s.ndim == 1 else jnp.broadcast_to(s, (s.shape[0], *shape)).reshape(s.shape[0], -1)
+        )
+        at, steps = rearranged(at, lambda a: a.reshape(-1)), jax.tree.map(wide, steps)
+        found, texels = _find(padded, at, steps)
+        pixels = at[1].depth.size
+
+        def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
+            number = row // texels
+            at_step = lambda s: s[number] if s.ndim == 1 else s[number, pixel]
+            here = rearranged(at, lambda a: a.at[pixel].get(mode="promise_in_bounds"))
+            return function(here, (jax.tree.map(at_step, steps), row % texels))
+
+        @jax.checkpoint
+        def add(total: Any, first: Int[Array, ""]) -> Any:
+            exists = first + jnp.arange(_TEXELS_A_STEP, dtype=jnp.int32) < found.count
+            row, pixel = lax.optimization_barrier(found.locate(first, _TEXELS_A_STEP))
+            values = values_at(row, pixel)
+            put = lambda total, values: total.at[pixel].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
+            return jax.tree.map(put, total, values)
+
+        def step(total: Any, first: Int[Array, ""]) -> tuple[Any, None]:
+            return lax.cond(first < found.count, add, lambda total, _: total, total, first), None
+
+        most = jax.tree.leaves(steps)[0].shape[0] * texels * pixels
+        all_pixels = jnp.zeros(pixels, jnp.int32)
+        total = jax.tree.map(zeros_like, jax.eval_shape(values_at, all_pixels, all_pixels))
+        total, _ = lax.scan(step, total, jnp.arange(0, most, _TEXELS_A_STEP, dtype=jnp.int32))
+        return jax.tree.map(lambda a: a.reshape(shape), total)
+
+
+def _find(padded: PaddedMap, at: At, steps: Any) -> tuple[SetBits, int]:
+    """Which of the texels that each look-up reads, step after step, have a silhouette, and how many a step reads."""
+    kernel, lookup = at
+    places = lambda step: kernel.footprint(lookup, step).places(padded, lookup)
+    count = jax.tree.leaves(steps)[0].shape[0]
+    texels = len(jax.eval_shape(places, jax.tree.map(itemgetter(0), steps)))
+    assert padded.silhouettes is not None
+    silhouettes = padded.silhouettes
+
+    def mark(words: Any, at_step: Any) -> tuple[Any, None]:
+        number, step = at_step
+        has_silhouette = [silhouettes.at(padded.read(silhouettes.map.slot, *place)) for place in places(step)]
+        return put_bits(words, number * texels, has_silhouette), None
+
+    words = empty_words(count * texels, lookup.depth.size)
+    words, _ = lax.scan(mark, words, (jnp.arange(count, dtype=jnp.int32), steps))
+    return SetBits(words), texels
+
+
+def _correction(
+    footprint: Footprint,
+    padded: PaddedMap,
+    compare: AbstractCompare,
+    lookup: Lookup,
+    number: Int[Array, "*n"],
+    motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None,
+) -> Float[Array, "*n"]:
+    """The change of the sum by the silhouette in the texel of this `number`, which must have one.
+
+    The texel's compare becomes its mean over the part of the texel that the kernel covers. With a `motion`, the outline
+    has moved by that.
+    """
+    i, j = number % len(footprint.columns), number // len(footprint.columns)
+    column, row = _choose(footprint.columns, i), _choose(footprint.rows, j)
+    place = padded.place(footprint.column, footprint.row, lookup.layer) + (footprint.up + j) * padded.stride + i
+    depth = footprint.depth(lookup, i, footprint.up + j)
+    against = lambda stored: compare(stored, depth, lookup.depth_per_texel)
+    part = Rectangle(column.low, column.high, row.low, row.high)
+    assert padded.silhouettes is not None
+    slot, stored = take(padded.silhouettes.map.slot, place), take(padded.depth, place)
+    return column.weight * row.weight * padded.silhouettes.change(against, stored, slot, part, motion)
+
+
+def _choose(spans: Any, number: Int[Array, "*n"]) -> Span:
+    chosen = spans[0]
+    for i, span in enumerate(spans[1:], start=1):
+        chosen = Span(*(jnp.where(number == i, new, old) for new, old in zip(span, chosen, strict=True)))
+    return chosen

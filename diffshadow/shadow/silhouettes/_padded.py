@@ -1,0 +1,105 @@
+"""Silhouettes laid out for look-ups."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._misc import take
+from ._half_planes import Rectangle
+from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
+
+# The least area of a part of a texel, in square texels; a smaller part counts as a point.
+_LEAST_AREA = 1e-9
+
+
+class PaddedSilhouettes(eqx.Module):
+    """Silhouettes of a padded map, and which texels have one.
+
+    - `map`: its slots are padded as the depths are.
+    """
+
+    map: SilhouetteMap
+    texels: "Pyramid"
+
+    @classmethod
+    def of(
+        cls,
+        silhouettes: SilhouetteMap,
+        pad: Callable[[Array, int], Array],
+        hides: Callable[[Array], Array],
+    ) -> "PaddedSilhouettes":
+        """With slots laid out by `pad`, and depths of nothing replaced by `hides`."""
+        where = lambda found: (found.slot, found.inner, found.outer)
+        new = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
+        return cls(eqx.tree_at(where, silhouettes, new), Pyramid.of(silhouettes.slot != NO_SILHOUETTE))
+
+    def at(self, slot: Int[Array, "*n"]) -> Bool[Array, "*n"]:
+        """Whether texels with these entries of `map.slot` have a silhouette."""
+        return slot != NO_SILHOUETTE
+
+    def change(
+        self,
+        function: Callable[[Array], Array],
+        depth: Float[Array, "*n"],
+        slot: Int[Array, "*n"],
+        part: Rectangle,
+        motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None,
+    ) -> Float[Array, "*n"]:
+        """The difference between the mean of a function of depth over a `part` of a texel and its value at the stored
+        `depth`.
+
+        Only for texels with a silhouette, at `slot`, which has moved by `motion`.
+        """
+        slot = jnp.maximum(slot, 0)
+        inner, outer = function(take(self.map.inner, slot)), function(take(self.map.outer, slot))
+        area = (part.right - part.left) * (part.above - part.below)
+        fraction = self.map.area_within(slot, part, motion) / jnp.maximum(area, _LEAST_AREA)
+        return outer + fraction * (inner - outer) - function(depth)
+
+
+class Pyramid(eqx.Module):
+    """Which blocks of 1, 2, 4, ... texels a side hold a marked one, from the finest level to the coarsest.
+
+    - `marked`: of all levels, one after the other; `levels`: (first, rows, columns) of each.
+    """
+
+    marked: Bool[Array, " n"]
+    levels: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, marked: Bool[Array, "*l h w"]) -> "Pyramid":
+        level, first = marked.reshape(-1, *marked.shape[-2:]), 0
+        flat, levels = [], []
+        while True:
+            _, rows, columns = level.shape
+            flat.append(level.reshape(-1))
+            levels.append((first, rows, columns))
+            first += level.size
+            if rows == columns == 1:
+                return cls(jnp.concatenate(flat), tuple(levels))
+            even = jnp.pad(level, ((0, 0), (0, rows % 2), (0, columns % 2)))
+            level = even[:, ::2, ::2] | even[:, 1::2, ::2] | even[:, ::2, 1::2] | even[:, 1::2, 1::2]
+
+    def any_within(
+        self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None, reach: Float[Array, "..."]
+    ) -> Bool[Array, "*n"]:
+        """Whether there may be a marked texel within a square of half width `reach` texels round each (x, y).
+
+        The finest level whose blocks are as wide as the square is read: the square touches at most two by two of them.
+        """
+        x, y, reach = lax.stop_gradient((x, y, reach))
+        level = jnp.ceil(jnp.log2(jnp.maximum(2 * reach, 1))).astype(jnp.int32)
+        level = jnp.minimum(level, len(self.levels) - 1)
+        first, rows, columns = jnp.moveaxis(jnp.array(self.levels, jnp.int32)[level], -1, 0)
+        block = lambda place, size: jnp.clip(place * 0.5**level, 0, size - 1).astype(jnp.int32)
+        before = 0 if layer is None else layer
+        found = jnp.zeros(x.shape, bool)
+        for row in (block(y - reach, rows), block(y + reach, rows)):
+            for column in (block(x - reach, columns), block(x + reach, columns)):
+                place = first + (before * rows + row) * columns + column
+                found = found | self.marked.at[place].get(mode="promise_in_bounds")
+        # Squares beyond the border would find what is on it.
+        return found & (x + reach >= 0)

@@ -1,0 +1,89 @@
+"""Kernels: that a filter can be written with public names alone."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import apply, lookups_at, map_of
+
+from diffshadow.shadow import AbstractFilter, HardCompare, SoftCompare
+from diffshadow.shadow.kernels import (
+    AbstractRow,
+    Footprint,
+    SeparableRow,
+    Span,
+    sum_over_rows,
+    weight_between,
+)
+
+HALF_PLANE = np.where(np.arange(16) < 8, 0.2, 1.0)[None].repeat(16, axis=0)
+RADIUS = 3.0
+
+
+class Gaussian(AbstractFilter):
+    """Percentage-closer filtering under a Gaussian that ends at three standard deviations."""
+
+    radius: jax.Array
+
+    def __call__(self, shadow_map, lookup, compare):
+        return sum_over_rows(SeparableRow("gaussian", RADIUS, self.radius), shadow_map, compare, lookup)
+
+
+class Comb(AbstractRow):
+    """The texel of a look-up and the ones two to its left and right, in its own row alone."""
+
+    weight: jax.Array
+
+    @property
+    def texels(self):
+        return 5
+
+    def footprint(self, lookup, step):
+        column, row = jnp.floor(lookup.x) - 2, jnp.floor(lookup.y) - 2
+        columns = [Span(weight) for weight in (self.weight, 0.0, 1 - 2 * self.weight, 0.0, self.weight)]
+        return Footprint(column, row, columns, [Span(jnp.where(step == 2, 1.0, 0.0))], step)
+
+    def reach(self, lookup, steps):
+        return jnp.asarray(2.5)
+
+
+class CombFilter(AbstractFilter):
+    weight: jax.Array
+
+    def __call__(self, shadow_map, lookup, compare):
+        return sum_over_rows(Comb(self.weight), shadow_map, compare, lookup)
+
+
+def test_gaussian_of_half_plane_is_the_error_function():
+    x = np.linspace(4, 12, 41)
+    for radius in (1.5, 3.0):
+        found = apply(Gaussian(jnp.float32(radius)), map_of(HALF_PLANE), lookups_at(x, 8.3), HardCompare())
+        u = np.clip((x - 8) / radius, -1, 1) * 3 / math.sqrt(2)
+        expected = 0.5 + np.array([math.erf(value) for value in u]) / (2 * math.erf(3 / math.sqrt(2)))
+        np.testing.assert_allclose(np.ravel(found), expected, atol=3e-6)
+
+
+def test_numbers_of_a_kernel_have_derivatives_of_central_differences():
+    with jax.enable_x64(True):
+        shadow_map, lookup = map_of(np.where(HALF_PLANE < 1, 0.45, 1.0)), lookups_at(np.linspace(5, 11, 13), 8.3)
+        of = lambda weight: CombFilter(weight)(shadow_map, lookup, SoftCompare(1.0))
+        value = of(jnp.asarray(0.2))
+        _, slope = jax.jvp(of, (jnp.asarray(0.2),), (jnp.asarray(1.0),))
+        step = 1e-6
+        expected = (np.asarray(of(jnp.asarray(0.2 + step))) - np.asarray(of(jnp.asarray(0.2 - step)))) / (2 * step)
+        reverse = jax.grad(lambda weight: jnp.sum(of(weight)))(jnp.asarray(0.2))
+    assert np.ptp(np.asarray(value)) > 0.2
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(slope, expected, atol=1e-8)
+    assert float(reverse) == pytest.approx(float(np.sum(np.asarray(slope))), rel=1e-10)
+
+
+@pytest.mark.parametrize("shape", ["box", "tent", "gaussian"])
+def test_weights_of_texels_sum_to_one(shape):
+    edges = jnp.arange(-5.0, 6.0) + 0.3
+    for radius in (0.0, 0.4, 2.2, 4.0):
+        weights = weight_between(shape, jnp.float32(radius), edges[:-1], edges[1:])
+        assert float(weights.sum()) == pytest.approx(1, abs=1e-6)
+        assert float(weights.min()) >= 0
