@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from .. import io
-from ._report_run import write_report
-from ._stored import SWEEP, add_files, read_result, read_run
+from .files._stored import SWEEP, add_files, read_result, read_run
+from .pages._report import write_report
 
 
 def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
@@ -26,13 +26,13 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     io.check_writable(folder)
     if kind == SWEEP:
         # Here, since it loads pandas.
-        from ._report_sweep import report_sweep
+        from .sweeps._report import report_sweep
 
         return report_sweep(folder, form)
     run = read_run(folder)
     if form is not None:
         # Here, since it loads Matplotlib.
-        from ._figures import write_figures
+        from .pages._figures import write_figures
 
         add_files(folder, [path.name for path in write_figures(run, folder, form, dpi)])
     return write_report(run)

@@ -22,8 +22,8 @@ from diffshadow.config import (
     load_config,
     parse_config,
 )
-from diffshadow.config._fitted import FILTERS
-from diffshadow.config._marks import Limits, marked
+from diffshadow.config.sections._fitted import FILTERS
+from diffshadow.config.sections._marks import Limits, marked
 from diffshadow.fit import resolve
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -34,7 +34,7 @@ def build(*overrides: str, text: str = TINY):
 
 
 def test_builtin_names_are_those_of_the_library():
-    from diffshadow.config._scene import BUILTIN_MESHES
+    from diffshadow.config.sections._scene import BUILTIN_MESHES
     from diffshadow.geometry import LIBRARY
 
     assert set(BUILTIN_MESHES) == set(LIBRARY)
@@ -153,7 +153,7 @@ def test_mesh_beyond_single_precision_or_memory_is_told_with_its_key(mesh, said,
 
 
 def test_scene_of_too_many_triangles_is_told(monkeypatch):
-    monkeypatch.setattr("diffshadow.config._build._MOST_TRIANGLES", 20)
+    monkeypatch.setattr("diffshadow.config.building._modules._MOST_TRIANGLES", 20)
     with pytest.raises(ConfigError, match=r"scene\.meshes\.1: brings the scene to 24 triangles; expected at most 20"):
         build(text="scene: {meshes: [{path: builtin:box}, {path: builtin:box}, {path: builtin:box}]}")
 

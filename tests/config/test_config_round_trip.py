@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
-from diffshadow.config._keys import ROOT, Slot, _inside, slot_of
-from diffshadow.config._marks import Limits
-from diffshadow.config._scene import BUILTIN_MESHES
-from diffshadow.config._section import Section
+from diffshadow.config.reading._keys import ROOT, Slot, _inside, slot_of
+from diffshadow.config.sections._marks import Limits
+from diffshadow.config.sections._scene import BUILTIN_MESHES
+from diffshadow.config.sections._section import Section
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 # Sections and keys that name files, or are made below by hand.

@@ -12,7 +12,7 @@ import numpy as np
 import words
 from mutate import SCHEMA
 
-from diffshadow.config._load import load_draft
+from diffshadow.config.reading._load import load_draft
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TEMPLATE, RUN = "template", "runs/damaged"

@@ -23,8 +23,8 @@ from stored_runs import write_fit, write_render, write_sweep
 from diffshadow import io, study
 from diffshadow.cli import main
 from diffshadow.config import load_sweep, parse_config
-from diffshadow.study import _sweep_work as sweep_work
-from diffshadow.study._stored import read_result, read_run
+from diffshadow.study.files._stored import read_result, read_run
+from diffshadow.study.sweeps import _work as sweep_work
 
 DELETED = object()
 WRONG = [

@@ -12,7 +12,7 @@ import pytest
 from scenes import staying_in
 
 from diffshadow.cli import _insistent_interrupts, main
-from diffshadow.study._interrupts import deferred_interrupts, out_of_reach
+from diffshadow.study.sweeps._interrupts import deferred_interrupts, out_of_reach
 
 SWEEP = """
 name: s
@@ -25,8 +25,8 @@ import sys
 import time
 from pathlib import Path
 from diffshadow.cli import main
-from diffshadow.study import _sweep_run as sweep_run
-from diffshadow.study import _sweep_work as sweep_work
+from diffshadow.study.sweeps import _run as sweep_run
+from diffshadow.study.sweeps import _work as sweep_work
 
 def measure(config, batch, stages):
     time.sleep(0.03)

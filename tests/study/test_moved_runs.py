@@ -14,7 +14,7 @@ from stored_runs import write_render
 from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
-from diffshadow.study._stored import read_run
+from diffshadow.study.files._stored import read_run
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TINY = ("sweep=null", "scene.camera.resolution=[16, 16]", "shadow_map.resolution=[32, 32]", "reference.samples=2")

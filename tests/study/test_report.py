@@ -17,9 +17,9 @@ from stored_runs import write_fit, write_sweep
 
 from diffshadow import study
 from diffshadow.cli import main
-from diffshadow.study._compare import _errors
-from diffshadow.study._record import combined
-from diffshadow.study._table import ERRORS
+from diffshadow.study.pages._compare import _errors
+from diffshadow.study.pages._table import ERRORS
+from diffshadow.study.runs._record import combined
 
 
 class Parsed(html.parser.HTMLParser):
@@ -83,7 +83,7 @@ def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
 
 
 def test_pictures_show_every_pixel_with_its_colour(tmp_path):
-    from diffshadow.study._page import picture
+    from diffshadow.study.pages._page import picture
     from diffshadow.study.style import NO_SURFACE
 
     image = np.array([[0.0, 1.0, np.nan], [0.5, 0.25, 1.0]], np.float32)
@@ -111,8 +111,8 @@ def read(data: str) -> np.ndarray:
 
 
 def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
-    from diffshadow.study._figures import difference_limit
-    from diffshadow.study._stored import read_run
+    from diffshadow.study.files._stored import read_run
+    from diffshadow.study.pages._figures import difference_limit
 
     run = read_run(write_fit(tmp_path / "tiny"))
     # Of 640 pixels, 16 are wrong by 1 before, which is more than one in a hundred; after, none by more than 0.05.
@@ -134,8 +134,8 @@ def test_several_lights_have_pictures_and_errors_each(tmp_path):
 
 @pytest.mark.parametrize("form", ["svg", "pdf"])
 def test_figures_are_written_again_in_any_format(form, tmp_path):
-    from diffshadow.study._figures import write_figures
-    from diffshadow.study._stored import read_run
+    from diffshadow.study.files._stored import read_run
+    from diffshadow.study.pages._figures import write_figures
 
     folder = write_fit(tmp_path / "tiny")
     made = {f"{name}.{form}" for name in ("comparison", "shaded", "loss", "parameters")}
@@ -153,8 +153,8 @@ def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
     from matplotlib.colors import to_hex
 
     from diffshadow.study import style
-    from diffshadow.study._figures import parameters
-    from diffshadow.study._stored import read_run
+    from diffshadow.study.files._stored import read_run
+    from diffshadow.study.pages._figures import parameters
 
     run = read_run(write_fit(tmp_path / "tiny"))
     result = {**run.result, "poses": {"truth": {"filter.radius": 3.0}}}

@@ -4,7 +4,7 @@ import pytest
 
 from diffshadow.config import build_casting, parse_config
 from diffshadow.raster import draw_surface
-from diffshadow.study._scene_remarks import scene_remarks
+from diffshadow.study.runs._scene_remarks import scene_remarks
 
 SCENE = """
 scene:

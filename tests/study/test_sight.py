@@ -5,7 +5,7 @@ import pytest
 
 from diffshadow.config import build_casting, parse_config
 from diffshadow.raster import Surface
-from diffshadow.study._sight import blind_camera, blind_light
+from diffshadow.study.runs._sight import blind_camera, blind_light
 
 SCENE = """
 scene:

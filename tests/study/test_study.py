@@ -19,8 +19,8 @@ from scenes import fit_section, staying_in
 from diffshadow import fit, io, study
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, load_config
-from diffshadow.study._progress import Stages
-from diffshadow.study._setup import _traced
+from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._setup import _traced
 
 ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -226,7 +226,7 @@ def test_run_that_dies_while_writing_leaves_the_earlier_one(error, monkeypatch, 
         (folder / "loss.png").write_bytes(PNG)
         raise error
 
-    monkeypatch.setattr("diffshadow.study._figures.write_figures", dies)
+    monkeypatch.setattr("diffshadow.study.pages._figures.write_figures", dies)
     with pytest.raises(error):
         run("fit.anneal.phases=1", "fit.solver.max_steps=1")
     assert [entry.name for entry in (tmp_path / "runs").iterdir()] == ["tiny"]
@@ -338,7 +338,7 @@ def outcome(result: str = "successful") -> fit.Outcome:
     ],
 )
 def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, said):
-    from diffshadow.study._remarks import remarks
+    from diffshadow.study.runs._remarks import remarks
 
     parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
     technique = None
@@ -370,7 +370,7 @@ def ended(level: int, result: str = "successful") -> fit.Outcome:
     ],
 )
 def test_coarse_level_that_was_cut_short_is_told_where_it_matters(last, coarse, said):
-    from diffshadow.study._remarks import remarks
+    from diffshadow.study.runs._remarks import remarks
 
     history = [fit.Step(0, i, 0.0, loss, (5.0,), start=1) for i, loss in enumerate(coarse)]
     # Another start's steps, and those of the phase that converged, count for nothing.
@@ -387,7 +387,7 @@ def test_coarse_level_that_was_cut_short_is_told_where_it_matters(last, coarse, 
 
 
 def test_result_that_is_the_start_is_of_no_phase():
-    from diffshadow.study._remarks import remarks
+    from diffshadow.study.runs._remarks import remarks
 
     values = {"bias.constant": 5.0}
     found = fit.FitResult(None, values, values, [ended(1, "max_steps reached")], -1, [], [], 0.0, 0.0)

@@ -24,8 +24,8 @@ from scenes import staying_in
 
 from diffshadow import study
 from diffshadow.config import Config, ConfigError, load_config, load_sweep
-from diffshadow.study._sweep_curves import curves_of
-from diffshadow.study._sweep_run import missing_runs
+from diffshadow.study.sweeps._curves import curves_of
+from diffshadow.study.sweeps._run import missing_runs
 
 ROOT = Path(__file__).parents[2]
 
@@ -258,7 +258,7 @@ def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
 
 
 def test_million_runs_are_counted_without_making_them(monkeypatch):
-    from diffshadow.config import _sweep_runs as sweep_runs
+    from diffshadow.config.reading import _sweep_runs as sweep_runs
 
     made = []
     check = sweep_runs.checked
@@ -285,7 +285,7 @@ QMC = "{count: 64, axes: {bias.slope: {lower: 0, upper: 4}}}"
 def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
     section = "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.radius: [1, 2, 3]}, repeats: 4}"
     small = sweep_of(section)
-    monkeypatch.setattr("diffshadow.config._sweep_runs._MOST_KEPT", 0)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MOST_KEPT", 0)
     told = []
     Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
     large = load_sweep(Path("t.yaml"), progress=lambda done, total: told.append((done, total)))
@@ -312,7 +312,7 @@ def test_so_many_faults_are_not_all_told():
 def test_axes_without_a_choice_may_be_many():
     """They are one level, for each level is a call inside another."""
     from diffshadow.config import SweepConfig
-    from diffshadow.config._sweep_choices import count_of, levels_of
+    from diffshadow.config.reading._sweep_choices import count_of, levels_of
 
     settings = SweepConfig(grid={f"a{i}": (i, -i) if i == 700 else (i,) for i in range(1500)}, repeats=1)
     before, chosen, after = levels_of(settings, seed=5)
@@ -359,7 +359,7 @@ def measured(config) -> dict[str, float | int]:
 @pytest.fixture
 def quick(finished, monkeypatch):
     """Counts the runs that are done, which take no time here: their ids as they come."""
-    from diffshadow.study import _sweep_work as sweep_work
+    from diffshadow.study.sweeps import _work as sweep_work
 
     done: list[str] = []
 
@@ -409,7 +409,7 @@ def test_run_folder_says_what_was_done_and_does_it_again(finished):
 
 @pytest.mark.parametrize(("kind", "images", "end"), [("render", 1, "-render"), ("fit", 2, "")])
 def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypatch):
-    module = importlib.import_module(f"diffshadow.study._{kind}_run")
+    module = importlib.import_module(f"diffshadow.study.runs._{kind}")
     drawn, draw = [], module.visibility_of
     monkeypatch.setattr(module, "visibility_of", lambda *args: drawn.append(draw(*args)) or drawn[-1])
     brief = ("fit={solver: {max_steps: 1}, anneal: {phases: 1}}", "filter.lookup=bilinear")
@@ -431,8 +431,8 @@ def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypat
 def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatch):
     """Against the mean over 64 patterns of 1024 uniform taps, which is another estimate of the same integral."""
     from diffshadow.config import build_technique
-    from diffshadow.study import _setup as setup
-    from diffshadow.study._progress import Stages
+    from diffshadow.study.runs import _setup as setup
+    from diffshadow.study.runs._progress import Stages
 
     sweep, folder, _ = finished
     monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder.parent.parent / "cache"))
@@ -491,15 +491,15 @@ def test_sweep_that_is_started_again_does_only_what_is_missing(quick):
 
 def test_sweep_in_parts_gives_the_same_table(quick, monkeypatch):
     whole, _ = run(load_sweep(Path("s.yaml")))
-    monkeypatch.setattr("diffshadow.config._sweep_runs._MOST_KEPT", 0)
-    monkeypatch.setattr("diffshadow.study._sweep_run._MOST_AT_ONCE", 3)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MOST_KEPT", 0)
+    monkeypatch.setattr("diffshadow.study.sweeps._run._MOST_AT_ONCE", 3)
     parts, _ = run(load_sweep(Path("s.yaml"), ["output=other"]))
     assert len(quick) == 16
     assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()
 
 
 def test_numbers_of_any_size_have_a_column():
-    from diffshadow.study._sweep_table import _column
+    from diffshadow.study.sweeps._table import _column
 
     assert _column([1, None, 2]).to_pylist() == [1, None, 2]
     assert _column([10**30, 1.5, None]).to_pylist() == [1e30, 1.5, None]
@@ -507,7 +507,7 @@ def test_numbers_of_any_size_have_a_column():
 
 
 def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):
-    from diffshadow.study import _sweep_work as sweep_work
+    from diffshadow.study.sweeps import _work as sweep_work
 
     sweep, well = load_sweep(Path("s.yaml")), sweep_work._MEASURES["render"]
 
@@ -627,8 +627,8 @@ def test_cluster_gives_the_same_table(finished, cluster):
 def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypatch):
     from distributed import Client
 
-    from diffshadow.study import _sweep_pool as sweep_pool
-    from diffshadow.study._sweep_work import Batch
+    from diffshadow.study.sweeps import _pool as sweep_pool
+    from diffshadow.study.sweeps._work import Batch
 
     taken = []
 
@@ -647,8 +647,8 @@ def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypa
 def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monkeypatch):
     from distributed import KilledWorker
 
-    from diffshadow.study import _sweep_pool as sweep_pool
-    from diffshadow.study._sweep_work import work
+    from diffshadow.study.sweeps import _pool as sweep_pool
+    from diffshadow.study.sweeps._work import work
 
     sweep = load_sweep(Path("s.yaml"))
 
@@ -658,7 +658,7 @@ def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monke
         return work(batch)
 
     monkeypatch.setattr(sweep_pool, "work", deadly)
-    monkeypatch.setattr("diffshadow.study._sweep_run._BATCHES_A_WORKER", 2)
+    monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_A_WORKER", 2)
     folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     columns = table(folder)
     assert columns["status"] == ["ok"] * 5 + ["failed"] + ["ok"] * 2
@@ -666,7 +666,7 @@ def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monke
 
 
 def test_missing_scheduler_is_told(quick, monkeypatch):
-    monkeypatch.setattr("diffshadow.study._sweep_pool._PATIENCE", 1)
+    monkeypatch.setattr("diffshadow.study.sweeps._pool._PATIENCE", 1)
     with pytest.raises(ValueError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'.*dask scheduler"):
         study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
 
@@ -675,8 +675,8 @@ def test_missing_scheduler_is_told(quick, monkeypatch):
     ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "what is there does not answer")]
 )
 def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
-    monkeypatch.setattr("diffshadow.study._sweep_pool._SILENCE", 60 if answer else 1)
-    monkeypatch.setattr("diffshadow.study._interrupts._PATIENCE_CUT_SHORT", 0.1)
+    monkeypatch.setattr("diffshadow.study.sweeps._pool._SILENCE", 60 if answer else 1)
+    monkeypatch.setattr("diffshadow.study.sweeps._interrupts._PATIENCE_CUT_SHORT", 0.1)
     kept = []
 
     def serve(server):
@@ -697,8 +697,8 @@ def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
 def test_sweep_whose_workers_are_gone_ends_with_what_to_do(quick, monkeypatch):
     from distributed import Client, LocalCluster
 
-    from diffshadow.study import _sweep_pool as sweep_pool
-    from diffshadow.study._sweep_work import Batch
+    from diffshadow.study.sweeps import _pool as sweep_pool
+    from diffshadow.study.sweeps._work import Batch
 
     monkeypatch.setattr(sweep_pool, "_WORKERS_PATIENCE", 0.2)
     batch = Batch(*[None] * len(Batch._fields))
@@ -718,7 +718,7 @@ from pathlib import Path
 from rich.console import Console
 from diffshadow import study
 from diffshadow.config import load_sweep
-from diffshadow.study import _sweep_work as sweep_work
+from diffshadow.study.sweeps import _work as sweep_work
 
 def measure(config, batch, stages):
     time.sleep(0.03)

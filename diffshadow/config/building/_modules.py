@@ -1,0 +1,314 @@
+"""A scene, a technique, a shading and a fit, each whole, from a configuration."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from ... import fit, geometry, io, shading, shadow
+from .._errors import ConfigError, KeyPath, Place, Problem, dotted
+from ..reading._dump import fit_units
+from ..reading._problems import problems_at
+from ..sections._fit import FitParameterConfig
+from ..sections._fitted import fit_paths
+from ..sections._poses import is_pose, pose_of
+from ..sections._shading import ModulatedConfig
+from ..sections._technique import ProjectiveTextureConfig, ShadowVolumesConfig
+from ..whole._schema import Config
+from ._scene import build_camera, build_light, build_mesh, stage_of
+from ._technique import build_bias, build_compare, build_filter
+
+# With normals, colours and indices, 120 bytes each.
+_MOST_TRIANGLES = 1 << 25
+# Of all lights together, where none is given.
+_INTENSITY = 0.7
+
+Technique = shadow.ShadowMapping | shadow.ShadowVolumes | shadow.ProjectiveShadow
+"""What a configuration's technique may be."""
+
+
+class FitPlan(NamedTuple):
+    """What is fitted, by which solver, and how the compare's width shrinks meanwhile.
+
+    - `arrangement`: technique, lights and meshes as the scene says, where lights or meshes are moved; else none.
+    - `levels`, `starts`: of a fit that moves them, as `fit.fit` takes them.
+    - `truth`: the scene's own values of what is moved, by name, where the reference is traced from it.
+    """
+
+    parameters: list[fit.Parameter]
+    solver: fit.Solver
+    anneal: fit.Anneal
+    arrangement: fit.Arrangement | None = None
+    levels: tuple[int, ...] | None = None
+    starts: int = 1
+    truth: dict[str, float] = {}  # noqa: RUF012
+
+
+class Casting(NamedTuple):
+    """A scene, and what of it a technique lets cast shadows.
+
+    - `casters`: the meshes that cast.
+    - `receivers`: those that only receive, or none.
+    - `casts`: (f,), which faces of the scene's mesh are the casters'.
+    - `meshes`: those of the scene one by one, in the configuration's order.
+    - `remarks`: a sentence for each mesh file of which something was left out.
+    """
+
+    scene: geometry.Scene
+    casters: geometry.Mesh
+    receivers: geometry.Mesh | None
+    casts: Bool[Array, " f"]
+    meshes: tuple[geometry.Mesh, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def build_scene(config: Config) -> geometry.Scene:
+    """The scene of `config`: its meshes as one, its camera and its lights.
+
+    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with the key it comes from.
+    """
+    return build_casting(config).scene
+
+
+def build_casting(config: Config) -> Casting:
+    """The scene of `config`, and what of it casts shadows.
+
+    **Raises** `ConfigError` as `build_scene`, and for an open mesh that casts where the map holds back faces only.
+    """
+    with _mesh_warnings() as remarks:
+        meshes = _meshes_of(config)
+    whole = geometry.merge(meshes)
+    casts = [mesh.casts for mesh in config.scene.meshes]
+    _check_closed(config, meshes)
+    casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
+    stage = stage_of(whole, casters, meshes[0])
+    with _blame(config, ("scene", "camera")):
+        camera = build_camera(config.scene.camera, stage)
+    lights = []
+    for key, light in config.scene.each_light.items():
+        with _blame(config, ("scene", *key)):
+            lights.append(build_light(light, stage))
+    receivers = [mesh for mesh, does in zip(meshes, casts, strict=True) if not does]
+    return Casting(
+        geometry.Scene(whole, camera, lights),
+        casters,
+        geometry.merge(receivers) if receivers else None,
+        jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
+        tuple(meshes),
+        tuple(remarks),
+    )
+
+
+@contextmanager
+def _mesh_warnings() -> Iterator[list[str]]:
+    """What `io.load_mesh` warns of inside, once the block has ended."""
+    messages: list[str] = []
+    with warnings.catch_warnings(record=True, category=io.MeshWarning, action="always") as caught:
+        yield messages
+    for each in caught:
+        if issubclass(each.category, io.MeshWarning):
+            messages.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+def _meshes_of(config: Config) -> list[geometry.Mesh]:
+    """The scene's meshes one by one.
+
+    **Raises** `ConfigError` with a problem for each that cannot be made.
+    """
+    meshes, problems, triangles = [], [], 0
+    for i, section in enumerate(config.scene.meshes):
+        try:
+            with _blame(config, ("scene", "meshes", i)):
+                mesh = build_mesh(section)
+                triangles += mesh.faces.shape[0]
+                if triangles > _MOST_TRIANGLES:
+                    raise ValueError(
+                        f"brings the scene to {triangles:,} triangles; expected at most {_MOST_TRIANGLES:,}, which "
+                        "take 4 GB; simplify it, or leave meshes out"
+                    )
+                meshes.append(mesh)
+        except ConfigError as error:
+            problems += error.problems
+            if triangles > _MOST_TRIANGLES:
+                break
+    if problems:
+        raise ConfigError(problems)
+    return meshes
+
+
+def build_technique(config: Config, *, fitting: bool = True) -> Technique:
+    """The technique of `config`.
+
+    **Arguments:**
+
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the
+        section `fit` counts for nothing: a box filter takes only the taps that the radius of `config` needs.
+
+    **Raises** `ConfigError` if its parts cannot be made.
+    """
+    match config.technique:
+        case ShadowVolumesConfig(method=method):
+            return shadow.ShadowVolumes(method)
+        case ProjectiveTextureConfig():
+            return shadow.ProjectiveShadow()
+    return build_shadow_mapping(config, fitting=fitting)
+
+
+def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
+    """The shadow mapping of `config`, whatever its technique; as `build_technique`."""
+    with _blame(config, ("bias",)):
+        bias = build_bias(config, fitting=fitting)
+    with _blame(config, ("compare",)):
+        compare = build_compare(config.compare)
+    with _blame(config, ("filter",)):
+        kernel = build_filter(config, fitting=fitting)
+    return shadow.ShadowMapping(bias=bias, filter=kernel, compare=compare)
+
+
+def build_shading(config: Config) -> shading.AbstractShading:
+    """How pictures are shaded.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    section = config.shading
+    share = _INTENSITY / len(config.scene.each_light)
+    with _blame(config, ("shading",)):
+        phong = shading.Phong(
+            ambient=section.ambient,
+            intensity=share if section.intensity is None else section.intensity,
+            specular=section.specular,
+            shininess=section.shininess,
+            background=section.background,
+            attenuation=shading.Attenuation(**section.attenuation.model_dump()),
+            model=section.model,
+        )
+        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedConfig) else phong
+
+
+def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
+    """The parameters to fit, the solver and the annealing of `config`.
+
+    **Arguments:**
+
+    - `casting`: the scene of `config`, if it is there already; only a fit that moves lights or meshes asks for it.
+
+    **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
+    """
+    if config.technique.type != "shadow_map":
+        raise ConfigError([Problem(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
+    if problems := problems_at(config.fit_faults(), config.origin):
+        raise ConfigError(problems)
+    solver, anneal = config.fit.solver, config.fit.anneal
+    with _blame(config, ("fit", "solver")):
+        built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate)
+    with _blame(config, ("fit", "anneal")):
+        built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
+    arrangement = None
+    if config.moves:
+        casting = build_casting(config) if casting is None else casting
+        arrangement = build_arrangement(config, casting)
+    parameters, truth, units = [], {}, fit_units(config)
+    for name, bounds in config.fit.parameters.items():
+        with _blame(config, ("fit", "parameters", name)):
+            path, start = _start(config, name, arrangement)
+            start, limits = _within(start, bounds, units[name]), (bounds.lower, bounds.upper)
+            if is_pose(name) and config.reference.type == "traced":
+                truth[name] = _reachable(start, bounds)
+            start = start if bounds.initial is None else bounds.initial
+            parameters.append(fit.Parameter(name, start, *limits, units[name], path))
+    return FitPlan(parameters, built_solver, built_anneal, arrangement, config.fit.levels, config.fit.multistart, truth)
+
+
+def build_arrangement(config: Config, casting: Casting) -> fit.Arrangement:
+    """The technique of `config`, and its lights and meshes as they stand.
+
+    **Raises** `ConfigError` for a vertex to fit that its mesh does not have.
+    """
+    poses = []
+    for i, (mesh, section) in enumerate(zip(casting.meshes, config.scene.meshes, strict=True)):
+        named = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
+        vertices = {
+            pose.vertex[1]: name for name, pose in named.items() if pose and pose.vertex and pose.vertex[0] == i
+        }
+        for vertex, name in vertices.items():
+            with _blame(config, ("fit", "parameters", name)):
+                fit.MeshPose.of(mesh, (vertex,))
+        poses.append(fit.MeshPose.of(mesh, tuple(vertices), section.translate))
+    return fit.Arrangement.of(build_shadow_mapping(config), casting.scene.lights, poses)
+
+
+def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tuple[str, float]:
+    """Where the parameter `name` is in what is fitted, and what the configuration sets it to."""
+    pose = pose_of(config, name) if is_pose(name) else None
+    if pose is not None:
+        return pose.path, float(fit.resolve(arrangement, pose.path))
+    path = fit_paths(config)[name]
+    return path if arrangement is None else f"technique.{path}", config.initial(name)
+
+
+def _within(value: float, bounds: FitParameterConfig, unit: str) -> float:
+    """An angle turned by whole turns, so that it lies within its bounds if it can."""
+    turned = bounds.lower + (value - bounds.lower) % 360
+    return turned if unit == "degrees" and turned <= bounds.upper else value
+
+
+def _reachable(truth: float, bounds: FitParameterConfig) -> float:
+    """`truth`, where it lies within the bounds.
+
+    **Raises** `ValueError` where it does not.
+    """
+    if not bounds.lower <= truth <= bounds.upper:
+        raise ValueError(
+            f"is {truth:g} in the scene, from which the reference is traced; expected a truth that a fit can find, "
+            f"from lower = {bounds.lower:g} to upper = {bounds.upper:g}; widen the bounds, or move it in the scene"
+        )
+    return truth
+
+
+@contextmanager
+def _blame(config: Config, path: KeyPath) -> Iterator[None]:
+    """Lays errors of what is built inside to the key at `path`."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except geometry.OptionError as error:
+        raise ConfigError([Problem(*_at(config, (*path, "options", error.option)), error.what)]) from error
+    except (ValueError, OSError) as error:
+        raise ConfigError([Problem(*_at(config, path), str(error))]) from error
+
+
+def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
+    """Where the key at `path` was written, and its name."""
+    return config.origin.place(path), dotted(path)
+
+
+def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
+    """**Raises** `ConfigError` for every open mesh that casts, if only faces turned away from the light cast."""
+    if config.technique.type != "shadow_map" or config.shadow_map.cull != "front":
+        return
+    said = (
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, whose back faces "
+        "can cast for them: set casts: false if it only receives, or shadow_map.cull to none"
+    )
+    problems = [
+        Problem(*_at(config, ("scene", "meshes", i)), said)
+        for i, (mesh, section) in enumerate(zip(meshes, config.scene.meshes, strict=True))
+        if section.casts and not geometry.Edges.of(mesh).is_closed
+    ]
+    if problems:
+        raise ConfigError(problems)
+
+
+def _no_gradient(kind: str) -> str:
+    why = {
+        "shadow_volumes": "whose visibility is whole numbers without a gradient",
+        "projective_texture": "which has neither a bias nor a filter to fit",
+    }[kind]
+    return f"is {kind}, {why}; expected shadow_map, the technique that fits: change it, or render instead"

@@ -1,0 +1,182 @@
+"""Meshes, cameras and lights from their sections."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ... import geometry, io
+from ..._types import HostArray, Scalar, Vec3
+from ..sections._lights import (
+    DirectionalLightConfig,
+    LightConfig,
+    PointLightConfig,
+    RectangleLightConfig,
+    SpotLightConfig,
+)
+from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
+from ..sections._section import FARTHEST
+
+# Room left round the scene along the view axis, as a share of its depth.
+_MARGIN = 0.01
+# Nearer than this share of `far`, a perspective depth has little precision left for the rest.
+_LEAST_NEAR = 1e-3
+
+
+def build_mesh(config: MeshConfig) -> geometry.Mesh:
+    """One mesh, at its place in the scene.
+
+    **Raises** `ValueError` if its file cannot be used, its options do not suit it, or it reaches too far.
+    """
+    if config.builtin is not None:
+        mesh = geometry.library_mesh(config.builtin, **config.options)
+    else:
+        mesh = io.load_mesh(config.path, config.crease_angle)
+    if config.size is not None:
+        mesh = geometry.fit_to_size(mesh, config.size)
+    if config.drop_to_ground:
+        mesh = geometry.drop_to_ground(mesh)
+    mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
+    placed = _placed(mesh, *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
+    reach = float(np.abs(placed.vertices).max())
+    if not reach <= FARTHEST:
+        raise ValueError(
+            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
+            "smaller scale"
+        )
+    return placed
+
+
+class Stage(NamedTuple):
+    """What cameras and lights are placed by: all points (n, 3), those of what casts (m, 3), and the first mesh's middle
+    and radius."""
+
+    points: Float[HostArray, "n 3"]
+    casters: Float[HostArray, "m 3"]
+    middle: Float[HostArray, "3"]
+    radius: float
+
+    def around(self, azimuth: float, elevation: float, distance: float) -> Vec3:
+        """The point at `distance` radii from the middle, at the angles in degrees."""
+        return geometry.orbit_eye(jnp.asarray(self.middle), distance * self.radius, azimuth, elevation)
+
+
+def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh) -> Stage:
+    used = lambda mesh: np.asarray(mesh.vertices)[np.unique(mesh.faces)]
+    corners = used(first)
+    middle = np.asarray(first.bounds).mean(axis=0)
+    radius = float(np.linalg.norm(corners - middle, axis=-1).max())
+    return Stage(used(whole), used(casters), middle, radius)
+
+
+# Compiled as one, since a mesh's first dozens of single operations would take longer than all the rest.
+@eqx.filter_jit
+def _placed(mesh: geometry.Mesh, scale: Scalar, rotate: Vec3, translate: Vec3) -> geometry.Mesh:
+    """The mesh scaled, turned about x, y and z in turn by `rotate` degrees, then moved."""
+    # Some devices multiply matrices in half the digits unless told not to.
+    with jax.default_matmul_precision("highest"):
+        x, y, z = (geometry.rotation(axis, jnp.deg2rad(turn)) for axis, turn in zip(jnp.eye(3), rotate, strict=True))
+        return mesh.transformed(geometry.translation(translate) @ z @ y @ x @ geometry.scaling(scale))
+
+
+def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: Stage) -> geometry.AbstractCamera:
+    target = jnp.asarray(stage.middle if config.target is None else config.target)
+    if config.eye is not None:
+        eye = jnp.asarray(config.eye)
+    else:
+        assert config.orbit is not None
+        eye = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
+    if bool((eye == target).all()):
+        raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
+    up = jnp.asarray(config.up)
+    # What the scene spans across the view, and along it.
+    view = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)
+    across, upwards, backward = (stage.points @ view[:3, :3].T + view[:3, 3]).T
+    near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
+    near = near if config.near is None else config.near
+    far = far if config.far is None else config.far
+    if isinstance(config, PinholeCameraConfig):
+        return geometry.PinholeCamera(
+            eye, target, up, fov_y=jnp.asarray(config.fov_y), near=near, far=far, resolution=config.resolution
+        )
+    rows, columns = config.resolution
+    needed = 2 * max(np.abs(upwards).max(), np.abs(across).max() * rows / columns) * (1 + _MARGIN)
+    height = float(needed) if config.height is None else config.height
+    return geometry.OrthographicCamera(eye, target, up, height=height, near=near, far=far, resolution=config.resolution)
+
+
+def _depth_range(depth: Float[HostArray, "n"], *, perspective: bool) -> tuple[float, float]:
+    """Near and far that hold the points at `depth` (n,) along the view axis, tightly; all in world units.
+
+    **Raises** `ValueError` if `perspective` and all points lie behind the eye.
+    """
+    low, high = float(depth.min()), float(depth.max())
+    if perspective and high <= 0:
+        raise ValueError(
+            f"the whole scene lies behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
+            "expected some of it in front: turn the camera round by its eye or target"
+        )
+    # A scene that is flat seen from the camera still needs a range.
+    margin = max(_MARGIN * (high - low), _LEAST_NEAR * max(abs(low), abs(high)))
+    near, far = low - margin, high + margin
+    return (max(near, _LEAST_NEAR * far) if perspective else near), far
+
+
+def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
+    """One light.
+
+    **Raises** `ValueError` if it cannot be placed so.
+    """
+    if isinstance(config, DirectionalLightConfig):
+        return _directional(config, stage)
+    points = jnp.asarray(stage.points)
+    if config.position is not None:
+        position = jnp.asarray(config.position)
+    else:
+        assert config.orbit is not None
+        position = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
+    match config:
+        case PointLightConfig():
+            tight = geometry.PointLight.around(position, points, radius=config.radius, guard=config.guard)
+        case SpotLightConfig():
+            tight = geometry.SpotLight.around(
+                position,
+                points,
+                target=_vector(config.target),
+                outer_angle=config.outer_angle,
+                radius=config.radius,
+                inner_angle=config.inner_angle,
+            )
+        case RectangleLightConfig():
+            tight = geometry.RectangleLight.around(
+                position,
+                points,
+                jnp.asarray(config.size),
+                target=_vector(config.target),
+                outer_angle=config.outer_angle,
+                up=jnp.asarray(config.up),
+            )
+    near = tight.near if config.near is None else config.near
+    far = tight.far if config.far is None else config.far
+    # By its constructor, so that a near and a far that do not go together are refused.
+    return type(tight)(**{**vars(tight), "near": near, "far": far})
+
+
+def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.DirectionalLight:
+    if config.direction is not None:
+        direction = jnp.asarray(config.direction)
+    else:
+        assert config.azimuth is not None
+        assert config.elevation is not None
+        direction = -geometry.orbit_eye(jnp.zeros(3), 1.0, config.azimuth, config.elevation)
+    points, around = jnp.asarray(stage.points), geometry.DirectionalLight.around
+    if config.frame == "scene":
+        return around(direction, points, config.angular_radius)
+    return around(direction, jnp.asarray(stage.casters), config.angular_radius, receivers=points)
+
+
+def _vector(value: tuple[float, float, float] | None) -> Vec3 | None:
+    return None if value is None else jnp.asarray(value)

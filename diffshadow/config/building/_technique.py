@@ -1,0 +1,71 @@
+"""Techniques from their sections."""
+
+from typing import Any
+
+from ... import shadow
+from ..sections._filters import PatternedConfig
+from ..sections._technique import CompareConfig, SoftCompareConfig
+from ..whole._schema import Config
+
+# Patterns whose name differs from that of the function that makes them.
+_PATTERNS = {"poisson": "poisson_disk"}
+
+
+def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
+    """The filter of `config`: the module that its section names, with the section's keys as arguments.
+
+    **Arguments:**
+
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit.
+    """
+    section = config.filter
+    arguments = _arguments(config, "filter", fitting=fitting)
+    if isinstance(section, PatternedConfig):
+        for key in PatternedConfig.model_fields:
+            del arguments[key]
+        make = getattr(shadow, _PATTERNS.get(section.pattern, section.pattern))
+        of = lambda samples: make(samples, section.pattern_size, config.seed, section.rotated)
+        arguments["pattern"] = of(section.samples)
+        if "search_samples" in arguments:
+            arguments["search"] = of(arguments.pop("search_samples"))
+    if section.grows_with_radius:
+        bounds = config.fit.parameters.get("filter.radius") if fitting else None
+        arguments["max_radius"] = max(arguments["radius"], bounds.upper) if bounds else None
+    return getattr(shadow, section.builds)(**arguments)
+
+
+def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
+    """The bias of `config`; `fitting` as for `build_filter`."""
+    given = _arguments(config, "bias", fitting=fitting)
+    return shadow.Bias(
+        constant=shadow.ConstantBias(given["constant"], given["unit"]),
+        slope=shadow.SlopeBias(
+            given["slope"], given["slope_profile"], given["slope_least"], given["slope_most"], given["unit"]
+        ),
+        normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
+        plane=_plane(config, fitting=fitting),
+    )
+
+
+def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
+    """The compare of `config`."""
+    if isinstance(config, SoftCompareConfig):
+        return shadow.SoftCompare(width=config.width, kernel=config.kernel)
+    return shadow.HardCompare(operator=config.operator)
+
+
+def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
+    modules = {"receiver_plane": shadow.ReceiverPlane, "adaptive": shadow.AdaptiveBias}
+    kind = config.bias.plane.type
+    return None if kind == "none" else modules[kind](**_arguments(config, "bias.plane", fitting=fitting))
+
+
+def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:
+    """The values of the keys of the section `holder`, in a fit with a number for those that it fits."""
+    section: Any = config
+    for key in holder.split("."):
+        section = getattr(section, key)
+    values = {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
+    # What is not set cannot be fitted, unless the fit says where it starts.
+    starts = {key for key, value in values.items() if value is None and f"{holder}.{key}" in config.fit.parameters}
+    return values | {key: config.initial(f"{holder}.{key}") for key in starts if fitting}

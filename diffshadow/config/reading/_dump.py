@@ -1,0 +1,113 @@
+"""Writes a configuration out again, as YAML and as a table."""
+
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from typing import Any, NamedTuple
+
+import yaml
+
+from .._errors import KeyPath, dotted, printable, show
+from ..sections._fitted import fit_paths
+from ..sections._poses import is_pose, pose_of
+from ..sections._section import Section
+from ..whole._schema import Config
+from ._keys import ROOT, Slot, keys_of, slot_of
+from ._yaml import plain_scalar
+
+
+class Row(NamedTuple):
+    """One setting: its dotted key, its value as text, and its unit."""
+
+    key: str
+    value: str
+    unit: str
+
+
+def dump_resolved(config: Config) -> str:
+    """`config` as YAML with every default written out; loading it gives an equal configuration."""
+    return yaml.dump(_plain(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+
+
+def describe(config: Config) -> list[Row]:
+    """Every setting of `config` that has a value, in the schema's order."""
+    start, units = "fit.parameters.", fit_units(config)
+    return [
+        # A fitted number has the unit of the key that it is named after. A render may name some that it has not.
+        row._replace(unit=units.get(row.key.removeprefix(start).rpartition(".")[0], ""))
+        if row.key.startswith(start)
+        else row
+        for row in _rows(config, ROOT, ())
+    ]
+
+
+def fit_units(config: Config) -> dict[str, str]:
+    """The unit of every number that the technique of `config` can fit, and of those of its scene that it does."""
+    units = {}
+    for name in fit_paths(config):
+        *holders, key = name.split(".")
+        section = reduce(getattr, holders, config)
+        units[name] = section.units().get(key, slot_of(type(section).model_fields[key]).unit)
+    moved = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
+    return units | {name: pose.unit for name, pose in moved.items() if pose is not None}
+
+
+def _plain(value: Any) -> Any:
+    """`value` as dicts, lists and scalars, without the keys that have no value."""
+    if isinstance(value, Section):
+        keys = keys_of(type(value))
+        return {key: _plain(inner) for key in keys if (inner := getattr(value, key)) is not None}
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _rows(value: Any, slot: Slot, path: KeyPath) -> Iterator[Row]:
+    if isinstance(value, Section):
+        units = value.units()
+        for key in keys_of(type(value)):
+            for row in _rows(getattr(value, key), slot_of(type(value).model_fields[key]), (*path, key)):
+                yield row._replace(unit=units.get(key, row.unit))
+        return
+    entries = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, tuple) else ())
+    sections = [(step, entry) for step, entry in entries if isinstance(entry, Section)]
+    if sections:
+        for step, entry in sections:
+            yield from _rows(entry, Slot(type(entry)), (*path, step))
+    elif value is not None and value != {}:
+        yield Row(printable(dotted(path)), _text(value), slot.unit)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{printable(key)} = {_text(inner)}" for key, inner in value.items())
+    return printable(value) if isinstance(value, str) else show(value)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what `read_yaml` reads: YAML 1.2's scalars, with lists of numbers on one line."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """The same list in two places is no reason for an alias."""
+        return True
+
+
+# Those that PyYAML takes for printable.
+_LINE_BREAKS = frozenset("\x85\u2028\u2029")
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
+    # PyYAML quotes what YAML 1.1 would misread; 1.2 takes more for a number, such as 1e-3.
+    style = None if isinstance(plain_scalar(text), str) else "'"
+    if _LINE_BREAKS.intersection(text):
+        # Between other quotes, a line break is folded to a space.
+        style = '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    flow = not any(isinstance(item, dict) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flow)
+
+
+_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(list, _represent_list)

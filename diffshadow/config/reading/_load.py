@@ -1,0 +1,210 @@
+"""From a file and overrides to a checked configuration."""
+
+import difflib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+from pydantic_core import PydanticCustomError
+
+from .._errors import ConfigError, KeyPath, Origin, Place, Problem, dotted, show
+from ..sections._paths import path_of
+from ..sections._scene import BUILTIN, BUILTIN_MESHES
+from ..whole._between import data_faults_of_fit, fit_faults
+from ..whole._schema import Config
+from ._overrides import apply_overrides
+from ._problems import problems_at, problems_of
+from ._yaml import read_yaml
+
+
+class Draft(NamedTuple):
+    """A configuration as it was written, and what is wrong with it so far.
+
+    - `folder`: what relative paths in the file are relative to.
+    """
+
+    data: dict[str, Any]
+    origin: Origin
+    folder: Path
+    problems: list[Problem]
+
+
+def load_config(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, fitting: bool = False, files: bool = True
+) -> Config:
+    """The configuration in the YAML file `path`, with `overrides`.
+
+    **Arguments:**
+
+    - `path`: the file; relative paths inside it are relative to its folder.
+    - `overrides`: `key=value` each, the key dotted (`scene.meshes.0.path`), the value YAML. Relative paths inside
+        them are relative to the current folder.
+    - `fitting`: whether it is to be fitted. Its section `fit` must then suit the others, which no render asks of it.
+    - `files`: whether the input files that it names must exist. A report on a finished run needs only the settings.
+
+    **Returns:** the configuration, with all paths absolute but `output`.
+
+    **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
+    """
+    return _single(checked(load_draft(path, overrides), fitting=fitting, files=files))
+
+
+def parse_config(
+    text: str,
+    overrides: Sequence[str] = (),
+    *,
+    source: str = "configuration",
+    folder: str | os.PathLike[str] = ".",
+    name: str = "unnamed",
+    fitting: bool = False,
+    files: bool = True,
+) -> Config:
+    """The configuration in YAML `text`, with `overrides`; as `load_config`.
+
+    **Arguments:**
+
+    - `source`: what errors call the text.
+    - `folder`: what relative paths in the text are relative to.
+    - `name`: of the run, where the text gives none.
+    - `fitting`, `files`: as for `load_config`.
+
+    **Raises** `ConfigError` with everything that is wrong.
+    """
+    draft = parse_draft(text, overrides, source=source, folder=folder, name=name)
+    return _single(checked(draft, fitting=fitting, files=files))
+
+
+def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
+    """What the YAML file `path` and `overrides` say, unchecked.
+
+    **Raises** `ConfigError` if the file cannot be read, or is no YAML.
+    """
+    file = Path(path)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
+        raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
+    except OSError as error:
+        raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
+    except ValueError:  # a null character
+        message = "names no file; expected a configuration in YAML; check the path"
+        raise ConfigError([Problem(Place(str(path)), "", message)]) from None
+    return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
+
+
+def parse_draft(
+    text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
+) -> Draft:
+    """What YAML `text` and `overrides` say, unchecked; arguments as of `parse_config`."""
+    data, places, problems = read_yaml(text, lambda line, column: Place(source, line, column))
+    places = {**places, (): Place(source, 1, 1)}
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        message = f"holds {show(data)}; expected a section with keys; write 'key: value' lines"
+        raise ConfigError([*problems, Problem(places[()], "", message)])
+    problems += apply_overrides(data, places, overrides)
+    data.setdefault("name", name)
+    return Draft(data, Origin(source, places), Path(folder), problems)
+
+
+def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Config:
+    """The configuration that `draft` stands for, whose data this completes.
+
+    **Arguments:**
+
+    - `fitting`, `files`: as for `load_config`.
+
+    **Raises** `ConfigError` with everything that is wrong.
+    """
+    data, origin = draft.data, draft.origin
+    missing = _resolve_files(data, origin, draft.folder)
+    problems = [*draft.problems, *(missing if files else ())]
+    # From the data, so that messages quote numbers as they were written.
+    of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
+    try:
+        config = Config.model_validate(data)
+    except ValidationError as error:
+        found = [*problems_of(error, origin), *of_fit]
+        # What could not be read left no value, of which nothing more is to be said.
+        reported = {(problem.key, problem.place.line) for problem in problems}
+        raise ConfigError([*problems, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
+    config._origin = origin
+    if fitting:
+        problems += [*of_fit, *problems_at(fit_faults(config), origin)]
+    if problems:
+        raise ConfigError(problems)
+    return config
+
+
+def _single(config: Config) -> Config:
+    """`config`, unless it stands for many runs."""
+    if config.sweep is None:
+        return config
+    message = (
+        "makes many runs of this file; expected a single run; start it with diffshadow sweep, or override sweep=null"
+    )
+    raise ConfigError([Problem(config.origin.place(("sweep",)), "sweep", message)])
+
+
+def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Problem]:
+    """Makes the paths of input files in `data` absolute. **Returns** a problem for each that is not there."""
+    problems = []
+    for path, holder in _file_keys(data):
+        place = origin.place(path)
+        # An override is written by someone who stands in the current folder.
+        base = folder if place.line is not None else Path()
+        file = Path(holder["path"])
+        try:
+            file = Path(os.path.abspath(base / path_of(holder["path"])))
+            holder["path"] = str(file)
+            what = None if file.is_file() else _missing(file)
+            holder["path"].encode()
+        except PydanticCustomError as error:
+            what = error.message()
+        except UnicodeEncodeError:
+            what = f"is {holder['path']}, whose name is not UTF-8; expected one that is; rename the file or a folder"
+        except OSError as error:
+            what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
+        if what is not None:
+            problems.append(Problem(place, dotted(path), what))
+    return problems
+
+
+def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """The paths of keys that name input files, and the sections that hold them."""
+    scene, reference = data.get("scene"), data.get("reference")
+    meshes = scene.get("meshes") if isinstance(scene, dict) else None
+    for i, mesh in enumerate(meshes if isinstance(meshes, list) else ()):
+        path = mesh.get("path") if isinstance(mesh, dict) else None
+        if isinstance(path, str) and path and not path.startswith(BUILTIN):
+            yield ("scene", "meshes", i, "path"), mesh
+    if isinstance(reference, dict) and isinstance(reference.get("path"), str) and reference["path"]:
+        yield ("reference", "path"), reference
+
+
+def _missing(file: Path) -> str:
+    if file.is_dir():
+        return f"is the folder {file}; expected a file; name one in it"
+    mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in BUILTIN_MESHES else _neighbour(file)
+    return f"there is no file {file}; expected one that can be read; {mend}"
+
+
+def _unreadable(file: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"there is no such file; expected a configuration in YAML; {_neighbour(file)}"
+    return f"cannot be read ({error.strerror}); expected a configuration in YAML; check the path and its permissions"
+
+
+def _neighbour(file: Path) -> str:
+    """The file of the nearest name in the same folder, as a question."""
+    try:
+        names = [entry.name for entry in file.absolute().parent.iterdir()]
+    except OSError:
+        return f"check the path: there is no folder {file.absolute().parent}"
+    near = difflib.get_close_matches(file.name, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else "check the path"

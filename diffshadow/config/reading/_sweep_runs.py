@@ -1,0 +1,318 @@
+"""From a file with a sweep to the configurations of its runs."""
+
+import copy
+import functools
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, overload
+
+from pydantic import ValidationError
+
+from .._errors import ConfigError, Origin, Place, Problem, show
+from ..sections._filters import MOST_TAPS, RandomDiskConfig
+from ..sections._reference import ImageReferenceConfig
+from ..sections._sweep import LABEL, SweepConfig
+from ..sections._technique import ShadowMappingConfig
+from ..whole._schema import Config
+from ._load import Draft, checked, load_draft
+from ._overrides import apply_overrides
+from ._problems import problems_of
+from ._sweep_choices import Choice, count_of, levels_of
+
+# Part of every id: to be raised when a run of the same configuration gives other numbers.
+_FORMAT = 1
+_ID_BYTES = 8
+# Sixteen times as many as those of a run.
+_MOST_LIMIT_TAPS = 16 * MOST_TAPS
+# Each run is checked at a millisecond, has a folder of its own, and takes a few hundred bytes of memory.
+_MOST_RUNS = 1 << 20
+# The runs of larger sweeps are made again whenever they are needed.
+_MOST_KEPT = 4096
+# Different faults that are collected before a sweep is refused.
+_MOST_FAULTS = 100
+
+Progress = Callable[[int, int], None]
+"""Called with how many runs have been checked, and how many there are."""
+
+
+class SweepRun(NamedTuple):
+    """One run of a sweep.
+
+    - `id`: 16 hexadecimal digits, a hash of all that the run's numbers depend on, the content of mesh files included;
+        neither the order of the runs nor names and folders are part of it.
+    - `values`: what this run has on each axis.
+    - `config`: its configuration, without the sweep.
+    """
+
+    id: str
+    values: Mapping[str, Any]
+    config: Config
+
+
+class SweepRuns(Sequence[SweepRun]):
+    """The runs of a sweep, in the order of its axes, the last of which changes first.
+
+    Each is made when it is needed, since a million of them would fill the memory; only those of a small sweep are kept.
+    Where a run's configuration cannot be used, making it **raises** `ConfigError`; `check` looks at all of them.
+    """
+
+    def __init__(self, settings: SweepConfig, draft: Draft):
+        self._settings, self._origin = settings, draft.origin
+        # A run has a copy of the places of keys, and needs none of the section sweep, which may hold thousands.
+        places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
+        data = {key: value for key, value in draft.data.items() if key != "sweep"}
+        self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
+        self._axes, self._seed = settings.axes, data.get("seed", 0)
+        self._levels = levels_of(settings, self._seed)
+        counts = [len(level) for level in self._levels]
+        self._count = math.prod(counts)
+        # Of each level, how far apart the runs of neighbouring choices are.
+        self._strides = [math.prod(counts[depth + 1 :]) for depth in range(len(counts))]
+        # What `check` has found: all identifiers, one after another, and the runs of a small sweep.
+        self._ids: bytes | None = None
+        self._kept: list[SweepRun] | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> SweepRun: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[SweepRun]: ...
+    def __getitem__(self, index: int | slice) -> SweepRun | list[SweepRun]:
+        chosen = range(self._count)[index]
+        if isinstance(chosen, int):
+            return next(self.at((chosen,)))
+        return list(self.at(chosen)) if chosen.step > 0 else list(self.at(chosen[::-1]))[::-1]
+
+    def __iter__(self) -> Iterator[SweepRun]:
+        return self.at(range(self._count))
+
+    def at(self, indices: Sequence[int]) -> Iterator[SweepRun]:
+        """The runs at `indices`, which rise. What several of them share is made once."""
+        if self._kept is not None:
+            yield from (self._kept[index] for index in indices)
+            return
+        for index, draft in self._drafts(indices):
+            yield self._made(index, draft)
+
+    def id(self, index: int) -> str:
+        """The identifier of the run at `index`."""
+        if self._ids is None:
+            return self[index].id
+        return self._ids[index * _ID_BYTES : (index + 1) * _ID_BYTES].hex()
+
+    def column(self, axis: str) -> list[Any]:
+        """What each run has on one axis."""
+        return [self._value(axis, index) for index in range(self._count)]
+
+    def choices(self, axis: str) -> list[Any]:
+        """The different values on one axis, in the order in which they are first used."""
+        found = [choice.shown[axis] for level in self._levels for choice in level if axis in choice.shown]
+        return list({repr(value): value for value in found or [self._seed]}.values())
+
+    def check(self, progress: Progress | None = None) -> None:
+        """Makes every run once, and finds its identifier.
+
+        **Raises** `ConfigError` with everything that is wrong with any of the runs; after a hundred different faults,
+        the rest is not looked at.
+        """
+        if self._ids is not None:
+            return
+        # Of each fault, the first run that has it, and how many have.
+        faults: dict[Problem, tuple[int, int]] = {}
+        ids, kept, checked = bytearray(), [], 0
+        for index, draft in self._drafts(range(self._count)):
+            try:
+                run = self._made(index, draft)
+            except ConfigError as error:
+                for problem in error.problems:
+                    first, count = faults.get(problem, (index, 0))
+                    faults[problem] = first, count + 1
+            else:
+                ids += bytes.fromhex(run.id)
+                if self._count <= _MOST_KEPT:
+                    kept.append(run)
+            checked += 1
+            if progress is not None:
+                progress(checked, self._count)
+            if len(faults) >= _MOST_FAULTS:
+                break
+        if faults:
+            # What is wrong with every run does not depend on the values.
+            raise ConfigError(
+                problem if count == checked else _with_values(problem, self._values(first))
+                for problem, (first, count) in faults.items()
+            )
+        self._ids, self._kept = bytes(ids), kept or None
+
+    def _values(self, index: int) -> dict[str, Any]:
+        return {axis: self._value(axis, index) for axis in self._axes}
+
+    def _value(self, axis: str, index: int) -> Any:
+        for level, stride in zip(self._levels, self._strides, strict=True):
+            shown = level[index // stride % len(level)].shown
+            if axis in shown:
+                return shown[axis]
+        # What an entry of the list leaves as it is has no value of its own.
+        return self._seed if axis == "seed" else None
+
+    def _drafts(self, indices: Sequence[int]) -> Iterator[tuple[int, Draft]]:
+        """The numbers of the runs at `indices`, and what is written in their configurations."""
+
+        def walk(depth: int, first: int, draft: Draft, low: int, high: int) -> Iterator[tuple[int, Draft]]:
+            """Those of `indices[low:high]`, whose choices above `depth` are in `draft`, from the number `first` on."""
+            if depth == len(self._levels):
+                yield first, draft
+                return
+            for choice in self._levels[depth]:
+                end = bisect_left(indices, first + self._strides[depth], low, high)
+                if end > low:
+                    yield from walk(depth + 1, first, _written(draft, choice, self._origin), low, end)
+                low, first = end, first + self._strides[depth]
+
+        return walk(0, 0, self._base, 0, len(indices))
+
+    def _made(self, index: int, draft: Draft) -> SweepRun:
+        config = checked(draft, fitting=self._settings.run == "fit")
+        _check_limit(config, self._settings, self._origin)
+        # Errors have been found; places of keys would travel to the workers for nothing.
+        config._origin = Origin(self._origin.source)
+        id = _id_of(config, self._settings) if self._ids is None else self.id(index)
+        return SweepRun(id, self._values(index), config)
+
+
+class Sweep(NamedTuple):
+    """A sweep and its runs.
+
+    - `source`, `overrides`: what it was loaded from.
+    """
+
+    settings: SweepConfig
+    runs: SweepRuns
+    source: str
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Names the sweep's folder."""
+        return self.runs[0].config.name
+
+
+def load_sweep(
+    path: str | os.PathLike[str],
+    overrides: Sequence[str] = (),
+    *,
+    check: bool = True,
+    progress: Progress | None = None,
+) -> Sweep:
+    """The sweep in the YAML file `path`, with `overrides`; as `load_config`.
+
+    **Arguments:**
+
+    - `check`: whether all runs are checked, which takes about a millisecond each, or the section `sweep` alone.
+    - `progress`: called while runs are checked.
+
+    **Returns:** the sweep. Equal files give equal runs in the same order.
+
+    **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the runs.
+    """
+    draft = load_draft(path, overrides)
+    settings = _settings_of(draft)
+    count = count_of(settings)
+    if count > _MOST_RUNS:
+        message = (
+            f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and has a folder; shorten "
+            "its lists, or write several sweeps"
+        )
+        raise ConfigError([Problem(draft.origin.place(("sweep",)), "sweep", message)])
+    runs = SweepRuns(settings, draft)
+    if check:
+        runs.check(progress)
+    return Sweep(settings, runs, draft.origin.source, tuple(overrides))
+
+
+def _settings_of(draft: Draft) -> SweepConfig:
+    """The section `sweep` of `draft`. What else the file says is checked with each run's values in their places."""
+    if draft.data.get("sweep") is None:
+        message = "is missing; expected a section that says what changes; add it, or use diffshadow render or fit"
+        raise ConfigError([*draft.problems, Problem(draft.origin.place(()), "sweep", message)])
+    try:
+        Config.model_validate(draft.data)
+    except ValidationError as error:
+        problems = problems_of(error, draft.origin)
+        if any(problem.key.split(".")[0] == "sweep" for problem in problems):
+            raise ConfigError([*draft.problems, *problems]) from None
+    return SweepConfig.model_validate(draft.data["sweep"])
+
+
+def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
+    """`draft` with the values of `choice`, whose places are those that `origin` has in the section `sweep`."""
+    data, places, problems = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.problems)
+    for key, value in choice.values.items():
+        # JSON is YAML, so a value passes through an override as it is.
+        override = f"{key}={json.dumps(value, ensure_ascii=False)}"
+        passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
+        problems += [
+            replace(problem, place=place) if problem.place == passed else problem
+            for problem in apply_overrides(data, places, [override])
+        ]
+        places = {path: place if at == passed else at for path, at in places.items()}
+    return Draft(data, Origin(draft.origin.source, places), draft.folder, problems)
+
+
+def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
+    if settings.limit_samples is None:
+        return
+    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, ShadowMappingConfig):
+        message = (
+            f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; "
+            "expected shadow_map with random_disk, which has a limit; remove it, or such runs"
+        )
+    elif (taps := settings.limit_samples * config.filter.pattern_size**2) > _MOST_LIMIT_TAPS:
+        message = (
+            f"is {settings.limit_samples}, and with filter.pattern_size {config.filter.pattern_size} there are "
+            f"{taps:,} taps of a tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
+        )
+    else:
+        return
+    raise ConfigError([Problem(origin.place(("sweep", "limit_samples")), "sweep.limit_samples", message)])
+
+
+def _with_values(problem: Problem, values: Mapping[str, Any]) -> Problem:
+    shown = ", ".join(f"{key} = {value if key == LABEL else show(value)}" for key, value in values.items())
+    return replace(problem, message=f"{problem.message} (first in the run with {shown})")
+
+
+def _id_of(config: Config, settings: SweepConfig) -> str:
+    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep"})
+    for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
+        if section.builtin is None:
+            mesh["path"] = _content_of(section.path)
+    if isinstance(config.reference, ImageReferenceConfig):
+        data["reference"]["path"] = _content_of(config.reference.path)
+    whole = {
+        "format": _FORMAT,
+        "version": _version(),
+        "run": settings.run,
+        "limit_samples": settings.limit_samples,
+        "config": data,
+    }
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[: 2 * _ID_BYTES]
+
+
+@functools.cache
+def _version() -> str:
+    return importlib.metadata.version("diffshadow")
+
+
+@functools.cache
+def _content_of(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -1,0 +1,1 @@
+"""Sections of a configuration: what each may hold, and which of its numbers a fit may change."""

@@ -1,0 +1,139 @@
+"""Which numbers of a configuration a fit may change: those that their sections mark as `Fitted`."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic_core import PydanticCustomError
+
+from .._errors import did_you_mean, listing
+from ._biases import BiasConfig, PlaneConfig
+from ._filters import FilterConfig
+from ._marks import Limits, marked
+from ._poses import could_be_pose, is_pose, pose_faults, pose_of
+from ._section import Conflict, Fitted, Section, fault, is_number, look, variants_of
+
+FILTERS = variants_of(FilterConfig)
+"""Each filter's section by its `type`."""
+_PLANES = variants_of(PlaneConfig)
+DEFAULT_FILTER = "random_disk"
+
+
+def fit_paths(data: Any) -> dict[str, str]:
+    """The numbers that the technique of a configuration can fit.
+
+    **Arguments:**
+
+    - `data`: a configuration, or the data of one that may hold faults.
+
+    **Returns:** where each number is in the `ShadowMapping` that the configuration stands for, a dotted path, by the
+    key that sets it, such as `"bias.slope.value"` by `"bias.slope"`.
+    """
+    return {
+        f"{holder}.{key}": f"{holder}.{mark.path or key}"
+        for holder, section in _holders(data).items()
+        for key, mark in _fitted_keys(section).items()
+    }
+
+
+def start_of(data: Any, name: str) -> Any:
+    """What the key `name` is set to in `data`, or its default."""
+    holder, _, key = name.rpartition(".")
+    section, given = _holders(data)[holder], look(data, *holder.split("."), default={})
+    if isinstance(given, Mapping):
+        given = section.completed(given)
+    return look(given, key, default=section.model_fields[key].default)
+
+
+def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of those of `parameters`, the section `fit.parameters`, whose names stand for nothing in any scene."""
+    everywhere = {f"{h}.{key}" for h, sections in _HOLDERS.items() for s in sections for key in _fitted_keys(s)}
+    for name in parameters:
+        path = ("fit", "parameters", name)
+        if is_pose(name) and not could_be_pose(name):
+            yield from ((path, what) for what in pose_faults(data, name))
+        elif not is_pose(name) and name not in everywhere:
+            yield path, _no_such_parameter(data, name)
+
+
+def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
+    """What is wrong with `parameters`, the section `fit.parameters`, in a fit of a configuration of `data`."""
+    known = fit_paths(data)
+    for name, parameter in parameters.items():
+        pose = pose_of(data, name)
+        unknown = [] if name in known else [_no_such_parameter(data, name)]
+        wrong = pose_faults(data, name) if is_pose(name) else unknown
+        yield from ((("fit", "parameters", name), what) for what in wrong)
+        if pose is not None:
+            yield from _beyond_limits(name, parameter, pose.limits)
+        elif name in known:
+            limits = _limits_of(data, name)
+            yield from _beyond_limits(name, parameter, limits)
+            yield from _start_outside(name, parameter, start_of(data, name), limits)
+
+
+def _start_outside(name: str, parameter: Any, start: Any, limits: Limits) -> Iterator[Conflict]:
+    """A fault unless the fit of the number `name` has an initial value, or `start`, its key's own, is within bounds."""
+    path = ("fit", "parameters", name)
+    lower, upper, initial = (look(parameter, key) for key in ("lower", "upper", "initial"))
+    if initial is not None or not (is_number(lower) and is_number(upper)):
+        return
+    # A value beyond the limits is an error of the key that sets it.
+    if is_number(start) and not limits.undercut_by(start) and not limits.exceeded_by(start) and lower < upper:
+        yield from ((path, what) for what in outside(start, lower, upper, name))
+    elif start is None:
+        said = f"has no value to start from, for {name} is not set"
+        yield path, fault(said, "an initial value within the bounds", f"add initial, or set {name}")
+
+
+def outside(
+    initial: float | int, lower: float | int, upper: float | int, name: str | None = None
+) -> Iterator[PydanticCustomError]:
+    """A fault unless `initial`, taken from the key `name` if there is one, lies within the bounds."""
+    if lower <= initial <= upper:
+        return
+    given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
+    mend = "move it inside" if name is None else f"give an initial value, change {name}"
+    yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")
+
+
+# All sections that may hold numbers to fit, by their keys.
+_HOLDERS = {"bias": [BiasConfig], "bias.plane": [*_PLANES.values()], "filter": [*FILTERS.values()]}
+
+
+def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
+    """The keys of `section` that a fit may change."""
+    fields = section.model_fields.items()
+    return {key: mark for key, field in fields for mark in field.metadata if isinstance(mark, Fitted)}
+
+
+def _holders(data: Any) -> dict[str, type[Section]]:
+    """The sections that may hold numbers to fit, by their keys."""
+    plane = _PLANES.get(str(look(data, "bias", "plane", "type", default="none")), _PLANES["none"])
+    return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)]}
+
+
+def _filter_type(data: Any) -> str:
+    # A misspelt type is an error of its own; a name may still be wrong for every filter.
+    kind = str(look(data, "filter", "type", default=DEFAULT_FILTER))
+    return kind if kind in FILTERS else DEFAULT_FILTER
+
+
+def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
+    known = tuple(fit_paths(data))
+    mend = did_you_mean(name, known, "name one of these")
+    return fault(f"cannot be fitted with filter type {_filter_type(data)!r}", listing(known), mend)
+
+
+def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:
+    """Faults of bounds that the number `name` itself could not be set to."""
+    path, lower, upper = ("fit", "parameters", name), look(parameter, "lower"), look(parameter, "upper")
+    if is_number(lower) and limits.undercut_by(lower):
+        yield (*path, "lower"), fault(f"is {lower}", f"a number {limits.least}, as for {name}", "raise it")
+    if is_number(upper) and limits.exceeded_by(upper):
+        yield (*path, "upper"), fault(f"is {upper}", f"a number {limits.most}, as for {name}", "lower it")
+
+
+def _limits_of(data: Any, name: str) -> Limits:
+    """Those of the numbers that the key `name` may be set to."""
+    holder, _, key = name.rpartition(".")
+    return Limits.of(marked(_holders(data)[holder].model_fields[key])[1])

@@ -1,0 +1,28 @@
+"""Paths that a configuration names."""
+
+import os
+from pathlib import Path
+
+from .._errors import show
+from ._section import fault
+
+
+def path_of(text: str) -> Path:
+    """The path that `text` names. A first `~` is the present user's home folder; no other user's is looked up.
+
+    **Raises** `PydanticCustomError`, a `ValueError`, if `text` names another user's home folder or holds U+0000.
+    """
+    if "\0" in text:
+        raise fault(f"is {show(text)}, which holds the character U+0000", "a path", "remove it")
+    first, _, _ = text.partition("/")
+    if first == "~":
+        home = os.path.expanduser("~")
+        if home == "~":
+            said = f"is {show(text)}, and the present user has no home folder"
+            raise fault(said, "a path without ~", "write the folder out, or set the variable HOME")
+        return Path(home + text[1:])
+    if first.startswith("~"):
+        said = f"is {show(text)}, which begins with the home folder of another user"
+        mend = f"write that folder out, or ./{first} for one of this very name"
+        raise fault(said, "a path, in which ~/ is the present user's home folder", mend)
+    return Path(text)

@@ -1,0 +1,113 @@
+"""Which numbers of a scene a fit may move: where lights stand and shine, how large they are, where meshes stand."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from pydantic_core import PydanticCustomError
+
+from .._errors import did_you_mean, listing
+from ._marks import Limits
+from ._section import FARTHEST, MOST_DEGREES, NARROWEST, fault, is_index, look
+
+_AXES = ("x", "y", "z")
+_DEGREES, _WORLD = "degrees", "world units"
+_POSITION = {f"position.{axis}": _WORLD for axis in _AXES}
+_ANGLES = {"azimuth": _DEGREES, "elevation": _DEGREES}
+_OF_LIGHTS = {
+    "directional": {**_ANGLES, "angular_radius": _DEGREES},
+    "spot": {**_POSITION, **_ANGLES, "radius": _WORLD},
+    "point": {**_POSITION, "radius": _WORLD},
+}
+"""The keys that can be fitted, and their units, by the light's type."""
+_OF_MESHES = {**{f"translate.{a}": _WORLD for a in _AXES}, **{f"turn.{a}": _DEGREES for a in _AXES}}
+_SIZES = ("radius", "angular_radius")
+
+
+class Pose(NamedTuple):
+    """A number of the scene that a fit may move.
+
+    - `path`: where it is in a `fit.Arrangement`; `unit`: its own.
+    - `vertex`: the mesh and the vertex that it places, where it does.
+    """
+
+    path: str
+    unit: str
+    vertex: tuple[int, int] | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """Those of the bounds of its fit, which are the same as the limits of the keys of such numbers."""
+        if self.unit == _DEGREES:
+            return Limits(0, 90 - NARROWEST) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
+        return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
+
+    @property
+    def is_size(self) -> bool:
+        """Whether it is a light's radius."""
+        return self.path.endswith(".radius")
+
+
+def is_pose(name: str) -> bool:
+    """Whether `name` belongs to the scene, rather than to the technique."""
+    return name.startswith("scene.")
+
+
+def poses(data: Any) -> dict[str, Pose]:
+    """The numbers of the scene that can be fitted, by name; but for single vertices, which are too many."""
+    found = {}
+    for i, (key, light) in enumerate(_lights(data)):
+        for name, unit in _OF_LIGHTS.get(str(look(light, "type", default="directional")), {}).items():
+            found[f"scene.{key}.{name}"] = Pose(f"lights.{i}.{'radius' if name in _SIZES else name}", unit)
+    for i in range(_count(data, "meshes")):
+        found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", unit) for name, unit in _OF_MESHES.items()}
+    return found
+
+
+def pose_of(data: Any, name: str) -> Pose | None:
+    """The number of the scene that `name` means, or `None` if there is none."""
+    match name.split("."):
+        case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
+            if axis in _AXES and int(mesh) < _count(data, "meshes"):
+                return Pose(f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}", _WORLD, (int(mesh), int(vertex)))
+    return poses(data).get(name)
+
+
+def could_be_pose(name: str) -> bool:
+    """Whether `name` is a number of some scene, if not of this one."""
+    words = name.split(".")
+    match words:
+        case ["scene", "light", *key]:
+            return any(".".join(key) in keys for keys in _OF_LIGHTS.values())
+        case ["scene", "lights", index, *key] if is_index(index):
+            return any(".".join(key) in keys for keys in _OF_LIGHTS.values())
+        case ["scene", "meshes", index, "vertices", vertex, axis] if is_index(index) and is_index(vertex):
+            return axis in _AXES
+        case ["scene", "meshes", index, *key] if is_index(index):
+            return ".".join(key) in _OF_MESHES
+    return False
+
+
+def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
+    """What is wrong with fitting the number of the scene that `name` means."""
+    pose = pose_of(data, name)
+    if pose is None:
+        known = [*poses(data), "scene.meshes.0.vertices.0.x"]
+        yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))
+        return
+    if not pose.is_size:
+        return
+    if look(data, "filter", "type") != "pcss" or look(data, "filter", "light_size") is not None:
+        said = "cannot be fitted with a filter that does not see the light's size"
+        yield fault(said, "filter type pcss without a light_size", "change the filter, or leave the parameter out")
+
+
+def _lights(data: Any) -> list[tuple[str, Any]]:
+    several = look(data, "scene", "lights")
+    if isinstance(several, list | tuple):
+        return [(f"lights.{i}", light) for i, light in enumerate(several)]
+    return [("light", look(data, "scene", "light", default={}))]
+
+
+def _count(data: Any, key: str) -> int:
+    entries = look(data, "scene", key)
+    return len(entries) if isinstance(entries, list | tuple) else 0

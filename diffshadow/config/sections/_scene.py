@@ -1,0 +1,189 @@
+"""Sections that say what is drawn, from where, and lit by what."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag
+
+from .._errors import KeyPath, listing, nearest
+from ._lights import LightConfig
+from ._section import (
+    NARROWEST,
+    SMALLEST,
+    Angles,
+    Colour,
+    Conflict,
+    Coordinate,
+    Degrees,
+    Direction,
+    Form,
+    Position,
+    Radii,
+    Section,
+    Size,
+    Turn,
+    Unit,
+    WorldUnits,
+    as_list,
+    by_type,
+    exclusive,
+    fault,
+    given,
+    look,
+    ordered,
+)
+
+BUILTIN = "builtin:"
+"""How the path of a mesh from the library begins."""
+
+# The names in geometry.LIBRARY, kept here so that a misspelling is found without loading JAX.
+BUILTIN_MESHES = ("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot", "fence", "thin_wall", "blob")
+
+
+class MeshConfig(Section):
+    """A mesh, and where it stands: made to `size`, dropped to the ground, then scaled, turned and moved."""
+
+    path: str = Field(
+        min_length=1,
+        description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="keyword options of a builtin mesh")
+    size: WorldUnits | None = Field(
+        default=None, ge=SMALLEST, description="longest side to scale the mesh to, in world units"
+    )
+    drop_to_ground: bool = Field(
+        default=False, description="whether to move the mesh up or down until it stands on y = 0"
+    )
+    translate: Position = Field(default=(0.0, 0.0, 0.0), description="shift, after scale and rotate, in world units")
+    rotate: Angles = Field(
+        default=(0.0, 0.0, 0.0), description="turn about the x, then the y, then the z axis, in degrees"
+    )
+    # From the largest scenes to the smallest, and back.
+    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="factor about the origin")
+    crease_angle: Degrees = Field(
+        default=30.0, ge=0, le=180, description="angle between faces of a file from which an edge is sharp, in degrees"
+    )
+    albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each share in [0, 1]")
+    casts: bool = Field(
+        default=True,
+        description="whether the technique lets it cast shadows, or only receive them; the reference lets all cast",
+    )
+
+    @property
+    def builtin(self) -> str | None:
+        """The name in the library, or `None` for a file."""
+        return self.path.removeprefix(BUILTIN) if self.path.startswith(BUILTIN) else None
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        path, options = data.get("path"), data.get("options")
+        if not isinstance(path, str):
+            return
+        name = path.removeprefix(BUILTIN)
+        if path.startswith(BUILTIN) and name not in BUILTIN_MESHES:
+            suggestion = nearest(name, BUILTIN_MESHES)
+            mend = "name one of these" if suggestion is None else f"did you mean {BUILTIN + suggestion!r}?"
+            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(BUILTIN_MESHES)}", mend)
+        if not path.startswith(BUILTIN) and options:
+            what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
+            yield ("options",), what
+
+
+class CameraOrbit(Section):
+    """A camera placed by angles about the middle of the scene's first mesh."""
+
+    azimuth: Turn = Field(default=30.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
+    distance: Radii = Field(
+        default=2.5, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
+    )
+
+
+class _CameraConfig(Section):
+    resolution: Annotated[Size, Unit("pixels")] = Field(default=(512, 512), description="[height, width] in pixels")
+    orbit: CameraOrbit | None = Field(default=None, description="place by angles about the first mesh, instead of eye")
+    eye: Position | None = Field(default=None, description="position, in world units")
+    target: Position | None = Field(default=None, description="point in the middle of the image, in world units")
+    up: Direction = Field(default=(0.0, 1.0, 0.0), description="direction that is upright in the image")
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return data if given(data, "orbit", "eye", "target") else {**data, "orbit": {}}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from exclusive(data, "orbit", "eye", "target")
+        if given(data, "target") and not given(data, "eye", "orbit"):
+            yield ("target",), fault("is given without eye", "eye with it", "add eye: [x, y, z] in world units")
+        yield from ordered(cls, data, "near", "far")
+
+
+class PinholeCameraConfig(_CameraConfig):
+    """A perspective camera."""
+
+    type: Literal["pinhole"] = "pinhole"
+    fov_y: Degrees = Field(
+        default=40.0, ge=NARROWEST, le=180 - NARROWEST, description="full vertical field of view, in degrees"
+    )
+    near: WorldUnits | None = Field(
+        default=None, gt=0, description="where seeing begins, in world units; default: tight"
+    )
+    far: WorldUnits | None = Field(default=None, gt=0, description="where seeing ends, in world units; default: tight")
+
+
+class OrthographicCameraConfig(_CameraConfig):
+    """A parallel camera."""
+
+    type: Literal["orthographic"] = "orthographic"
+    height: WorldUnits | None = Field(
+        default=None, gt=0, description="height of what is seen, in world units; default: the whole scene"
+    )
+    near: Coordinate | None = Field(default=None, description="where seeing begins, in world units; default: tight")
+    far: Coordinate | None = Field(default=None, description="where seeing ends, in world units; default: tight")
+
+
+CameraConfig = Annotated[
+    Annotated[PinholeCameraConfig, Tag("pinhole")] | Annotated[OrthographicCameraConfig, Tag("orthographic")],
+    by_type("pinhole"),
+]
+
+
+class SceneConfig(Section):
+    """What is drawn, from where, and lit by what."""
+
+    meshes: Annotated[tuple[MeshConfig, ...], as_list, Form("a list of meshes, each with a path")] = Field(
+        description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
+    )
+    camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="where the image is drawn from")
+    light: LightConfig | None = Field(default=None, description="what casts the shadows")
+    lights: Annotated[tuple[LightConfig, ...], as_list, Form("a list of lights")] | None = Field(
+        default=None, description="several lights instead of one"
+    )
+
+    @property
+    def each_light(self) -> dict[KeyPath, LightConfig]:
+        """All lights, by their keys inside this section."""
+        if self.lights is None:
+            assert self.light is not None
+            return {("light",): self.light}
+        return {("lights", i): light for i, light in enumerate(self.lights)}
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        # A light that is written as null is an error of its own, unless several are given instead.
+        return data if "light" in data or given(data, "lights") else {**data, "light": {}}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        meshes = data.get("meshes")
+        if isinstance(meshes, list | tuple) and not meshes:
+            yield ("meshes",), fault("is an empty list", "at least one mesh", "add '- path: builtin:torus_knot'")
+        if isinstance(meshes, list | tuple) and meshes and all(look(mesh, "casts") is False for mesh in meshes):
+            mend = "remove casts from one of them"
+            yield ("meshes",), fault("hold nothing that casts a shadow", "at least one mesh that casts", mend)
+        yield from exclusive(data, "light", "lights")
+        lights = data.get("lights")
+        if isinstance(lights, list | tuple) and not lights:
+            yield ("lights",), fault("is an empty list", "at least one light", "add '- type: directional'")
+        if lights is None and "light" in data and data["light"] is None:
+            yield ("light",), fault("is empty", "a light", "remove the key to have its default")

@@ -1,0 +1,128 @@
+"""Faults that lie between sections whose values are right by themselves."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from .._errors import KeyPath, dotted
+from ..sections._filters import PercentageCloserSoftConfig
+from ..sections._fitted import parameter_faults
+from ..sections._lights import DirectionalLightConfig, PointLightConfig
+from ..sections._section import Conflict, fault, look
+from ..sections._technique import ProjectiveTextureConfig, ShadowMappingConfig
+from ._costs import cost_faults, fit_cost_faults
+from ._parts import Parts
+
+
+def run_faults(config: Parts) -> Iterator[Conflict]:
+    """Faults that concern every run of `config`."""
+    yield from cost_faults(config)
+    if isinstance(config.technique, ShadowMappingConfig):
+        yield from _beyond_guards(config, {})
+        if config.shadow_map.silhouettes:
+            yield from _silhouettes_of_others(config, "with silhouettes")
+    if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
+        said = "projects shadows on meshes that cast none, and all of scene.meshes cast"
+        yield ("technique", "type"), fault(said, "one that does not", "set casts: false for those that receive")
+    if config.reference.type == "image" and len(config.scene.each_light) > 1:
+        said = f"is one image, for {len(config.scene.each_light)} lights"
+        yield ("reference", "type"), fault(said, "one light, or a traced reference", "set it to traced")
+
+
+def fit_faults(config: Parts) -> Iterator[Conflict]:
+    """Faults that concern a fit of `config` alone, beside those of `data_faults_of_fit`."""
+    yield from fit_cost_faults(config)
+    yield from _beyond_the_greatest_radius(config)
+    if isinstance(config.technique, ShadowMappingConfig):
+        yield from _beyond_guards(config, config.fit.parameters)
+    if not config.moves:
+        return
+    if isinstance(config.technique, ShadowMappingConfig) and config.shadow_map.silhouettes is None:
+        yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
+    yield from _uneven_levels(config)
+    for key, light in config.scene.each_light.items():
+        if isinstance(light, DirectionalLightConfig) and light.frame == "casters":
+            said = "is casters in a fit of lights or meshes, whose shadows may leave what they cast at the start"
+            yield ("scene", *key, "frame"), fault(said, "scene", "remove it")
+
+
+def data_faults_of_fit(data: Any) -> Iterator[Conflict]:
+    """Faults that concern a fit alone, of a configuration or the data of one, which may hold others as well."""
+    parameters = look(data, "fit", "parameters", default={})
+    if isinstance(parameters, Mapping):
+        yield from parameter_faults(data, parameters)
+
+
+def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:
+    """A fault of bounds within which a disk's least radius may pass its greatest."""
+    bounds, section = config.fit.parameters.get("filter.min_radius"), config.filter
+    if bounds is not None and isinstance(section, PercentageCloserSoftConfig) and bounds.upper > section.max_radius:
+        said = f"is {bounds.upper:g}, and filter.max_radius is {section.max_radius:g}"
+        what = fault(said, "at most that", "lower it, or raise filter.max_radius")
+        yield ("fit", "parameters", "filter.min_radius", "upper"), what
+
+
+def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
+    """Faults of a map with silhouettes that does not hold the nearest of all faces."""
+    section = config.shadow_map
+    for key, value, plain in (("layer", section.layer, "nearest"), ("cull", section.cull, "none")):
+        if value != plain:
+            mend = "remove it, or set shadow_map.silhouettes to false"
+            yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)
+
+
+def _uneven_levels(config: Parts) -> Iterator[Conflict]:
+    """Faults of levels that do not divide images and maps."""
+    sides = {"scene.camera.resolution": config.scene.camera.resolution}
+    sides["shadow_map.resolution"] = config.shadow_map.resolution
+    for i, level in enumerate(config.fit.levels or ()):
+        for name, resolution in sides.items():
+            if any(side % level for side in resolution):
+                said = f"is {level}, and {name} is {list(resolution)}"
+                yield ("fit", "levels", i), fault(said, "a level that divides all sides", f"change it, or {name}")
+                break
+
+
+def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of look-ups that reach further than the faces of a point light's map go, once numbers are at `bounds`."""
+    section = config.filter
+    offset, radius = config.bias.normal_offset, getattr(section, section.radius_key, None)
+    reach, path = section.reach + offset, _key_of_reach(config)
+    for name, now in (("bias.normal_offset", offset), (f"filter.{section.radius_key}", radius)):
+        if name in bounds and now is not None and bounds[name].upper > now:
+            path: KeyPath = ("fit", "parameters", name, "upper")
+            reach += bounds[name].upper - now
+    if bounds and path[0] != "fit":
+        # `run_faults` names a reach that every run has.
+        return
+    half = min(config.shadow_map.resolution) / 2
+    for key, light in config.scene.each_light.items():
+        if not isinstance(light, PointLightConfig) or reach <= light.guard / (1 + light.guard) * half:
+            continue
+        guard = dotted(("scene", *key, "guard"))
+        mends = [f"raise {guard} to {_rounded_up(reach / (half - reach)):g}"] if reach <= half / 2 else []
+        mends += ["raise shadow_map.resolution", f"lower {dotted(path)}" if len(path) > 1 else "choose another filter"]
+        yield (
+            path,
+            fault(
+                f"lets the filter read {reach:g} texels away, across a face's edge of a point light's map",
+                f"at most {light.guard / (1 + light.guard) * half:.3g} texels, which {guard} = {light.guard:g} allows",
+                f"{', '.join(mends[:-1])}, or {mends[-1]}",
+            ),
+        )
+
+
+def _key_of_reach(config: Parts) -> KeyPath:
+    """The key that most of the look-ups' reach comes from."""
+    section = config.filter
+    if config.bias.normal_offset > section.reach:
+        return ("bias", "normal_offset")
+    keys = (key for key in (section.radius_key, "size") if key in type(section).model_fields)
+    key = next(keys, None)
+    return ("filter",) if key is None else ("filter", key)
+
+
+def _rounded_up(value: float) -> float:
+    """`value` with two digits, and no less."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / step) * step

@@ -1,0 +1,38 @@
+"""The whole configuration of a run."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ..sections._fit import UPPER
+from ..sections._fitted import misnamed
+from ..sections._section import MOST_TEXELS, Conflict, is_number, look
+from ._between import data_faults_of_fit, fit_faults, run_faults
+from ._parts import Parts
+
+
+class Config(Parts):
+    """Everything that a run depends on."""
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        section = data.get("fit", {})
+        if not isinstance(section, Mapping) or "parameters" in section:
+            return data
+        # The default bounds hold the value that the fit starts from.
+        start = look(data, "bias", "constant", default=0)
+        upper = min(max(UPPER, 2 * start), MOST_TEXELS) if is_number(start) else UPPER
+        return {**data, "fit": {**section, "parameters": {"bias.constant": {"lower": 0.0, "upper": float(upper)}}}}
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        parameters = look(data, "fit", "parameters", default={})
+        if isinstance(parameters, Mapping):
+            yield from misnamed(data, parameters)
+
+    def faults(self) -> Iterator[Conflict]:
+        yield from run_faults(self)
+
+    def fit_faults(self) -> Iterator[Conflict]:
+        """Faults that concern a fit alone: no render uses what they are about."""
+        yield from data_faults_of_fit(self)
+        yield from fit_faults(self)

@@ -1,0 +1,306 @@
+"""What `result.json` must hold, checked as strictly as a configuration, so that what reads it need not doubt it.
+
+Keys that are not named here are left alone: a later version, or a person, may have added them.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError, from_json
+
+from ... import io
+from ...config import SweepConfig
+
+# No run comes near this.
+_MOST_BYTES = 64 << 20
+_LONGEST_SHOWN = 60
+_DISAGREES = "disagrees"
+_PYDANTIC = "Input should be "
+# Pydantic's own words speak of Python.
+_EXPECTED = {
+    "model_type": "a section with keys",
+    "dict_type": "a section with keys",
+    "list_type": "a list",
+    "string_type": "text",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le:g}",
+}
+SLACK = 1e-3
+"""How far out of its range rounding may take an error or a visibility."""
+
+Share = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
+Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Seconds = Annotated[float, Field(ge=0, le=1e12)]
+# What a fit computes with.
+Single = Annotated[float, Field(ge=-3.4e38, le=3.4e38)]
+Numbers = dict[str, Single]
+
+
+class _Part(BaseModel):
+    """A part of a result. Nothing is coerced, and every number is finite."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class _Errors(_Part):
+    """Errors of one state, over all lights."""
+
+    rmse: Share
+    mae: Share
+    ssim: Similarity
+    false_shadow_rate: Share
+    false_light_rate: Share
+
+
+class _LightErrors(_Part):
+    """Errors of one state under one light, for which perhaps no pixel counts."""
+
+    rmse: Share | None
+    mae: Share | None
+    ssim: Similarity | None
+    false_shadow_rate: Share | None
+    false_light_rate: Share | None
+
+
+class _RenderedLight(_Part):
+    light: str
+    errors: _LightErrors
+
+
+class _FittedLight(_Part):
+    light: str
+    before: _LightErrors
+    after: _LightErrors
+
+
+class _Metrics(_Part):
+    compare: str
+    reference_noise_floor: Share | None
+    pixels: Count
+
+
+class _RenderMetrics(_Metrics):
+    errors: _Errors
+    lights: list[_RenderedLight] = Field(min_length=1)
+
+
+class _FitMetrics(_Metrics):
+    before: _Errors
+    after: _Errors
+    lights: list[_FittedLight] = Field(min_length=1)
+
+
+class _Bounds(_Part):
+    lower: Single
+    upper: Single
+    unit: str
+
+
+class _Phase(_Part):
+    width: float = Field(ge=0)
+    steps: Count
+    result: str
+    gradient_norm: Annotated[float, Field(ge=0)] | None
+    hard_loss: Annotated[float, Field(ge=0, le=1 + SLACK)] | None
+    values: Numbers
+    level: int = Field(default=1, ge=1)
+    blur: float = Field(default=0.0, ge=0)
+
+
+class _Solver(_Part):
+    steps: Count
+    chosen_phase: int = Field(ge=-1)
+    phases: list[_Phase]
+
+
+class _Precision(_Part):
+    deviations: dict[str, float | None] = {}
+
+
+class _Start(_Part):
+    initial: Numbers
+    loss: Annotated[float, Field(ge=0)] | None
+
+
+class _Poses(_Part):
+    truth: Numbers = {}
+    precision: _Precision | None = None
+    starts: list[_Start] | None = None
+
+
+class _Run(_Part):
+    name: str = Field(min_length=1)
+    warnings: list[str] | None = None
+    seconds: dict[str, Seconds]
+    versions: dict[str, str]
+    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    command: str
+    files: list[str] = []
+
+
+class _Render(_Run):
+    kind: Literal["render"]
+    metrics: _RenderMetrics
+
+
+class _Fit(_Run):
+    kind: Literal["fit"]
+    metrics: _FitMetrics
+    initial: Numbers
+    fitted: Numbers = Field(min_length=1)
+    bounds: dict[str, _Bounds]
+    solver: _Solver
+    poses: _Poses | None = None
+
+    @model_validator(mode="after")
+    def _agrees(self) -> "_Fit":
+        """The parts speak of the same parameters and phases."""
+        poses = self.poses or _Poses()
+        named = {
+            "initial": self.initial,
+            "bounds": self.bounds,
+            **{f"solver.phases.{i}.values": phase.values for i, phase in enumerate(self.solver.phases)},
+            **{f"poses.starts.{i}.initial": start.initial for i, start in enumerate(poses.starts or ())},
+        }
+        for key, numbers in named.items():
+            if list(numbers) != list(self.fitted):
+                raise _fault(key, f"names {_listed(numbers)}", f"{_listed(self.fitted)}, as fitted does")
+        for name, bounds in self.bounds.items():
+            if bounds.lower >= bounds.upper:
+                raise _fault(f"bounds.{name}", f"are {bounds.lower:g} and {bounds.upper:g}", "lower less than upper")
+        phases, chosen = len(self.solver.phases), self.solver.chosen_phase
+        if chosen >= phases:
+            raise _fault("solver.chosen_phase", f"is {chosen}", f"less than {phases}, the number of phases")
+        return self
+
+
+class _Sweep(_Part):
+    kind: Literal["sweep"]
+    name: str = Field(min_length=1)
+    settings: SweepConfig
+    versions: dict[str, str] = {}
+    command: str = ""
+
+
+class _Outcome(_Part):
+    id: str
+    status: Literal["ok", "failed"]
+    error: str | None
+    metrics: dict[str, Annotated[int, Field(ge=0, lt=2**53)] | Single | None]
+    seconds: dict[str, Seconds]
+
+
+_KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "sweep": _Sweep}
+
+
+def read_json(file: Path) -> Any:
+    """What the JSON file holds.
+
+    **Raises** `FileError` if it cannot be read, is no JSON, or is far larger than any run's.
+    """
+    try:
+        # To read anything else, such as a pipe, might take for ever.
+        if not file.is_file():
+            raise io.FileError(f"there is no file {file}; expected what a run wrote: run it again")
+        if file.stat().st_size > _MOST_BYTES:
+            raise io.FileError(f"{file} has {file.stat().st_size:,} bytes; expected what a run wrote: run it again")
+        return from_json(file.read_bytes(), allow_inf_nan=False)
+    except io.FileError:
+        raise
+    except (OSError, ValueError) as error:
+        raise io.FileError(f"{file} is damaged ({error}); expected what a run wrote: run it again") from error
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Writes `value` to the JSON file, as `read_json` reads it."""
+    text = json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON can hold it. A number that is not finite becomes null; of text, what is no Unicode is escaped."""
+    if isinstance(value, Mapping):
+        return {_plain(str(key)): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, str):
+        # Python has lone surrogates for the bytes of paths that are no UTF-8.
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """What is read of the result of a fit, a render or a sweep, which came from `file`.
+
+    **Raises** `FileError` with the key that is at fault.
+    """
+    try:
+        return _KINDS[result["kind"]].model_validate(result).model_dump(exclude_unset=True)
+    except ValidationError as error:
+        raise io.FileError(f"{file} is damaged: {_first(error)}: run it again") from error
+
+
+def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: str) -> bool:
+    """Whether `stored` is what the run `id` of a sweep writes.
+
+    **Arguments:**
+
+    - `kinds`: of the metrics that a good run has, by their names.
+    - `others`: begins the names of further metrics; none if it is empty.
+    """
+    try:
+        outcome = _Outcome.model_validate(stored)
+    except ValidationError:
+        return False
+    if outcome.id != id or (outcome.status == "ok") != (outcome.error is None):
+        return False
+    if outcome.status == "failed":
+        return not outcome.metrics
+    further = outcome.metrics.keys() - kinds.keys()
+    return (
+        kinds.keys() <= outcome.metrics.keys()
+        and all(outcome.metrics[name] is None or isinstance(outcome.metrics[name], kinds[name]) for name in kinds)
+        and all(others and name.startswith(others) for name in further)
+    )
+
+
+def _fault(key: str, given: str, expected: str) -> PydanticCustomError:
+    words = {"key": key, "given": given, "expected": expected}
+    return PydanticCustomError(_DISAGREES, "{key}: {given}; expected {expected}", words)
+
+
+def _first(error: ValidationError) -> str:
+    """The first fault in words, and how many more there are."""
+    details = error.errors(include_url=False)
+    first, more = details[0], f", and {len(details) - 1} more such faults" if len(details) > 1 else ""
+    key, message = ".".join(map(str, first["loc"])), first["msg"]
+    if first["type"] == _DISAGREES:
+        return f"{message}{more}"
+    if first["type"] == "missing":
+        return f"{key} is missing; expected what a run wrote{more}"
+    expected = _EXPECTED.get(first["type"])
+    if expected is not None:
+        expected = expected.format(**first.get("ctx", {}))
+    elif message.startswith(_PYDANTIC):
+        expected = message.removeprefix(_PYDANTIC)
+    else:
+        # A fault of a section of the configuration, which says what was expected.
+        return f"{key}: {message}{more}"
+    return f"{key} is {_short(json.dumps(first['input'], default=str))}; expected {expected}{more}"
+
+
+def _listed(names: Mapping[str, Any]) -> str:
+    return _short(", ".join(names) or "nothing")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"

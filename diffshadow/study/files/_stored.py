@@ -1,0 +1,219 @@
+"""A run as its folder holds it: what reports, comparisons and figures are made of."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from ... import io
+from ..._types import HostArray
+from ...config import Config, Row, describe, load_config
+from ._run_folder import RESULT
+from ._schema import SLACK, checked_result, read_json, write_json
+
+ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
+KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
+"""The images of each kind of run: their titles, and the arrays that hold them."""
+SWEEP = "sweep"
+"""The kind of a folder that holds many runs."""
+
+
+class LightImages(NamedTuple):
+    """What a run made of one light.
+
+    - `key`: of the light, such as `"scene.light"`; `end`: what tells its files from other lights'.
+    - `images`: title and visibility (h, w) of each state, the result last; `errors`: of each, by name.
+    - `mask`: (h, w), the pixels that count.
+    """
+
+    key: str
+    end: str
+    reference: Float[HostArray, "h w"]
+    mask: Bool[HostArray, "h w"]
+    images: list[tuple[str, Float[HostArray, "h w"]]]
+    errors: list[Mapping[str, float | None]]
+
+
+class StoredRun(NamedTuple):
+    """A finished fit or render.
+
+    - `folder`: that holds it.
+    - `result`: what `result.json` holds, or will; `arrays`: of `arrays.npz`, those that figures are made of.
+    - `settings`: every one, with its unit.
+    """
+
+    folder: Path
+    result: Mapping[str, Any]
+    arrays: Mapping[str, HostArray]
+    settings: Sequence[Row]
+
+    @property
+    def name(self) -> str:
+        """As the configuration has it."""
+        return self.result["name"]
+
+    @property
+    def kind(self) -> str:
+        """`"fit"` or `"render"`."""
+        return self.result["kind"]
+
+    @property
+    def errors(self) -> list[tuple[str, Mapping[str, float | None]]]:
+        """Title and errors, over all lights, of each state, the result last."""
+        measured = self.result["metrics"]
+        return [(title, measured[_errors_key(self.kind, name)]) for title, name in KINDS[self.kind]]
+
+    @property
+    def lights(self) -> list[LightImages]:
+        """The images, light by light."""
+        lights = self.result["metrics"]["lights"]
+        each = lambda name, i: self.arrays[name] if len(lights) == 1 else self.arrays[name][i]
+        states = KINDS[self.kind]
+        return [
+            LightImages(
+                light["light"],
+                "" if len(lights) == 1 else f"_{i}",
+                each("reference", i),
+                each("mask", i),
+                [(title, each(name, i)) for title, name in states],
+                [light[_errors_key(self.kind, name)] for _, name in states],
+            )
+            for i, light in enumerate(lights)
+        ]
+
+    @property
+    def shaded(self) -> list[tuple[str, HostArray]]:
+        """Title and sRGB picture (h, w, 3) of the reference and each state under all lights, the result last."""
+        names = [("Reference", "reference"), *KINDS[self.kind]]
+        return [(title, self.arrays[f"shaded_{name}"]) for title, name in names if f"shaded_{name}" in self.arrays]
+
+
+def read_run(folder: Path) -> StoredRun:
+    """The run in `folder`.
+
+    **Raises** `FileError` if there is no folder, or it holds no finished fit or render, only a part of one, or files
+    that are damaged or of different runs; `ConfigError` if its configuration cannot be read.
+    """
+    result = read_result(folder)
+    if result["kind"] not in KINDS:
+        raise io.FileError(f"{folder} holds a {result['kind']}; expected the folder of a {' or a '.join(KINDS)}")
+    # A report is made of the run's own files: meshes and reference images may have gone.
+    config = load_config(_existing(folder, CONFIG), [], files=False)
+    _check_same(folder, result, config)
+    file = _existing(folder, ARRAYS)
+    arrays = io.read_arrays(file, _layouts(result, config))
+    _check_values(file, result, arrays)
+    return StoredRun(folder, result, arrays, describe(config))
+
+
+def read_result(folder: Path) -> Mapping[str, Any]:
+    """What `result.json` in `folder` holds, all of which that is read anywhere is as a run writes it.
+
+    **Raises** `FileError` if there is none, it is not that of a fit, a render or a sweep, or it is damaged.
+    """
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise io.FileError(f"{folder} {what}; expected the folder of a finished run, such as runs/quickstart")
+    file = folder / RESULT
+    if not file.is_file():
+        raise io.FileError(f"{folder} holds no run: it has no {RESULT}; expected the folder of a finished run")
+    result = read_json(file)
+    kind = result.get("kind") if isinstance(result, dict) else None
+    if kind not in (*KINDS, SWEEP):
+        raise io.FileError(
+            f"{file} is of no fit, render or sweep; expected one of them: of the runs inside a sweep only numbers are "
+            "kept, unless sweep.figures is true"
+        )
+    return checked_result(result, file)
+
+
+def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], config: Config) -> StoredRun:
+    """The run that `folder` is about to hold."""
+    return StoredRun(folder, result, {name: np.asarray(array) for name, array in arrays.items()}, describe(config))
+
+
+def add_files(folder: Path, names: Sequence[str]) -> None:
+    """Has the result in `folder` name more files as its own, so that its next run replaces them with the others."""
+    result = read_json(folder / RESULT)
+    result["files"] = sorted({*result.get("files", ()), *names})
+    with io.atomic_path(folder / RESULT) as temporary:
+        write_json(temporary, result)
+
+
+def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:
+    """A picture of values from 0 to 1 with 8 bits a channel, as `arrays.npz` keeps it."""
+    return np.rint(picture * 255).astype(np.uint8)
+
+
+def _existing(folder: Path, name: str) -> Path:
+    if not (folder / name).is_file():
+        raise io.FileError(f"{folder} holds only a part of a run: it has no {name}; expected all files: run it again")
+    return folder / name
+
+
+def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None:
+    """Checks that result and configuration are of one run."""
+    lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
+    named = {"lights": (lights, [light["light"] for light in result["metrics"]["lights"]])}
+    if result["kind"] == "fit":
+        named["parameters"] = list(config.fit.parameters), list(result["fitted"])
+    for what, (ours, theirs) in named.items():
+        if ours != theirs:
+            raise io.FileError(
+                f"{folder} holds files of different runs: {CONFIG} has the {what} {', '.join(ours)}, and {RESULT} has "
+                f"{', '.join(theirs)}; expected the same: run it again"
+            )
+
+
+def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
+    """What the arrays that reports and figures need look like."""
+    height, width = config.scene.camera.resolution
+    lights = len(result["metrics"]["lights"])
+    images = (height, width) if lights == 1 else (lights, height, width)
+    states = [name for _, name in KINDS[result["kind"]]]
+    layouts = {
+        **dict.fromkeys(("reference", *states), io.Layout("f", images, bytes=4)),
+        "mask": io.Layout("b", images),
+        **{
+            f"shaded_{name}": io.Layout("u", (height, width, 3), required=False, bytes=1)
+            for name in ("reference", *states)
+        },
+    }
+    if result["kind"] == "fit":
+        layouts |= {
+            "history_phase": io.Layout("iu", (None,)),
+            "history_start": io.Layout("iu", (None,), required=False),
+            "history_loss": io.Layout("f", (None,), bytes=4),
+            "history_values": io.Layout("f", (None, len(result["fitted"])), bytes=4),
+        }
+    return layouts
+
+
+def _check_values(file: Path, result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> None:
+    """Checks what the arrays hold."""
+    for name in ("reference", *(name for _, name in KINDS[result["kind"]])):
+        low, high = float(arrays[name].min()), float(arrays[name].max())
+        # Not a number is in no range.
+        if not (low >= -SLACK and high <= 1 + SLACK):
+            raise _damaged(file, f"the array {name} holds values from {low:g} to {high:g}; expected 0 to 1")
+    counted, pixels = int(arrays["mask"].sum()), result["metrics"]["pixels"]
+    if counted != pixels:
+        raise _damaged(file, f"{counted:,} pixels count in the array mask; expected the {pixels:,} of {RESULT}")
+    if result["kind"] == "fit":
+        lengths = {name: len(array) for name, array in arrays.items() if name.startswith("history_")}
+        if len(set(lengths.values())) > 1:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise _damaged(file, f"the arrays differ in length: {told}; expected one length")
+        phases = len(result["solver"]["phases"])
+        if not ((arrays["history_phase"] >= 0) & (arrays["history_phase"] < phases)).all():
+            raise _damaged(file, f"the array history_phase names phases beyond the {phases} of {RESULT}")
+
+
+def _errors_key(kind: str, name: str) -> str:
+    return "errors" if kind == "render" else name
+
+
+def _damaged(file: Path, reason: str) -> io.FileError:
+    return io.FileError(f"{file} is damaged: {reason}: run it again")

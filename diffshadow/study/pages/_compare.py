@@ -1,0 +1,153 @@
+"""Runs side by side: a page, and a table of what differs."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from ... import io
+from ..files._stored import StoredRun, read_run
+from ._table import ERRORS, UNITS, number, print_comparison
+
+# Where a run is written and what it is called makes no difference.
+_NO_SETTINGS = ("name", "output")
+_NONE = "–"
+
+
+class Line(NamedTuple):
+    """One row of the comparison: what it is of, its unit, a text for each run, and which of the runs are best."""
+
+    name: str
+    unit: str
+    cells: list[str]
+    best: frozenset[int] = frozenset()
+
+
+def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
+    """Prints what differs between the finished runs in `folders`, and writes it with their images to `page`.
+
+    **Returns** the page.
+
+    **Raises** `FileError` if a folder holds no finished run, or the page cannot be written, and `ValueError` if there
+    are fewer than two folders, or one is named twice.
+    """
+    resolved = [folder.resolve() for folder in folders]
+    if len(set(resolved)) < max(len(resolved), 2):
+        given = ", ".join(map(str, folders)) or "none"
+        raise ValueError(f"the runs to compare are {given}; expected two or more, each once")
+    io.check_writable(page.parent)
+    runs = [read_run(folder) for folder in folders]
+    labels = _labels(folders)
+    parts = {
+        "settings that differ": _settings(runs),
+        "fitted values": _fitted(runs),
+        "errors": _errors(runs),
+    }
+    print_comparison(
+        console, labels, [[(line.name, *line.cells, line.unit) for line in part] for part in parts.values()]
+    )
+    page.parent.mkdir(parents=True, exist_ok=True)
+    _write(page, runs, labels, parts)
+    return page
+
+
+def _labels(folders: Sequence[Path]) -> list[str]:
+    """Names that tell the runs apart: those of their folders, or else the whole paths."""
+    names = [folder.resolve().name for folder in folders]
+    return [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)]
+
+
+def _settings(runs: Sequence[StoredRun]) -> list[Line]:
+    held = [{row.key: row for row in run.settings if row.key not in _NO_SETTINGS} for run in runs]
+    kinds = [run.kind for run in runs]
+    lines = [Line("kind of run", "", kinds)] if len(set(kinds)) > 1 else []
+    for key in dict.fromkeys(key for each in held for key in each):
+        cells = [each[key].value if key in each else _NONE for each in held]
+        if len(set(cells)) > 1:
+            lines.append(Line(key, next(each[key].unit for each in held if key in each), cells))
+    return lines
+
+
+def _fitted(runs: Sequence[StoredRun]) -> list[Line]:
+    values = [run.result.get("fitted", {}) for run in runs]
+    units = {name: bound["unit"] for run in runs for name, bound in run.result.get("bounds", {}).items()}
+    return [
+        Line(name, units.get(name, ""), [f"{each[name]:.4g}" if name in each else _NONE for each in values])
+        for name in dict.fromkeys(name for each in values for name in each)
+    ]
+
+
+def _errors(runs: Sequence[StoredRun]) -> list[Line]:
+    """The errors of the results; the better of them are marked."""
+    last = [run.errors[-1][1] for run in runs]
+    lines = []
+    for name, label in ERRORS.items():
+        values = np.asarray([np.nan if errors.get(name) is None else errors[name] for errors in last], np.float64)
+        cells = [number(name, value) for value in values]
+        cost = np.where(np.isnan(values), np.inf, -values if name == "ssim" else values)
+        # Those that read alike are equally good.
+        best = frozenset(i for i, cell in enumerate(cells) if cell == cells[int(np.argmin(cost))])
+        lines.append(Line(label, UNITS[name], cells, best if len(best) < len(runs) else frozenset()))
+    return lines
+
+
+def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]]) -> None:
+    # Here, since they load Matplotlib.
+    from .. import style
+    from . import _figures as figures
+    from ._page import difference_scale, picture, write_page
+
+    limit, extend = figures.difference_limit([light for run in runs for light in run.lights], slice(-1, None))
+    groups = list(_groups(runs, labels, limit))
+    shaded = [
+        picture(f"{label}, shaded", run.shaded[-1][1], title=label) for label, run in _named(labels, runs) if run.shaded
+    ]
+    fits = [(label, run) for label, run in _named(labels, runs) if run.kind == "fit"]
+    pictures = [p.name for p in groups[0]["visibility"]]
+    write_page(
+        page,
+        "compare.html.j2",
+        labels=labels,
+        folders=[str(run.folder) for run in runs],
+        # What came out is read first.
+        parts_of_table=dict(reversed(parts.items())),
+        warnings=[
+            f"{label}: {said}" for label, run in _named(labels, runs) for said in run.result.get("warnings") or []
+        ],
+        slides=pictures[-2:],
+        groups=groups,
+        scale=difference_scale(limit, extend == "both"),
+        shaded=shaded,
+        curves=style.inline_svg(figures.convergence(fits), "convergence") if fits else "",
+    )
+
+
+def _named(labels: Sequence[str], runs: Sequence[StoredRun]) -> Iterator[tuple[str, StoredRun]]:
+    return zip(labels, runs, strict=True)
+
+
+def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> Iterator[dict[str, Any]]:
+    """The pictures light by light: references, one where all are equal, and each run's result and its difference."""
+    from .. import style
+    from ._page import picture
+
+    for index in range(max(len(run.lights) for run in runs)):
+        lit = [(label, run.lights[index]) for label, run in _named(labels, runs) if index < len(run.lights)]
+        end = f", {lit[0][1].key}" if index or any(len(run.lights) > 1 for run in runs) else ""
+        visibility, differences, references = [], [], []
+        for label, light in lit:
+            truth = np.where(light.mask, light.reference, np.nan)
+            if not any(np.array_equal(light.reference, other) for other in references):
+                title = "Reference" if not references else f"Reference of {label}"
+                visibility.insert(len(references), picture(f"{title}{end}", truth, title=title))
+                references.append(light.reference)
+            image = np.where(light.mask, light.images[-1][1], np.nan)
+            note = f"RMSE {number('rmse', light.errors[-1].get('rmse'))}"
+            visibility.append(picture(f"{label}{end}", image, note, title=label))
+            name = f"{label} − reference"
+            differences.append(
+                picture(f"{name}{end}", image - truth, title=name, colours=style.DIFFERENCE, limit=limit)
+            )
+        yield {"key": lit[0][1].key, "visibility": visibility, "differences": differences}

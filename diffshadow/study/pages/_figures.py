@@ -1,0 +1,315 @@
+"""The figures of a run. This file loads Matplotlib, so only what draws figures imports it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from ... import shadow
+from ..._types import HostArray
+from .. import style
+from ..files._stored import LightImages, StoredRun
+
+Image = Float[HostArray, "h w"]
+Pixels = Bool[HostArray, "h w"]
+# The ways that the views of a point light look.
+_FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
+# Differences are shown up to the least of these that all but the most extreme pixels keep within.
+_LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
+_MOST_EXTREME = 0.01
+DIFFERENCE_LABEL = "too dark (−), too light (+) [visibility]"
+# More parameters than this are not drawn one by one.
+_MOST_PARAMETERS = 16
+FEW_PARAMETERS = 6
+"""As many parameters are drawn below each other; more take two columns."""
+# A phase whose share of the steps is smaller is too narrow for its width to be written.
+_NARROW = 0.05
+
+
+def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = style.DPI) -> list[Path]:
+    """Writes what can be drawn of `run` from its arrays to `folder`, as files that end in `form`. **Returns** them."""
+    written = []
+    for name, made in _figures(run):
+        written.append(folder / f"{name}.{form}")
+        style.save(made, written[-1], dpi)
+    return written
+
+
+def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
+    for light in run.lights:
+        if run.kind == "fit":
+            yield f"comparison{light.end}", comparison(light, run.shaded[-1:])
+            continue
+        ((_, image),) = light.images
+        yield f"visibility{light.end}", visibility("Visibility", image, light.mask)
+        yield f"reference{light.end}", visibility("Reference", light.reference, light.mask)
+        yield f"difference{light.end}", difference(light)
+    if run.shaded:
+        yield "shaded", shaded(run.shaded)
+    if run.kind == "fit":
+        yield "loss", loss(run.result, run.arrays)
+        yield "parameters", parameters(run.result, run.arrays)
+
+
+def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
+    """The reference and each state, below each its signed difference; below the reference the shaded `result`."""
+    height, width = light.reference.shape
+    panel = 2.9
+    columns = 1 + len(light.images)
+    figure, axes = style.figure(panel * columns + 0.9, 2 * panel * height / width + 0.9, 2, columns)
+    top, bottom = axes[:columns], axes[columns:]
+    limit, extend = difference_limit([light])
+    _visibility(top[0], light.reference, light.mask)
+    style.title(top[0], "Reference")
+    bottom[0].axis("off")
+    for title, image in result:
+        bottom[0].axis("on")
+        style.picture(bottom[0], image)
+        style.title(bottom[0], f"{title}, shaded")
+    shown = None
+    for above, below, (title, image), errors in zip(top[1:], bottom[1:], light.images, light.errors, strict=True):
+        _visibility(above, image, light.mask)
+        style.title(above, title, f"RMSE {errors['rmse']:.4f}" if known(errors["rmse"]) else "")
+        shown = _difference(below, image, light, limit)
+        style.title(below, f"{title} − reference")
+    style.colour_bar(figure, shown, bottom[1:], DIFFERENCE_LABEL, extend=extend)
+    return figure
+
+
+def visibility(title: str, image: Image, mask: Pixels) -> Figure:
+    """A visibility image alone."""
+    figure, axes = single(image)
+    shown = _visibility(axes, image, mask)
+    style.title(axes, title)
+    style.colour_bar(figure, shown, [axes], "visibility (0 shadowed, 1 lit)")
+    return figure
+
+
+def difference(light: LightImages) -> Figure:
+    """The result's signed difference alone."""
+    limit, extend = difference_limit([light])
+    title, image = light.images[-1]
+    figure, axes = single(image)
+    shown = _difference(axes, image, light, limit)
+    style.title(axes, f"{title} − reference")
+    style.colour_bar(figure, shown, [axes], DIFFERENCE_LABEL, extend=extend)
+    return figure
+
+
+def shaded(images: Sequence[tuple[str, HostArray]]) -> Figure:
+    """Shaded pictures side by side."""
+    height, width = images[0][1].shape[:2]
+    panel = 3.6
+    figure, axes = style.figure(panel * len(images), panel * height / width + 0.3, 1, len(images))
+    for one, (title, image) in zip(axes, images, strict=True):
+        style.picture(one, image)
+        style.title(one, title)
+    return figure
+
+
+def difference_limit(lights: Sequence[LightImages], states: slice = slice(None)) -> tuple[float, str]:
+    """The greatest difference that all pictures of `lights` show, and whether some go beyond: `"both"`, `"neither"`."""
+    differences = [np.abs(image - light.reference)[light.mask] for light in lights for _, image in light.images[states]]
+    together = np.concatenate([*differences, np.zeros(1)])
+    wanted = np.quantile(together, 1 - _MOST_EXTREME)
+    limit = next((limit for limit in _LIMITS if limit >= wanted), 1.0)
+    return limit, "both" if together.max() > limit else "neither"
+
+
+def write_from_light(folder: Path, end: str, from_light: Any) -> None:
+    """What a technique drew from a light: its map or its texture; edges have no picture."""
+    match from_light:
+        case shadow.ShadowMap():
+            write_shadow_map(folder / f"shadow_map{end}.png", from_light)
+        case shadow.ProjectiveTexture():
+            write_texture(folder / f"texture{end}.png", from_light)
+
+
+def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
+    """The shadow map's distances along the light's axis; empty texels stay blank."""
+    view, depth = shadow_map.view, np.asarray(shadow_map.depth)
+    distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)
+    near, far = float(view.near), float(view.far)
+    label = "distance along the light's axis [world units]"
+    write_map(
+        path, f"Shadow map, near {near:.3g}, far {far:.3g}", distance, label, cmap=style.DISTANCE, vmin=near, vmax=far
+    )
+
+
+def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
+    """The texture as it is projected."""
+    margin = texture.margin
+    inside = np.asarray(texture.coverage)[..., margin:-margin, margin:-margin]
+    write_map(path, "Projective texture", 1 - inside, "light let through (0 none, 1 all)", vmin=0.0, vmax=1.0)
+
+
+def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: str = "gray", **limits: float) -> None:
+    """A light's map (h, w), or the maps of several views side by side, (l, h, w), with texels along the axes."""
+    layers = values if values.ndim > 2 else values[None]
+    height, width = values.shape[-2:]
+    columns = min(len(layers), 3)
+    rows = -(-len(layers) // columns)
+    if len(layers) == 1:
+        figure, one = single(layers[0], ticks=True)
+        axes = [one]
+    else:
+        size = (3.1 * columns + 0.9, 3.1 * rows * height / width + 0.6)
+        figure, axes = style.figure(*size, rows, columns, sharex=True, sharey=True)
+    shown = None
+    for i, (each, layer) in enumerate(zip(axes, layers, strict=True)):
+        shown = style.picture(each, layer, cmap=cmap, extent=(0, width, 0, height), **limits)
+        style.chart(each, "x [texels]" if i // columns == rows - 1 else "", "y [texels]" if i % columns == 0 else "")
+        each.set_facecolor(style.NO_SURFACE)
+        style.frame(each)
+        each.grid(False)
+        each.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        each.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        style.title(each, title if len(layers) == 1 else f"{title if i == 0 else ''} {_FACES[i]}".strip())
+    style.colour_bar(figure, shown, axes, label)
+    style.save(figure, path)
+
+
+def loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
+    """The error over a fit: step by step as the solver sees it, and under the hard compare between phases."""
+    figure, (axes,) = style.figure(5.2, 3.1)
+    style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
+    told = history(arrays)
+    ends = _mark_phases(axes, result, told)
+    for steps in _by_phase(told):
+        axes.plot(steps, told["error"][steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
+    hard = _hard_errors(result)
+    chosen = result["solver"]["chosen_phase"] + 1
+    marks = {"color": style.VERMILION, "marker": "D", "markersize": 5, "linestyle": "none", "zorder": 3}
+    axes.plot([], [], color=style.BLUE, marker="o", markersize=2.5, label="as the solver sees it")
+    axes.plot(ends, hard, markerfacecolor=style.PAPER, label="under the hard compare", **marks)
+    axes.plot(ends[chosen], hard[chosen], label="the result", **marks)
+    style.log_scale(axes)
+    style.legend(axes)
+    return figure
+
+
+def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
+    """The error over several fits: lines as the solver sees it, diamonds under the hard compare between phases."""
+    figure, (axes,) = style.figure(6.4, 3.6)
+    style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
+    for i, (label, run) in enumerate(runs):
+        colour, told = style.CYCLE[i % len(style.CYCLE)], history(run.arrays)
+        ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(told))]
+        axes.plot(told["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
+        hard = _hard_errors(run.result)[: len(ends)]
+        axes.plot(ends[: len(hard)], hard, color=colour, marker="D", markersize=4.5, linestyle="none")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    style.log_scale(axes)
+    style.legend(axes)
+    return figure
+
+
+def history(arrays: Mapping[str, HostArray]) -> dict[str, HostArray]:
+    """The evaluations of a fit, of the best of its starts alone: `phase`, `error` and `values`."""
+    # Only the best is gone on with to the last phase.
+    start = arrays.get("history_start", np.zeros_like(arrays["history_phase"]))
+    best = start == start[-1:]
+    error = np.sqrt(np.maximum(arrays["history_loss"][best], 1e-16))
+    return {"phase": arrays["history_phase"][best], "error": error, "values": arrays["history_values"][best]}
+
+
+def _hard_errors(result: Mapping[str, Any]) -> list[float]:
+    """RMSE under the hard compare, at the start and after each phase."""
+    losses = [phase["hard_loss"] for phase in result["solver"]["phases"]]
+    before = result["metrics"]["before"]["rmse"]
+    return [np.nan if before is None else before, *(np.nan if e is None else float(np.sqrt(e)) for e in losses)]
+
+
+def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
+    """Every parameter over a fit, with its bounds where they are near, the truth where it is known, and the result."""
+    names, told = list(result["fitted"])[:_MOST_PARAMETERS], history(arrays)
+    truth = (result.get("poses") or {}).get("truth", {})
+    columns = 1 if len(names) <= FEW_PARAMETERS else 2
+    rows = -(-len(names) // columns)
+    figure, axes = style.figure(5.2 * columns, max(1.4 * rows + 0.7, 2.2), rows, columns, sharex=True)
+    for i, (one, name) in enumerate(zip(axes, names, strict=False)):
+        bounds, values, final = result["bounds"][name], told["values"][:, i], result["fitted"][name]
+        is_last = i >= len(names) - columns
+        style.chart(one, "evaluations of the loss" if is_last else "", f"[{bounds['unit']}]")
+        one.tick_params(labelbottom=is_last)
+        ends = _mark_phases(one, result, told, widths=i < columns)
+        for steps in _by_phase(told):
+            one.plot(steps, values[steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
+        one.plot(ends[result["solver"]["chosen_phase"] + 1], final, color=style.VERMILION, marker="D", markersize=5)
+        known_truth = [truth[name]] if name in truth else []
+        for value in known_truth:
+            one.axhline(value, color=style.GREEN, linewidth=1.4, linestyle=":", zorder=1)
+        _show_bounds(one, [*values.tolist(), final, *known_truth], bounds["lower"], bounds["upper"])
+        style.heading(one, f"{name} = {final:.4g}", above=16 if i < columns else 4)
+    for one in axes[len(names) :]:
+        one.axis("off")
+    return figure
+
+
+def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float) -> None:
+    """Marks the bounds that lie near `values`, and shows what lies between."""
+    low, high = float(np.min(values)), float(np.max(values))
+    room = max(high - low, 1e-3 * (upper - lower)) * 0.5
+    for bound, near in ((lower, lower >= low - room), (upper, upper <= high + room)):
+        if near:
+            axes.axhline(bound, color=style.INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    bottom, top = max(lower, low - room), min(upper, high + room)
+    axes.set_ylim(bottom - 0.06 * (top - bottom), top + 0.06 * (top - bottom))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def _mark_phases(
+    axes: Axes, result: Mapping[str, Any], told: Mapping[str, HostArray], *, widths: bool = True
+) -> list[float]:
+    """Shades every other phase, and writes above how soft its compare is, and how coarse its images.
+
+    **Returns** where the fit starts and each phase ends.
+    """
+    ends, words = [-0.5], "width "
+    count = max(len(told["phase"]), 1)
+    axes.set_xlim(-0.5 - 0.02 * count, count - 0.5 + 0.02 * count)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for number, phase in enumerate(result["solver"]["phases"]):
+        first = ends[-1]
+        ends.append(first + int((told["phase"] == number).sum()))
+        if number % 2 == 0:
+            axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
+        if widths and ends[-1] - first > _NARROW * count:
+            coarse = f" 1/{phase['level']}" if phase.get("level", 1) > 1 else ""
+            said = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"hard{coarse}"
+            style.text(axes, (first + ends[-1]) / 2, said)
+            words = ""
+    return ends
+
+
+def _by_phase(told: Mapping[str, HostArray]) -> list[HostArray]:
+    """The numbers of the evaluations of each phase."""
+    return [np.flatnonzero(told["phase"] == number) for number in np.unique(told["phase"])]
+
+
+def single(image: HostArray, ticks: bool = False) -> tuple[Figure, Axes]:
+    """A figure for one picture of the shape of `image`, and its axes."""
+    height, width = image.shape
+    figure, (axes,) = style.figure(5.4, min(max(4.3 * height / width, 1.6), 12.0) + (0.6 if ticks else 0.3))
+    return figure, axes
+
+
+def known(value: float | None) -> bool:
+    """Whether an error is a number: it is none where no pixel counts."""
+    return value is not None and bool(np.isfinite(value))
+
+
+def _visibility(axes: Axes, image: Image, mask: Pixels):
+    axes.set_facecolor(style.NO_SURFACE)
+    return style.picture(axes, np.where(mask, image, np.nan), cmap="gray", vmin=0, vmax=1)
+
+
+def _difference(axes: Axes, image: Image, light: LightImages, limit: float):
+    axes.set_facecolor(style.NO_SURFACE)
+    shown = np.where(light.mask, image - light.reference, np.nan)
+    return style.picture(axes, shown, cmap=style.DIFFERENCE, vmin=-limit, vmax=limit)

@@ -1,0 +1,119 @@
+"""Pictures of how a fit moved lights and meshes. This file loads Matplotlib, so only a run's end imports it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+
+from ... import fit
+from ..._types import HostArray
+from ...config import Casting, FitPlan
+from ...geometry import DirectionalLight, Mesh
+from .. import style
+
+Track = Float[HostArray, "n 3"]
+# Room round what is drawn, as a share of its extent.
+_MARGIN = 0.06
+
+
+def write_paths(path: Path, plan: FitPlan, casting: Casting, result: fit.FitResult) -> None:
+    """The scene from above and from the side, with the way that each light and each mesh took, from start to end.
+
+    A light at infinity is drawn on a dome over the scene, in the direction that it comes from.
+    """
+    arrangement = result.arrangement
+    assert arrangement is not None
+    steps = np.asarray([result.initial[p.name] for p in plan.parameters]), *_steps_of_best(result)
+    values = np.stack([*steps, np.asarray([result.fitted[p.name] for p in plan.parameters])])
+    names = tuple(p.where for p in plan.parameters)
+    tracks = {
+        key: np.stack([np.asarray(at) for at in _places(arrangement, names, values, key, casting)])
+        for key in _movers(names)
+    }
+    truth = {}
+    if plan.truth:
+        known = [plan.truth.get(p.name, result.fitted[p.name]) for p in plan.parameters]
+        truth = {key: np.asarray(_places(arrangement, names, np.asarray([known]), key, casting)[0]) for key in tracks}
+    figure, axes = style.figure(9.6, 4.6, 1, 2)
+    for each, (across, up), title in zip(axes, ((0, 2), (0, 1)), ("From above", "From the side"), strict=True):
+        _scene(each, casting.meshes, across, up)
+        for number, (key, track) in enumerate(tracks.items()):
+            _track(each, track, truth.get(key), across, up, style.CYCLE[number % len(style.CYCLE)], key)
+        if up == 2:
+            # The viewer looks down with +x to the right, so +z comes towards the bottom.
+            each.invert_yaxis()
+        each.set_aspect("equal")
+        style.chart(each, "x [world units]", f"{'xyz'[up]} [world units]")
+        style.title(each, title)
+    handles, labels = axes[0].get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
+    figure.legend(named.values(), named.keys(), fontsize=8, frameon=False, loc="outside lower center", ncols=6)
+    style.save(figure, path)
+
+
+def _steps_of_best(result: fit.FitResult) -> list[HostArray]:
+    """The values along the way of the start that was gone on with."""
+    initial = tuple(result.initial.values())
+    firsts = {step.start: step.values for step in reversed(result.history)}
+    best = min(firsts, key=lambda start: float(np.abs(np.subtract(firsts[start], initial)).max()), default=0)
+    return [np.asarray(step.values) for step in result.history if step.start == best]
+
+
+def _movers(names: Sequence[str]) -> list[str]:
+    """The lights and meshes that are moved, such as `lights.0`."""
+    return list(dict.fromkeys(".".join(n.split(".")[:2]) for n in names if not n.startswith("technique.")))
+
+
+def _places(
+    arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, casting: Casting
+) -> list[Float[Any, "3"]]:
+    """Where the light or mesh `key` is with each of `values` (n, p)."""
+    kind, index = key.split(".")
+    everything = casting.scene.mesh.bounds
+    middle, reach = everything.mean(axis=0), jnp.linalg.norm(everything[1] - everything[0]) / 2
+
+    @eqx.filter_jit
+    def place(values: Any) -> Any:
+        moved = fit.with_values(arrangement, names, values)
+        if kind == "meshes":
+            mesh: Mesh = moved.meshes[int(index)].placed(casting.meshes[int(index)])
+            return mesh.bounds.mean(axis=0)
+        light = moved.lights[int(index)].placed(casting.scene.lights[int(index)], casting.scene.mesh.vertices)
+        if isinstance(light, DirectionalLight):
+            return middle + reach * light.towards(middle[None])[0]
+        return light.position  # type: ignore[attr-defined]
+
+    return [place(jnp.asarray(each, jnp.float32)) for each in values]
+
+
+def _scene(axes: Axes, meshes: Sequence[Mesh], across: int, up: int) -> None:
+    corners = np.concatenate([np.asarray(mesh.vertices)[np.asarray(mesh.faces)] for mesh in meshes])
+    colours = np.concatenate([np.asarray(mesh.albedo) for mesh in meshes])
+    # What is nearer to the viewer covers the rest.
+    order = np.argsort(corners.mean(axis=1)[:, 3 - across - up])
+    faces = corners[order][:, :, [across, up]]
+    axes.add_collection(PolyCollection(list(faces), facecolors=colours[order], edgecolors="none", alpha=0.55))
+    axes.autoscale_view()
+
+
+def _track(axes: Axes, track: Track, truth: HostArray | None, across: int, up: int, colour: str, key: str) -> None:
+    x, y = track[:, across], track[:, up]
+    axes.plot(x, y, color=colour, linewidth=1.4, marker=".", markersize=4, label=f"{_label(key)}, step by step")
+    dot: dict[str, Any] = {"color": colour, "marker": "o", "linestyle": "none"}
+    axes.plot(x[0], y[0], markersize=8, markerfacecolor=style.PAPER, label="start", **dot)
+    axes.plot(x[-1], y[-1], markersize=7, label="end", **dot)
+    if truth is not None:
+        cross: dict[str, Any] = {"color": style.INK, "marker": "+", "linestyle": "none"}
+        axes.plot(truth[across], truth[up], markersize=13, markeredgewidth=1.6, label="truth", **cross)
+    axes.margins(_MARGIN)
+
+
+def _label(key: str) -> str:
+    kind, index = key.split(".")
+    return f"{'light' if kind == 'lights' else 'mesh'} {index}"

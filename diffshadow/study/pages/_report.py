@@ -1,0 +1,200 @@
+"""The report of a fit or a render: one page that needs no other file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..files._stored import REPORT, StoredRun
+from ._table import ERRORS, UNITS, noise_text, number
+
+# Pictures of the folder that the page shows in another way.
+_SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
+# As many parameters are counted rather than named.
+_MANY = 3
+_HEADINGS = {
+    "paths": "How lights and meshes moved",
+    "landscape": "Landscape of the error",
+    "shadow_map": "What the light sees",
+    "texture": "What the light sees",
+    "debug": "What the technique works with",
+}
+
+
+def write_report(run: StoredRun) -> Path:
+    """Writes the page of `run` to its folder. **Returns** the page."""
+    # Here, since they load Matplotlib.
+    from . import _figures as figures
+    from ._page import difference_scale, file_pictures, write_page
+
+    result, is_fit = run.result, run.kind == "fit"
+    limit, extend = figures.difference_limit(run.lights)
+    lights = [_light(run, i, limit) for i in range(len(run.lights))]
+    write_page(
+        run.folder / REPORT,
+        "report.html.j2",
+        run=run,
+        summary=_fit_summary(result) if is_fit else _render_summary(run),
+        states=[title for title, _ in run.errors] if is_fit else ["error"],
+        fitted=_fitted(result) if is_fit else [],
+        errors=_errors(run),
+        noise=noise_text(result["metrics"]["reference_noise_floor"]),
+        labels=list(ERRORS.values()),
+        by_light=[
+            {"key": each.key, "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS]} for each in run.lights
+        ],
+        slides=[p.name for p in lights[0]["visibility"][-2:]],
+        lights=lights,
+        scale=difference_scale(limit, extend == "both"),
+        shaded=_shaded(run),
+        curves=_curves(run) if is_fit else [],
+        is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
+        phases=_phases(result) if is_fit else [],
+        starts=_starts(result) if is_fit else [],
+        files={heading: file_pictures(paths) for heading, paths in _files(run.folder).items()},
+        environment=[(name, value, "") for name, value in {**result["versions"], "seed": result["seed"]}.items()],
+        seconds=[(name, f"{value:.2f}", "s") for name, value in result["seconds"].items()],
+    )
+    return run.folder / REPORT
+
+
+def _fit_summary(result: Mapping[str, Any]) -> str:
+    """What the fit did, in a sentence."""
+    before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
+    *most, last = result["fitted"]
+    names = f"{', '.join(most)} and {last}" if most else last
+    if len(most) >= _MANY:
+        names = f"{len(most) + 1} parameters"
+    if result["solver"]["chosen_phase"] < 0:
+        return f"Fitting {names} found nothing better than the start, whose error is {number('rmse', before)} RMSE."
+    return (
+        f"Fitting {names} took the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE, "
+        f"{before / max(after, 1e-12):.1f} times less, in {result['solver']['steps']} steps."
+    )
+
+
+def _render_summary(run: StoredRun) -> str:
+    (_, errors) = run.errors[-1]
+    settings = {row.key: row.value for row in run.settings}
+    technique = settings["technique.type"]
+    name = f"{technique} with filter {settings['filter.type']}" if technique == "shadow_map" else technique
+    return f"{name.replace('_', ' ').capitalize()}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
+
+
+def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Each parameter from start to end; of poses also the truth, and the value's standard deviation."""
+    poses = result.get("poses") or {}
+    truth, deviations = poses.get("truth", {}), (poses.get("precision") or {}).get("deviations", {})
+    return [
+        {
+            "name": name,
+            "initial": f"{result['initial'][name]:.4g}",
+            "fitted": f"{value:.5g}" if truth else f"{value:.4g}",
+            "deviation": "" if deviations.get(name) is None else f"± {deviations[name]:.1g}",
+            "truth": "" if truth.get(name) is None else f"{truth[name]:.5g}",
+            "unit": result["bounds"][name]["unit"],
+            "lower": f"{result['bounds'][name]['lower']:g}",
+            "upper": f"{result['bounds'][name]['upper']:g}",
+        }
+        for name, value in result["fitted"].items()
+    ]
+
+
+def _errors(run: StoredRun) -> list[dict[str, Any]]:
+    """Each error of every state, and the reference's own."""
+    own = {"rmse": run.result["metrics"]["reference_noise_floor"]}
+    return [
+        {
+            "label": label,
+            "numbers": [number(name, errors.get(name)) for _, errors in run.errors],
+            "reference": number(name, own.get(name)),
+            "unit": UNITS[name],
+        }
+        for name, label in ERRORS.items()
+    ]
+
+
+def _light(run: StoredRun, index: int, limit: float) -> dict[str, Any]:
+    """The pictures of one light, each with a name of its own on the page."""
+    from .. import style
+    from ._page import picture
+
+    light = run.lights[index]
+    end = f", {light.key}" if len(run.lights) > 1 else ""
+    counted = lambda image: np.where(light.mask, image, np.nan)
+    visibility = [picture(f"Reference{end}", counted(light.reference), title="Reference")]
+    differences = []
+    for (title, image), errors in zip(light.images, light.errors, strict=True):
+        note = f"RMSE {number('rmse', errors.get('rmse'))}"
+        visibility.append(picture(f"{title}{end}", counted(image), note, title=title))
+        name, off = f"{title} − reference", counted(image - light.reference)
+        differences.append(picture(f"{name}{end}", off, title=name, colours=style.DIFFERENCE, limit=limit))
+    return {"key": light.key, "visibility": visibility, "differences": differences}
+
+
+def _shaded(run: StoredRun) -> list[Any]:
+    from ._page import picture
+
+    return [picture(f"{title}, shaded", image, title=title) for title, image in run.shaded]
+
+
+def _curves(run: StoredRun) -> list[tuple[str, str]]:
+    """The curves of a fit as SVG, each with its caption."""
+    from .. import style
+    from . import _figures as figures
+
+    return [
+        (
+            style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
+            "The error over the fit, phase by phase: above each the width of its soft compare in texels, or that it is "
+            "hard, and how coarse its images are. What judges is the hard compare at full size.",
+        ),
+        (
+            style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
+            "The parameters over the fit. Dashed lines are bounds, where they are near, and dotted ones the truth, "
+            "where it is known; diamonds mark the result.",
+        ),
+    ]
+
+
+def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "compare": "hard" if not phase["width"] else f"{phase['width']:.3g}",
+            "level": phase.get("level", 1),
+            "blur": f"{phase.get('blur', 0):.3g}",
+            "steps": phase["steps"],
+            "error": number("rmse", None if phase["hard_loss"] is None else phase["hard_loss"] ** 0.5),
+            "gradient": "–" if phase["gradient_norm"] is None else f"{phase['gradient_norm']:.2g}",
+            "numbers": [f"{value:.4g}" for value in phase["values"].values()],
+            "ended": phase["result"],
+            "chosen": i == result["solver"]["chosen_phase"],
+        }
+        for i, phase in enumerate(result["solver"]["phases"])
+    ]
+
+
+def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Where each of several starts began and what error it came to, best first."""
+    starts = (result.get("poses") or {}).get("starts") or []
+    return [
+        {"error": number("rmse", start["loss"] ** 0.5), "numbers": [f"{v:.4g}" for v in start["initial"].values()]}
+        for start in sorted(starts, key=lambda start: start["loss"])
+    ]
+
+
+def _files(folder: Path) -> dict[str, list[Path]]:
+    """The folder's other pictures, by heading; of one that is there as SVG and PNG, the first."""
+    found: dict[str, list[Path]] = {}
+    for suffix in (".svg", ".png"):
+        for path in sorted(folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):
+            if (
+                not path.is_file()
+                or path.stem.startswith(_SHOWN)
+                or (suffix == ".png" and path.with_suffix(".svg").exists())
+            ):
+                continue
+            heading = next((text for start, text in _HEADINGS.items() if path.stem.startswith(start)), "Other pictures")
+            found.setdefault(heading, []).append(path)
+    return found

@@ -1,0 +1,99 @@
+"""The tables that a run prints at its end. They read as well without colour."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ...config import printable
+from ...fit import Parameter
+
+ERRORS = {
+    "rmse": "RMSE",
+    "mae": "MAE",
+    "ssim": "SSIM",
+    "false_shadow_rate": "false shadow (acne)",
+    "false_light_rate": "false light (leaks, Peter-panning)",
+}
+"""Every error's name in tables and reports; all but SSIM are better the smaller they are."""
+
+UNITS = {
+    "rmse": "visibility",
+    "mae": "visibility",
+    "ssim": "",
+    "false_shadow_rate": "of light",
+    "false_light_rate": "of light",
+}
+"""Every error's unit."""
+
+
+def number(name: str, value: float | None) -> str:
+    """The error `name` as text; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "–"
+    return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
+
+
+def words(text: str) -> Text:
+    """`text` for a table: no markup, and nothing that a terminal would obey."""
+    return Text(printable(text))
+
+
+def noise_text(noise_floor: float | None) -> str:
+    """What is known of the reference's own error."""
+    if noise_floor is None:
+        return "the reference's own error is not known: it was given, not traced"
+    return f"the reference's own noise is {noise_floor:.4f} RMSE"
+
+
+def print_fit(
+    console: Console,
+    name: str,
+    parameters: Sequence[Parameter],
+    fitted: Mapping[str, float],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+) -> None:
+    """Parameters from start to end, and errors under the hard compare before and after."""
+    table = Table("", "before", "after", "unit", title=words(name), title_justify="left")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for p in parameters:
+        table.add_row(words(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
+    table.add_section()
+    for key, label in ERRORS.items():
+        table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
+    console.print(table)
+
+
+def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
+    """The errors of each light's image, by the light's key."""
+    table = Table("", title=words(name), title_justify="left")
+    for head in ["error"] if len(errors) == 1 else errors:
+        table.add_column(words(head), justify="right")
+    for key, label in ERRORS.items():
+        table.add_row(label, *(number(key, of_light[key]) for of_light in errors.values()))
+    console.print(table)
+
+
+def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:
+    """Rows of a name, a text for each of the runs called `labels`, and a unit, part by part."""
+    table = Table()
+    table.add_column("", overflow="fold")
+    for label in labels:
+        table.add_column(words(label), justify="right")
+    table.add_column("unit")
+    for part in parts:
+        for row in part:
+            table.add_row(*(words(cell) for cell in row))
+        table.add_section()
+    console.print(table)
+
+
+def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
+    """Sentences under a table; warnings say that they are."""
+    for line in map(printable, lines):
+        text = Text.assemble(("warning: ", "bold yellow"), line) if warn else Text(line)
+        console.print(text, soft_wrap=True)

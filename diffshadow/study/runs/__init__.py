@@ -1,0 +1,1 @@
+"""Single runs: renders and fits, from a configuration to a folder."""

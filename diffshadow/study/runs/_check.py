@@ -1,0 +1,33 @@
+"""Checks of a run that need no ray."""
+
+from rich.console import Console
+
+from ...config import Config, build_fit, build_technique
+from ..files._run_folder import folder_of
+from ..pages import _table as table
+from ._progress import Stages
+from ._render import SUFFIX
+from ._scene_remarks import scene_remarks
+from ._setup import load, see
+
+
+def check(config: Config, *, console: Console) -> int:
+    """Does all that a render or a fit of `config` begins with, up to tracing rays, for its errors.
+
+    A fit is checked where the technique has one. Remarks on the scene are printed. Nothing is written.
+
+    **Returns** the number of triangles of the scene.
+
+    **Raises** `ConfigError` for a mistake in the configuration.
+    """
+    fits = config.technique.type == "shadow_map"
+    for suffix in (SUFFIX, "") if fits else (SUFFIX,):
+        folder_of(config, suffix)
+    with Stages(console) as stages:
+        casting = load(config, stages)
+        technique = build_technique(config, fitting=False)
+        if fits:
+            build_fit(config, casting)
+        seen = see(config, casting, technique, stages)
+    table.print_lines(console, scene_remarks(config, seen.lit, seen.surface), warn=True)
+    return casting.scene.mesh.faces.shape[0]

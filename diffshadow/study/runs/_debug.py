@@ -1,0 +1,162 @@
+"""Pictures of what a technique works with. This file loads Matplotlib, so only a run's end imports it."""
+
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm
+from matplotlib.ticker import MaxNLocator
+
+from ... import geometry, raster, shadow
+from ..._types import HostArray
+from ...config import Config, Technique
+from .. import style
+from ..pages import _figures as figures
+from ._setup import Drawn
+from ._shade import shade
+from ._techniques import visibility
+
+# How many neighbouring pixels' patterns are shown one by one.
+_FEW = 3
+# More volumes than this share the last colour.
+_MOST_COLOURS = 12
+
+
+def write_debug(folder: Path, end: str, config: Config, technique: Technique, drawn: Drawn) -> None:
+    """Writes all pictures that suit `technique` under one light; their names end in `end`."""
+    image = shade(config, [drawn], [visibility(technique, drawn.from_light, drawn.casting, drawn.surface)])
+    _write_silhouettes(folder / f"debug_silhouettes{end}.png", image, drawn)
+    if isinstance(technique, shadow.ShadowVolumes):
+        _write_counts(folder / f"debug_volumes{end}.png", technique, drawn)
+    if not isinstance(technique, shadow.ShadowMapping):
+        return
+    assert isinstance(drawn.from_light, shadow.ShadowMap)
+    _write_depths(folder / f"debug_depth{end}.png", drawn.from_light)
+    if isinstance(technique.filter, shadow.PercentageCloserSoft):
+        _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.from_light, drawn)
+    pattern = getattr(technique.filter, "pattern", None)
+    if isinstance(pattern, shadow.Pattern):
+        _write_pattern(folder / f"debug_pattern{end}.png", pattern)
+
+
+def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
+    """The map's window depths, stretched to those that there are, for a perspective's crowd next to 1."""
+    depth = np.asarray(shadow_map.depth)
+    seen = depth[depth < 1]
+    low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
+    high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
+    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", vmin=low, vmax=high)
+
+
+def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Drawn) -> None:
+    """The casters' silhouettes as the light sees them, over the picture that the camera sees."""
+    height, width = image.shape[:2]
+    lines = _silhouettes(drawn.casting.casters, drawn.scene)
+    figure, axes = figures.single(image[..., 0])
+    style.picture(axes, image, extent=(0, width, 0, height))
+    axes.add_collection(LineCollection(list(lines), colors=style.VERMILION, linewidths=0.9))
+    axes.set_xlim(0, width)
+    axes.set_ylim(0, height)
+    style.title(axes, "Silhouettes that the light sees", f"{len(lines)} edges, with those hidden from the camera")
+    style.save(figure, path)
+
+
+def _silhouettes(casters: geometry.Mesh, scene: geometry.Scene) -> Float[HostArray, "n 2 2"]:
+    """The ends of every silhouette edge that is in front of the camera, in pixels."""
+    edges = geometry.Edges.of(casters)
+    found = raster.silhouettes_by_adjacency(edges, raster.light_sides(casters, scene.light))
+    ends = np.asarray(found.vertices)[np.asarray(found.multiplicity) != 0]
+    clip = np.asarray(scene.camera.view().clip(casters.vertices), np.float64)[ends]
+    clip = clip[(clip[..., 2] > -clip[..., 3]).all(axis=1)]
+    return (clip[..., :2] / clip[..., 3:] * 0.5 + 0.5) * np.asarray(scene.camera.resolution[::-1])
+
+
+def _write_counts(path: Path, technique: shadow.ShadowVolumes, drawn: Drawn) -> None:
+    """How many shadow volumes each surface point lies in."""
+    casting, scene = drawn.casting, drawn.scene
+    edges = drawn.from_light
+    assert isinstance(edges, geometry.Edges)
+    counts = np.asarray(technique.counts(casting.casters, scene.light, scene.camera, casting.receivers, edges=edges))
+    shown = np.where(np.asarray(drawn.surface.mask), counts, np.nan).astype(np.float64)
+    figure, axes = figures.single(shown)
+    axes.set_facecolor(style.NO_SURFACE)
+    low, high = _range(counts[np.asarray(drawn.surface.mask)])
+    bounds = np.arange(low, high + 2) - 0.5
+    extend = "max" if counts.max() > high else "neither"
+    picture = style.picture(axes, shown, cmap=style.DISTANCE, norm=BoundaryNorm(bounds, 256, extend=extend))
+    style.title(
+        axes, f"Shadow volumes, by {technique.method.replace('_', '-')}", f"counts from {low} to {counts.max()}"
+    )
+    bar = style.colour_bar(figure, picture, [axes], "volumes round the surface point; 0 is lit")
+    bar.locator = MaxNLocator(integer=True)
+    bar.update_ticks()
+    style.save(figure, path)
+
+
+def _range(counts: Int[HostArray, " n"]) -> tuple[int, int]:
+    low = min(int(counts.min(initial=0)), 0)
+    return low, min(max(int(counts.max(initial=1)), 1), low + _MOST_COLOURS)
+
+
+def _write_blockers(path: Path, technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap, drawn: Drawn) -> None:
+    """What the search of soft shadows finds: how far the blockers are, and how wide the penumbra is."""
+    found = _find_blockers(technique, shadow_map, drawn.surface)
+    blocked = np.asarray(found.some & drawn.surface.mask)
+    distance = shadow_map.view.eye_depth(found.depth)
+    height, width = blocked.shape
+    panel = 4.0
+    figure, axes = style.figure(2 * panel + 1.6, panel * height / width + 0.6, 1, 2)
+    images = (
+        ("Mean distance of blockers", distance, style.DISTANCE, "from the light, along its axis [world units]"),
+        ("Half width of the penumbra", found.radius, "viridis", "radius of the filter [texels]"),
+    )
+    for one, (title, image, colours, label) in zip(axes, images, strict=True):
+        one.set_facecolor(style.NO_SURFACE)
+        picture = style.picture(one, np.where(blocked, np.asarray(image), np.nan), cmap=colours)
+        style.title(one, title, "" if blocked.any() else "the search found none")
+        style.colour_bar(figure, picture, [one], label)
+    style.save(figure, path)
+
+
+@eqx.filter_jit
+def _find_blockers(technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap, surface: raster.Surface) -> Any:
+    assert isinstance(technique.filter, shadow.PercentageCloserSoft)
+    at = shadow.receiver(shadow_map, surface)
+    lookup = shadow.look_up(shadow_map, at, technique.bias(at))
+    return technique.filter.find_blockers(shadow_map, lookup, technique.compare)
+
+
+def _write_pattern(path: Path, pattern: shadow.Pattern) -> None:
+    """Where the taps lie: those of a few neighbouring pixels, and those of all pixels of a tile together."""
+    offsets = np.asarray(pattern.offsets)
+    size = offsets.shape[1]
+    sets = [(f"Pixel ({x}, 0)", offsets[:, 0, x]) for x in range(min(_FEW, size))]
+    if size > 1:
+        sets.append((f"{size} × {size} pixels", offsets.reshape(-1, 2)))
+    figure, axes = style.figure(2.5 * len(sets) + 0.9, 2.9, 1, len(sets), sharex=True, sharey=True)
+    dots = None
+    for one, (title, points) in zip(axes, sets, strict=True):
+        order = 1 + np.repeat(np.arange(pattern.samples), len(points) // pattern.samples)
+        _disk(one)
+        dots = one.scatter(*points.T, c=order, cmap="viridis", s=14 if len(points) == pattern.samples else 2)
+        style.title(one, f"{title}: {len(points)} taps")
+    axes[0].set_ylabel("offset [filter radii]", fontsize=8.5, color=style.INK)
+    bar = style.colour_bar(figure, dots, axes, "tap, in order" + (", before the pixel turns it" * pattern.rotated))
+    bar.locator = MaxNLocator(6, integer=True, min_n_ticks=1)
+    bar.update_ticks()
+    style.save(figure, path)
+
+
+def _disk(axes: style.Axes) -> None:
+    """The unit disk, whose radius is the filter's."""
+    style.chart(axes, "offset [filter radii]", "")
+    style.frame(axes)
+    axes.grid(False)
+    angle = np.linspace(0, 2 * np.pi, 128)
+    axes.plot(np.cos(angle), np.sin(angle), color=style.FAINT, linewidth=0.8)
+    axes.set_aspect("equal")
+    axes.set_xticks([-1, 0, 1])
+    axes.set_yticks([-1, 0, 1])

@@ -1,0 +1,222 @@
+"""A fit from its configuration to its folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float32
+from rich.console import Console
+
+from ... import fit, shadow
+from ..._types import HostArray
+from ...config import Config, FitPlan, build_fit, build_shadow_mapping
+from ..files._run_folder import folder_of, write_whole
+from ..files._stored import stored, to_bytes
+from ..pages import _table as table
+from . import _pose as poses
+from . import _record as record
+from ._progress import Stages
+from ._remarks import remarks
+from ._scene_remarks import scene_remarks
+from ._setup import Drawn, draw, load, visibility_of
+from ._shade import shade
+
+Images = list[Float32[HostArray, "h w"]]
+
+
+class Fitted(NamedTuple):
+    """A finished fit, and its images, one for each light, and errors under the hard compare.
+
+    - `seen`: the scene as it stood before and after, for a fit may move lights and meshes; `drawn` is the truth.
+    """
+
+    config: Config
+    plan: FitPlan
+    drawn: list[Drawn]
+    result: fit.FitResult
+    before: Images
+    after: Images
+    errors_before: dict[str, float]
+    errors_after: dict[str, float]
+    remarks: list[str]
+    seen: tuple[list[Drawn], list[Drawn]]
+
+
+def run_fit(config: Config, *, console: Console) -> Path:
+    """Fits the parameters of `config`, prints what came out, and writes the run's folder.
+
+    **Returns** the folder, `<output>/<name>`. An earlier run there is replaced once all is written, not before.
+
+    **Raises** `ValueError` for a mistake in the configuration, before any long work.
+    """
+    folder = folder_of(config)
+    with Stages(console) as stages:
+        fitted = fit_technique(config, stages)
+        with stages.stage("writing"):
+            write_fit(folder, fitted, stages.seconds)
+    table.print_fit(
+        console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
+    )
+    steps, seconds = fitted.result.steps, sum(stages.seconds.values())
+    noise = table.noise_text(record.noise(fitted.drawn))
+    if fitted.plan.arrangement is not None:
+        poses.print_poses(console, fitted.plan, fitted.result)
+    table.print_lines(
+        console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
+    )
+    table.print_lines(console, fitted.remarks, warn=True)
+    return folder
+
+
+def write_fit(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
+    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
+
+
+def fit_technique(config: Config, stages: Stages) -> Fitted:
+    """Fits the parameters of `config`, and measures the images before and after."""
+    casting = load(config, stages)
+    plan, technique = build_fit(config, casting), build_shadow_mapping(config)
+    drawn = draw(config, casting, technique, stages)
+    if plan.arrangement is None:
+        problems = [_problem(technique, each) for each in drawn]
+    else:
+        drawn = poses.with_cones(config, drawn)
+        problems = poses.problems_of(config, plan, casting, drawn)
+    stages.show("compiling")
+    result = fit.fit(
+        problems,
+        plan.parameters,
+        solver=plan.solver,
+        anneal=plan.anneal,
+        levels=plan.levels,
+        starts=plan.starts,
+        seed=config.seed,
+        on_step=_watch(stages, plan),
+    )
+    stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    with stages.stage("measuring"):
+        paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
+        if result.arrangement is None:
+            techniques = fit.with_values(result.technique, paths, start), result.technique
+            before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
+            seen = drawn, drawn
+        else:
+            moving = [each for each in result.problems if isinstance(each, fit.PoseProblem)]
+            subjects = fit.with_values(result.arrangement, paths, start), result.arrangement
+            (before, *seen_before), (after, *seen_after) = (poses.images_at(moving, drawn, s) for s in subjects)
+            seen = seen_before[0], seen_after[0]
+        errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
+    lit = [each.casting for each in drawn]
+    said = [*scene_remarks(config, lit, drawn[0].surface), *remarks(config, plan.parameters, result)]
+    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said, seen)
+
+
+def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.Problem:
+    assert isinstance(drawn.from_light, shadow.ShadowMap)
+    truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
+    return fit.Problem(technique, drawn.from_light, drawn.surface, truth, mask)
+
+
+def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
+    return record.combined([record.measured(image, each) for image, each in zip(images, drawn, strict=True)], drawn)
+
+
+def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
+    phases = plan.anneal.phases if plan.arrangement is None else None
+
+    def show(step: fit.Step) -> None:
+        at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
+        start = f"start {step.start + 1} of {plan.starts}, " if plan.starts > 1 else ""
+        detail = f"{start}{at}, step {step.step}, RMSE {max(step.loss, 0) ** 0.5:.5f}"
+        share = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
+        stages.show("fitting", detail, share)
+
+    return show
+
+
+def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
+    """Writes every file of the run to `draft`, which will be `folder`."""
+    # Here, since only a run that got this far needs Matplotlib.
+    from ..pages import _figures as figures
+    from ..pages._report import write_report
+
+    drawn, truth = fitted.drawn, [each.reference.visibility for each in fitted.drawn]
+    before, after = fitted.seen
+    states = [("reference", drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
+    shaded = {f"shaded_{name}": to_bytes(shade(fitted.config, seen, images)) for name, seen, images in states}
+    result, arrays = _result(folder, fitted, seconds), {**_arrays(fitted), **shaded}
+    run = stored(draft, result, arrays, fitted.config)
+    record.write_config(draft, fitted.config)
+    record.write_arrays(draft, arrays)
+    figures.write_figures(run, draft)
+    for i, each in enumerate(drawn):
+        figures.write_from_light(draft, record.suffix(i, drawn), each.from_light)
+    if fitted.plan.arrangement is not None:
+        from ..pages._pose_figures import write_paths
+
+        write_paths(draft / "paths.png", fitted.plan, drawn[0].casting, fitted.result)
+    write_report(run)
+    record.write_result(draft, result)
+
+
+def _arrays(fitted: Fitted) -> dict[str, Any]:
+    history = fitted.result.history
+    return {
+        "reference": record.stacked([each.reference.visibility for each in fitted.drawn]),
+        "before": record.stacked(fitted.before),
+        "after": record.stacked(fitted.after),
+        "mask": record.stacked([each.mask for each in fitted.drawn]),
+        **record.light_arrays(fitted.drawn),
+        "history_start": np.asarray([step.start for step in history], np.int32),
+        "history_phase": np.asarray([step.phase for step in history], np.int32),
+        "history_step": np.asarray([step.step for step in history], np.int32),
+        "history_width": np.asarray([step.width for step in history], np.float32),
+        "history_loss": np.asarray([step.loss for step in history], np.float32),
+        "history_values": np.asarray([step.values for step in history], np.float32),
+    }
+
+
+def _result(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> dict[str, Any]:
+    result, config = fitted.result, fitted.config
+    outcome = result.phases[result.chosen]
+    phases = [
+        {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
+    ]
+    return {
+        "name": config.name,
+        "kind": "fit",
+        "initial": result.initial,
+        "fitted": result.fitted,
+        "bounds": {p.name: {"lower": p.lower, "upper": p.upper, "unit": p.unit} for p in fitted.plan.parameters},
+        "metrics": {
+            "compare": "hard",
+            "before": fitted.errors_before,
+            "after": fitted.errors_after,
+            "reference_noise_floor": record.noise(fitted.drawn),
+            "pixels": sum(each.pixels for each in fitted.drawn),
+            "lights": [
+                {"light": each.key, "before": record.measured(before, each), "after": record.measured(after, each)}
+                for each, before, after in zip(fitted.drawn, fitted.before, fitted.after, strict=True)
+            ],
+        },
+        "solver": {
+            "name": fitted.plan.solver.name,
+            "steps": result.steps,
+            "result": outcome.result,
+            "gradient_norm": outcome.gradient_norm,
+            "chosen_phase": result.chosen,
+            "flat": result.flat,
+            "seconds_compiling": result.seconds_compiling,
+            "seconds_running": result.seconds_running,
+            "phases": phases,
+        },
+        **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
+        "warnings": fitted.remarks,
+        "seconds": {name: round(s, 3) for name, s in seconds.items()},
+        "versions": record.versions(),
+        "seed": config.seed,
+        "command": record.command("fit", folder),
+    }

@@ -1,0 +1,170 @@
+"""What a fit of lights and meshes does beyond one of a technique."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float32
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ... import fit
+from ..._types import HostArray
+from ...config import Casting, Config, FitPlan, build_shadow_mapping
+from ..pages._table import words
+from ._progress import Stages
+from ._setup import Drawn, draw
+
+
+def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
+    """With traced references times the share of light that a spot light's cone lets through.
+
+    Visibility does not obey the cone; where it ends is what tells the light's direction.
+    """
+    if config.reference.type != "traced":
+        return list(drawn)
+    shares = [np.asarray(fit.cone_share(each.scene.light, each.surface)) for each in drawn]
+    coned = lambda each, share: dataclasses.replace(each.reference, visibility=each.reference.visibility * share)
+    return [each._replace(reference=coned(each, share)) for each, share in zip(drawn, shares, strict=True)]
+
+
+def pose_problems(config: Config, plan: FitPlan, casting: Casting) -> list[fit.PoseProblem]:
+    """What a fit of `plan`, the lights and meshes of `config`, is given: a problem for each light.
+
+    **Raises** `ConfigError` if no pixel counts, or the reference does not suit the scene.
+    """
+    with Stages(Console(quiet=True)) as stages:
+        drawn = draw(config, casting, build_shadow_mapping(config), stages)
+    return problems_of(config, plan, casting, with_cones(config, drawn))
+
+
+def problems_of(config: Config, plan: FitPlan, casting: Casting, drawn: Sequence[Drawn]) -> list[fit.PoseProblem]:
+    """A problem for each light."""
+    assert plan.arrangement is not None
+    moves = any(p.where.startswith("meshes.") for p in plan.parameters)
+    settings = fit.MapSettings(**{**config.shadow_map.model_dump(), "silhouettes": config.has_silhouettes})
+    return [
+        fit.PoseProblem(
+            arrangement=plan.arrangement,
+            meshes=casting.meshes,
+            casts=tuple(mesh.casts for mesh in config.scene.meshes),
+            light=each.scene.light,
+            index=i,
+            camera=casting.scene.camera,
+            reference=jnp.asarray(each.reference.visibility),
+            weight=jnp.asarray(each.reference.mask, jnp.float32),
+            settings=settings,
+            surface=None if moves else each.surface,
+        )
+        for i, each in enumerate(drawn)
+    ]
+
+
+def images_at(
+    problems: Sequence[fit.PoseProblem], drawn: Sequence[Drawn], arrangement: fit.Arrangement
+) -> tuple[list[Float32[HostArray, "h w"]], list[Drawn]]:
+    """What is compared with each reference in an arrangement, and the scene in it as light and camera see it."""
+    images, seen = [], []
+    for problem, each in zip(problems, drawn, strict=True):
+        image, shadow_map, surface = _drawn(problem, arrangement)
+        images.append(np.asarray(image, np.float32))
+        scene = dataclasses.replace(each.scene, lights=shadow_map.light)
+        casting = each.casting._replace(scene=scene)
+        seen.append(each._replace(casting=casting, from_light=shadow_map, surface=surface))
+    return images, seen
+
+
+@eqx.filter_jit
+def _drawn(problem: fit.PoseProblem, arrangement: fit.Arrangement) -> tuple[Any, Any, Any]:
+    shadow_map, surface = problem.draw(arrangement)
+    image = arrangement.technique.visibility(shadow_map, surface) * fit.cone_share(shadow_map.light, surface)
+    return image, shadow_map, surface
+
+
+def errors_of(plan: FitPlan, result: fit.FitResult) -> dict[str, float]:
+    """How far each fitted value is from the truth, where that is known."""
+    return {name: result.fitted[name] - truth for name, truth in plan.truth.items()}
+
+
+def as_record(plan: FitPlan, result: fit.FitResult) -> dict[str, Any]:
+    """What `result.json` holds of poses: truth and error by name, precision, and how several starts went."""
+    names = list(result.fitted)
+    values = lambda numbers: dict(zip(names, numbers, strict=True))
+    return {
+        "truth": plan.truth,
+        "error": errors_of(plan, result),
+        "precision": None if result.precision is None else result.precision._asdict(),
+        "starts": [
+            {"initial": values(start.initial), "end": values(start.end), "loss": start.loss} for start in result.starts
+        ],
+        "enlargements": result.enlargements,
+    }
+
+
+def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
+    """Truth, end, error and standard deviation of each parameter, and what became of several starts."""
+    table = Table("", "truth", "end", "error", "deviation")
+    table.columns[0].no_wrap = True
+    for column in table.columns[1:]:
+        column.justify = "right"
+    errors = errors_of(plan, result)
+    deviations: Mapping[str, float] = {} if result.precision is None else result.precision.deviations
+    text = lambda value, form: "" if value is None else format(value, form)
+    for p in plan.parameters:
+        table.add_row(
+            words(p.name),
+            text(plan.truth.get(p.name), ".5g"),
+            f"{result.fitted[p.name]:.5g}",
+            text(errors.get(p.name), "+.2g"),
+            text(deviations.get(p.name), ".2g"),
+        )
+    console.print(table)
+    if result.starts:
+        losses = sorted(start.loss for start in result.starts)
+        told = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
+        console.print(Text(f"RMSE of {len(losses)} starts after the coarse phases, blurred, best first: {told}"))
+
+
+def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
+    """One plain sentence for each parameter that the image does not determine, with the cause."""
+    for name in result.flat:
+        yield f"{name} was not fitted: its gradient is zero throughout, {_cause(config, name)}"
+    for group in () if result.precision is None else result.precision.undetermined:
+        if len(group) == 1:
+            yield f"the image hardly determines {group[0]}: other values of it fit as well"
+        else:
+            listed = f"{', '.join(group[:-1])} and {group[-1]}"
+            yield f"the image hardly determines {listed}: they can change together, and it fits as well"
+    if result.enlargements:
+        yield f"the capacity for drawing was enlarged {result.enlargements} times on the way; each time compiles again"
+
+
+def _cause(config: Config, name: str) -> str:
+    section, *_, key = name.split(".")
+    if section != "scene":
+        if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
+            return "since nearest look-ups give none: choose a filter with bilinear ones"
+        return "since no pixel changes with it: try another initial value"
+    if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
+        return "since the cone of a spot light without inner_angle is not obeyed: set inner_angle, or leave it out"
+    if "meshes" in name:
+        mesh = config.scene.meshes[int(name.split(".")[2])]
+        if not mesh.casts:
+            return "since its mesh does not cast: set casts: true"
+    if not config.has_silhouettes:
+        return "since outlines are not differentiated: remove shadow_map.silhouettes"
+    if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
+        return "since nearest look-ups do not see outlines move: choose a filter with bilinear ones"
+    if "meshes" in name:
+        return "since no pixel sees its shadow: it lies outside the light's frustum, or its shadow outside the image"
+    return "since no pixel sees a shadow's outline: the light's frustum misses what the camera sees"
+
+
+def _is_obeyed(config: Config, name: str) -> bool:
+    lights = {"scene." + ".".join(map(str, key)): light for key, light in config.scene.each_light.items()}
+    light = lights[name.rpartition(".")[0]]
+    return light.type != "spot" or light.inner_angle is not None

@@ -1,0 +1,118 @@
+"""What a run writes down: `result.json`, `config.yaml` and the arrays."""
+
+import dataclasses
+import importlib.metadata
+import math
+import os
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ... import metrics, shadow
+from ...config import Config, dump_resolved
+from ..files._schema import write_json
+from ._setup import Drawn
+
+SCHEMA_VERSION = 1
+_PACKAGES = ("diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy")
+
+
+def versions() -> dict[str, str]:
+    """What the numbers of a run were computed with."""
+    device = jax.devices()[0]
+    return {
+        **{name: importlib.metadata.version(name) for name in _PACKAGES},
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "device": f"{device.platform} ({device.device_kind})",
+        "processor": _processor(),
+    }
+
+
+def _processor() -> str:
+    """The processor's model, where the system tells, and how many of its cores there are."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return f"{models[0] if models else platform.processor() or platform.machine()}, {os.cpu_count()} cores"
+
+
+def command(verb: str, folder: Path) -> str:
+    """What to type to have the run of `folder` once more."""
+    return shlex.join(["diffshadow", verb, str(folder / "config.yaml")])
+
+
+def measured(image: Any, drawn: Drawn) -> dict[str, float]:
+    """The errors of `image` (h, w) by name; not a number where no pixel counts."""
+    if not drawn.pixels:
+        return {field.name: math.nan for field in dataclasses.fields(metrics.ShadowErrors)}
+    return metrics.measure_errors(image, drawn.reference.visibility, drawn.mask).as_dict()
+
+
+def combined(errors: Sequence[Mapping[str, float]], drawn: Sequence[Drawn]) -> dict[str, float]:
+    """The errors of all lights as one: the mean over all pixels that count, of the RMSE that of its square."""
+    pixels = np.asarray([each.pixels for each in drawn], np.float64)
+    share = pixels / pixels.sum()
+    return {
+        name: math.sqrt(_mean([one[name] ** 2 for one in errors], share))
+        if name == "rmse"
+        else _mean([one[name] for one in errors], share)
+        for name in errors[0]
+    }
+
+
+def _mean(values: Sequence[float], share: np.ndarray) -> float:
+    # A light that no pixel counts for has no errors.
+    return float(sum(value * part for value, part in zip(values, share, strict=True) if part > 0))
+
+
+def noise(drawn: Sequence[Drawn]) -> float | None:
+    """The reference's own error over all lights; `None` if that is not known."""
+    floors = [each.noise_floor for each in drawn]
+    if any(floor is None for floor in floors):
+        return None
+    return combined([{"rmse": floor} for floor in floors if floor is not None], drawn)["rmse"]
+
+
+def suffix(index: int, drawn: Sequence[Drawn]) -> str:
+    """What tells the files of the light at `index` apart: nothing where there is but one."""
+    return "" if len(drawn) == 1 else f"_{index}"
+
+
+def stacked(images: Sequence[Any]) -> np.ndarray:
+    """The one image (h, w), or those of several lights (l, h, w)."""
+    return np.asarray(images[0]) if len(images) == 1 else np.stack([np.asarray(image) for image in images])
+
+
+def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
+    """What the technique drew from each light, by name."""
+    names = {
+        shadow.ShadowMap: ("shadow_map_depth", "depth"),
+        shadow.ProjectiveTexture: ("texture_coverage", "coverage"),
+    }
+    kind = type(drawn[0].from_light)
+    if kind not in names:
+        return {}
+    name, field = names[kind]
+    return {f"{name}{suffix(i, drawn)}": getattr(each.from_light, field) for i, each in enumerate(drawn)}
+
+
+def write_config(folder: Path, config: Config) -> None:
+    """Writes `config.yaml`, with every default spelt out."""
+    (folder / "config.yaml").write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
+
+
+def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes `arrays.npz`."""
+    np.savez_compressed(folder / "arrays.npz", allow_pickle=False, **{k: np.asarray(a) for k, a in arrays.items()})
+
+
+def write_result(folder: Path, record: Mapping[str, Any]) -> None:
+    """Writes `result.json`, last, for it names all other files."""
+    files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
+    write_json(folder / "result.json", {"schema_version": SCHEMA_VERSION, **record, "files": files})

@@ -1,0 +1,85 @@
+"""What a reader of a fit's numbers should know beside them."""
+
+from collections.abc import Iterator, Sequence
+
+from ...config import Config
+from ...fit import FitResult, Outcome, Parameter
+from ._pose import pose_remarks
+
+_CUT_SHORT = "max_steps reached"
+# The loss of poses jumps by as much as pixels turn from lit to shadowed and back.
+_STILL_FALLING = 0.25
+# A value within this share of its bounds' distance from one of them sits on it.
+_ON_BOUND = 1e-3
+
+
+def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) -> list[str]:
+    """One plain sentence for each thing that makes the fit less than it looks."""
+    if result.arrangement is None:
+        said = [_flat(config, name) for name in result.flat]
+    else:
+        said = list(pose_remarks(config, result))
+    if result.chosen < 0:
+        said.append(
+            "no phase ended better than the start under the hard compare, so the start is the result: try other "
+            "initial values, or a smaller fit.anneal.start"
+        )
+    said += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
+    return [*said, *_unconverged(result)]
+
+
+def _unconverged(result: FitResult) -> Iterator[str]:
+    """A sentence for each phase that led to the result and ended before the solver converged."""
+    if result.chosen < 0:
+        return
+    last = result.phases[result.chosen]
+    if last.result != "successful":
+        mend = ": raise fit.solver.max_steps" if last.result == _CUT_SHORT else ""
+        yield f"the solver did not converge in the phase that gave the result ({_named(last)}): {last.result}{mend}"
+    for number, phase in enumerate(result.phases[: result.chosen]):
+        if phase.result != _CUT_SHORT:
+            continue
+        share, steps = _late_fall(result, number)
+        before = f"an earlier phase ({_named(phase)}), where the one that gave the result began, ended at max_steps"
+        # A later phase that has converged makes up for what is left of an earlier one, unless that is much.
+        if share > _STILL_FALLING:
+            fall = f"by {share:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
+            yield f"{before} while its error still fell, {fall}: raise fit.solver.max_steps"
+        elif last.result != "successful":
+            yield f"{before}, too"
+
+
+def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
+    """By which share the loss of a phase fell in the last quarter of its steps, and how many these were."""
+    # Only the best of several starts continues to the end.
+    losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
+    if len(losses) < 2:
+        return 0.0, len(losses)
+    late = max(len(losses) // 4, 1)
+    # Some steps are tried and taken back.
+    early, least = min(losses[:-late]), min(losses)
+    return (1 - least / early if early > 0 else 0.0), late
+
+
+def _named(phase: Outcome) -> str:
+    return f"width {phase.width:.3g} texels" if phase.width else f"level {phase.level}, blur {phase.blur:.3g} pixels"
+
+
+def _flat(config: Config, name: str) -> str:
+    said = f"{name} was not fitted: its gradient is zero throughout"
+    looks_up_nearest = config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest"
+    if name == "filter.radius" and looks_up_nearest:
+        return f"{said}, since nearest look-ups give the radius none: set filter.lookup to bilinear"
+    if name == "filter.radius" and config.initial(name) == 0:
+        return f"{said}, since it starts at 0: give it an initial value above 0"
+    return f"{said}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
+
+
+def _on_bound(parameter: Parameter, value: float) -> list[str]:
+    reach = _ON_BOUND * (parameter.upper - parameter.lower)
+    for name, bound in (("lower", parameter.lower), ("upper", parameter.upper)):
+        if abs(value - bound) <= reach:
+            # Nothing lies below 0 for these numbers.
+            mend = "" if bound == 0 and name == "lower" else ": the best value may lie beyond it, so widen the bounds"
+            return [f"{parameter.name} ended on its {name} bound, {bound:g} {parameter.unit}{mend}"]
+    return []

@@ -1,0 +1,129 @@
+"""A technique as it stands, drawn and measured."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxtyping import Float32
+from rich.console import Console
+
+from ..._types import HostArray
+from ...config import Config, Technique, build_technique
+from ..files._run_folder import folder_of, write_whole
+from ..files._stored import stored, to_bytes
+from ..pages import _table as table
+from . import _record as record
+from ._progress import Stages
+from ._scene_remarks import scene_remarks
+from ._setup import Drawn, draw, load, visibility_of
+from ._shade import shade
+
+SUFFIX = "-render"
+"""Ends the name of a render's folder, which keeps it apart from the fit's."""
+
+
+class Rendered(NamedTuple):
+    """A finished render: what was drawn, visibility and errors of each light, and remarks on the scene."""
+
+    config: Config
+    technique: Technique
+    drawn: list[Drawn]
+    visibility: list[Float32[HostArray, "h w"]]
+    errors: list[dict[str, float]]
+    remarks: list[str]
+
+
+def run_render(config: Config, *, console: Console, debug: bool = False) -> Path:
+    """Draws the scene of `config` with its technique as it stands, prints its errors, and writes the run's folder.
+
+    **Arguments:**
+
+    - `debug`: whether to write pictures of what the technique works with, too.
+
+    **Returns** the folder, `<output>/<name>-render`. An earlier one is replaced once all is written, not before.
+
+    **Raises** `ValueError` for a mistake in the configuration, before any long work.
+    """
+    folder = folder_of(config, SUFFIX)
+    with Stages(console) as stages:
+        casting, technique = load(config, stages), build_technique(config, fitting=False)
+        rendered = render_drawn(config, technique, draw(config, casting, technique, stages), stages)
+        with stages.stage("writing"):
+            write_render(folder, rendered, stages.seconds, debug)
+    named = zip(rendered.drawn, rendered.errors, strict=True)
+    table.print_errors(console, config.name, {each.key: errors for each, errors in named})
+    table.print_lines(console, [table.noise_text(record.noise(rendered.drawn))])
+    table.print_lines(console, rendered.remarks, warn=True)
+    return folder
+
+
+def render_drawn(config: Config, technique: Technique, drawn: list[Drawn], stages: Stages) -> Rendered:
+    """The visibility that `technique` makes of a scene that is drawn already, and its errors."""
+    with stages.stage("measuring"):
+        visibility = [visibility_of(technique, each) for each in drawn]
+        errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
+    said = scene_remarks(config, [each.casting for each in drawn], drawn[0].surface)
+    return Rendered(config, technique, drawn, visibility, errors, said)
+
+
+def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
+    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    write_whole(folder, lambda draft: _write(draft, folder, rendered, seconds, debug))
+
+
+def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool) -> None:
+    # Here, since only a run that got this far needs Matplotlib.
+    from ..pages import _figures as figures
+    from ..pages._report import write_report
+    from . import _debug as debug_figures
+
+    config, drawn = rendered.config, rendered.drawn
+    truth = [each.reference.visibility for each in drawn]
+    arrays = {
+        "reference": record.stacked(truth),
+        "visibility": record.stacked(rendered.visibility),
+        "mask": record.stacked([each.mask for each in drawn]),
+        **record.light_arrays(drawn),
+        "shaded_reference": to_bytes(shade(config, drawn, truth)),
+        "shaded_visibility": to_bytes(shade(config, drawn, rendered.visibility)),
+    }
+    result = _result(folder, rendered, seconds)
+    run = stored(draft, result, arrays, config)
+    record.write_config(draft, config)
+    record.write_arrays(draft, arrays)
+    figures.write_figures(run, draft)
+    for i, each in enumerate(drawn):
+        end = record.suffix(i, drawn)
+        figures.write_from_light(draft, end, each.from_light)
+        if debug:
+            debug_figures.write_debug(draft, end, config, rendered.technique, each)
+    write_report(run)
+    record.write_result(draft, result)
+
+
+def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict[str, Any]:
+    config, drawn, errors = rendered.config, rendered.drawn, rendered.errors
+    return {
+        "name": config.name,
+        "kind": "render",
+        "metrics": {
+            "technique": config.technique.type,
+            "compare": config.compare.type,
+            "errors": record.combined(errors, drawn),
+            "reference_noise_floor": record.noise(drawn),
+            "pixels": sum(each.pixels for each in drawn),
+            "lights": [
+                {
+                    "light": each.key,
+                    "errors": e,
+                    "reference_noise_floor": each.noise_floor,
+                    "pixels": each.pixels,
+                }
+                for each, e in zip(drawn, errors, strict=True)
+            ],
+        },
+        "warnings": rendered.remarks,
+        "seconds": {name: round(s, 3) for name, s in seconds.items()},
+        "versions": record.versions(),
+        "seed": config.seed,
+        "command": record.command("render", folder),
+    }

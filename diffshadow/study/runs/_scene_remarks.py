@@ -1,0 +1,55 @@
+"""What a reader of a run's numbers should know of its scene: what was left out of files, and what shows nowhere."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ... import reference
+from ...config import Casting, Config
+from ...geometry import AbstractCamera, Mesh
+from ...raster import Surface
+from ._sight import size_of
+
+# A mesh this many times smaller or larger than all others is likely to be in another unit.
+_ANOTHER_UNIT = 100.0
+# Twice a triangle's area, as a share of the mesh's extent squared, that rounding alone makes.
+_NO_AREA = 1e-6
+
+
+def scene_remarks(config: Config, lit: Sequence[Casting], surface: Surface) -> list[str]:
+    """A sentence for each mesh whose file holds more than its triangles, or that contributes nothing to the picture.
+
+    **Arguments:**
+
+    - `lit`: the scene under each light alone.
+    - `surface`: the scene as its camera sees it.
+    """
+    return [*lit[0].remarks, *_idle_meshes(config, lit, surface)]
+
+
+def _idle_meshes(config: Config, lit: Sequence[Casting], surface: Surface) -> Iterator[str]:
+    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture."""
+    casting = lit[0]
+    number = np.repeat(np.arange(len(casting.meshes)), [mesh.faces.shape[0] for mesh in casting.meshes])
+    face, mask = np.asarray(surface.face), np.asarray(surface.mask)
+    visible = set(number[face[mask]].tolist())
+    for i, section in enumerate(config.scene.meshes):
+        if i not in visible and not any(reference.hides_light(each.scene, number == i) for each in lit):
+            others = [mesh for k, mesh in enumerate(casting.meshes) if k != i]
+            cause = _cause(casting.meshes[i], others, casting.scene.camera, is_sized=section.size is not None)
+            yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the picture: {cause}"
+
+
+def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:
+    corners, extent = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)], size_of(mesh)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    if (np.linalg.norm(np.cross(b - a, c - a), axis=-1) <= _NO_AREA * extent**2).all():
+        return "its triangles have no area; check its export"
+    rest = max(map(size_of, others), default=0.0)
+    if rest and not 1 / _ANOTHER_UNIT < extent / rest < _ANOTHER_UNIT:
+        mend = "change its size or scale" if is_sized else "its file may be in another unit, so set its size"
+        return f"it spans {extent:.3g} world units and the largest of the others {rest:.3g}; {mend}"
+    world_to_eye = np.asarray(camera.view().world_to_eye, np.float64)
+    if (corners @ world_to_eye[2, :3] + world_to_eye[2, 3] >= 0).all():
+        return "it lies behind the camera; move it, or turn the camera"
+    return "it lies outside the picture or behind other meshes; move it, or remove it"

@@ -1,0 +1,118 @@
+"""Why camera and light see nothing together: the likely cause, in words."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ... import geometry, raster
+from ..._types import HostArray
+from ...config import Casting, Config
+
+# Seen from inside a closed mesh, its triangles cover the whole sphere of directions; from beside one, or an open one,
+# no more than half of it.
+_INSIDE = 0.75
+# Single precision has seven digits.
+_LEAST_SHARE = 1e-6
+_NO_DEPTHS = "single precision tells no depths apart between its near and far"
+# Triangles that are looked at in one go.
+_SOME = 1 << 18
+
+
+def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> str | None:
+    """What is wrong with a camera that sees no surface at any pixel's centre; `None` if it sees one."""
+    if np.asarray(surface.mask).any():
+        return None
+    camera = casting.scene.camera
+    eye, target = np.asarray(camera.eye, np.float64), np.asarray(camera.target, np.float64)
+    near, far, looks = float(camera.near), float(camera.far), float(np.linalg.norm(target - eye))
+    inside = _mesh_round(config, casting, eye)
+    if inside is not None:
+        cause, mend = f"its eye lies inside {inside}", "move the eye out of it"
+    elif _tells_no_depths(camera.view()):
+        cause, mend = _NO_DEPTHS, "set near and far, or move the eye nearer"
+    elif not near <= looks <= far:
+        cause = f"what it looks at is {looks:.3g} world units away"
+        mend = "set near and far, or check the sizes and places of the meshes"
+    else:
+        cause = "no triangle covers one"
+        mend = "turn it by its target, narrow its view, move it nearer, or raise the resolution"
+    return (
+        f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
+        f"size {size_of(casting.scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
+    )
+
+
+def blind_light(config: Config, casting: Casting, surface: raster.Surface) -> str:
+    """What is wrong with a light, the only one of `casting`, whose frustum has nothing in it that the camera sees."""
+    light, points = casting.scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
+    cause, mend = _most_are(config, light, points)
+    position = getattr(light, "position", None)
+    inside = None if position is None else _mesh_round(config, casting, np.asarray(position, np.float64))
+    if inside is not None:
+        cause, mend = f"{cause}, and it stands inside {inside}", f"move it out of that mesh, {mend}"
+    view = light.view()
+    return (
+        f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; its near is "
+        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {size_of(casting.scene.mesh):.3g} "
+        f"world units; expected a surface that both see; {mend}, or turn the camera"
+    )
+
+
+def _most_are(config: Config, light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
+    """Where most of `points` lie, all of which are outside the light's frustum, and what brings them into it."""
+    if _tells_no_depths(light.view()):
+        return f"none is within its beam, for {_NO_DEPTHS}", "set its near and far, or move it nearer"
+    layer = light.layer(jnp.asarray(points))
+    view = light.view() if layer is None else light.view().facing(layer)
+    x, y, z, w = np.moveaxis(np.asarray(view.clip(jnp.asarray(points)), np.float64), -1, 0)
+    behind = w <= 0
+    beyond = ~behind & (z > w)
+    beside = ~(behind | beyond) & (np.maximum(np.abs(x), np.abs(y)) > w)
+    widen = "set its frame to scene" if light.is_directional else "turn it by its target, widen its outer_angle"
+    cases = [
+        (behind, "{:,} lie behind it", "turn it by its target"),
+        (beyond, "{:,} lie beyond its far", "raise its far"),
+        (beside, "{:,} lie beside its beam", widen),
+    ]
+    which, cause, mend = max(cases, key=lambda case: int(case[0].sum()))
+    if not which.any():
+        if offset := config.bias.normal_offset:
+            return f"a normal_offset of {offset:g} texels moves all out of its beam", "lower bias.normal_offset"
+        return "none is within its beam, for single precision tells no points apart from so far away", "move it nearer"
+    return cause.format(int(which.sum())), mend
+
+
+def _tells_no_depths(view: geometry.View) -> bool:
+    """Whether near and far are so close to each other, or a perspective's near to the eye, that depths are all one."""
+    near, far = float(view.near), float(view.far)
+    return far - near < _LEAST_SHARE * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_SHARE * far)
+
+
+def _mesh_round(config: Config, casting: Casting, point: Float[HostArray, "3"]) -> str | None:
+    """The key of the first mesh that `point` lies inside of."""
+    for i, mesh in enumerate(casting.meshes):
+        if abs(_turns_round(mesh, point)) > _INSIDE:
+            return f"scene.meshes.{i} ({config.scene.meshes[i].path})"
+    return None
+
+
+def _turns_round(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:
+    """How often the mesh goes round `point`: the solid angles of its triangles, as a share of the sphere's.
+
+    tan(Ω / 2) = a · (b × c) / (|a| |b| |c| + (a · b) |c| + (b · c) |a| + (c · a) |b|), of the ways a, b, c to the
+    corners (Van Oosterom & Strackee 1983).
+    """
+    vertices, faces, total = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces), 0.0
+    for start in range(0, len(faces), _SOME):
+        a, b, c = np.moveaxis(vertices[faces[start : start + _SOME]] - point, 1, 0)
+        along = lambda u, v: np.einsum("ij,ij->i", u, v)
+        la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+        divisor = la * lb * lc + along(a, b) * lc + along(b, c) * la + along(c, a) * lb
+        total += float(np.arctan2(along(a, np.cross(b, c)), divisor).sum())
+    return total / (2 * np.pi)
+
+
+def size_of(mesh: geometry.Mesh) -> float:
+    """The diagonal of the mesh's box, world units."""
+    low, high = np.asarray(mesh.bounds, np.float64)
+    return float(np.linalg.norm(high - low))

@@ -1,0 +1,1 @@
+"""Sweeps: many runs from one file, their workers, tables and report."""

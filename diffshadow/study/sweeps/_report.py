@@ -1,0 +1,240 @@
+"""The report of a sweep: what came out for each combination of values, its figure, and what failed."""
+
+import contextlib
+import math
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from pyarrow import parquet
+
+from ... import io
+from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
+from ..files._stored import REPORT, read_result
+from ._curves import curves_of, unit_of, with_unit
+from ._table import MISSING, RESULTS, metric_columns
+from ._work import FAILED, FIGURES, OK, RUNS
+
+Runs = Any
+"""A data frame with a row for each run; pandas' own types tell a checker too little."""
+_SEED = "seed"
+# As a folder of a run is called.
+_ID = re.compile("[0-9a-f]{16}")
+# No sweep has more. What a table claims is not believed beyond this.
+_MOST_RUNS = 1 << 24
+# The greatest number of single precision.
+_MOST = float(np.finfo(np.float32).max)
+# More combinations, pictures of runs, values of an axis and errors than these are not shown.
+_MOST_ROWS, _MOST_PICTURES, _MOST_VALUES, _MOST_ERRORS = 2000, 24, 12, 50
+# What stands for a run among the figures that it wrote.
+_RUN_PICTURES = ("comparison*.png", "difference*.png")
+
+
+class Summary(NamedTuple):
+    """The results by combination: names of axes and metrics, and for each combination their texts and its runs.
+
+    - `total`: how many combinations there are; perhaps more than `rows`.
+    """
+
+    axes: list[str]
+    metrics: list[str]
+    rows: list[tuple[list[str], list[str], int]]
+    total: int
+
+
+def report_sweep(folder: Path, form: str | None = None) -> Path:
+    """Writes the page of the sweep in `folder`, and where `form` says so its figure. **Returns** the page.
+
+    **Raises** `FileError` if the sweep's table is missing, damaged or another sweep's.
+    """
+    from ..pages._page import file_pictures, write_page
+
+    result = read_result(folder)
+    sweep = SweepConfig.model_validate(result["settings"])
+    runs = _read_table(folder, sweep)
+    axes = [axis for axis in sweep.axes if axis != _SEED]
+    settings = _settings(folder, runs)
+    figure = _figure(folder, sweep.plot, runs, settings, form)
+    good = runs[runs["status"] == OK]
+    summary = _summary(good, axes, metric_columns(sweep, list(runs.columns)))
+    failures, more_failures = _failures(runs, axes)
+    loose = [path for path in _pictures(folder) if figure is None or path.stem != "plot"]
+    write_page(
+        folder / REPORT,
+        "sweep.html.j2",
+        name=result["name"],
+        kind=sweep.run,
+        total=len(runs),
+        done=len(good),
+        failed=int((runs["status"] == FAILED).sum()),
+        missing=int((runs["status"] == MISSING).sum()),
+        axes=[(axis, _listed(runs[axis].dropna().unique().tolist()), unit_of(settings, axis)) for axis in axes],
+        summary=summary,
+        heads=[with_unit(settings, axis) for axis in axes],
+        left_out=summary.total - len(summary.rows),
+        seeds=int(good[_SEED].nunique()),
+        figure=figure,
+        pictures=[
+            p._replace(title=title) for path, title in _of_runs(folder, runs, axes) for p in file_pictures([path])
+        ],
+        files=file_pictures(loose),
+        failures=failures,
+        more_failures=more_failures,
+        settings=settings,
+        environment=[(name, value, "") for name, value in result.get("versions", {}).items()],
+        command=result.get("command", ""),
+    )
+    return folder / REPORT
+
+
+def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
+    file = folder / RESULTS
+    if not file.is_file():
+        raise io.FileError(f"{folder} holds only a part of a sweep: it has no {RESULTS}; expected it: sweep again")
+    try:
+        with file.open("rb") as stream, parquet.ParquetFile(stream) as stored:
+            if stored.metadata.num_rows > _MOST_RUNS:
+                raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MOST_RUNS:,}")
+            _check_columns(stored.schema_arrow, sweep)
+            runs = stored.read().to_pandas()
+        _check_values(runs)
+        return runs
+    except Exception as error:  # Arrow raises what it likes
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise io.FileError(f"{file} is damaged ({reason}); expected a sweep's table: sweep again") from error
+
+
+def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
+    """**Raises** `ValueError` unless a table has the columns of a sweep."""
+    if len(set(schema.names)) < len(schema.names):
+        raise ValueError("it has two columns of one name")
+    for name in ("id", "status", "error", *sweep.axes):
+        if name not in schema.names:
+            raise ValueError(f"it has no column {name}")
+    numbers = lambda kind: pa.types.is_floating(kind) or pa.types.is_integer(kind)
+    for name in schema.names:
+        kind = schema.field(name).type
+        if name in ("id", "status", "error"):
+            # Where no run has failed, there is no telling.
+            if not pa.types.is_string(kind) and name != "error":
+                raise ValueError(f"its column {name} holds {kind}; expected text")
+        elif not (numbers(kind) or (name in sweep.axes and (pa.types.is_string(kind) or pa.types.is_boolean(kind)))):
+            raise ValueError(f"its column {name} holds {kind}; expected numbers")
+
+
+def _check_values(runs: Runs) -> None:
+    """**Raises** `ValueError` unless identifiers, errors and numbers of a table are such."""
+    if not all(_ID.fullmatch(id) for id in runs["id"]):
+        raise ValueError("its column id holds something else than identifiers of runs")
+    if not all(isinstance(error, str) or pd.isna(error) for error in runs["error"]):
+        raise ValueError("its column error holds something else than text")
+    for name in runs.select_dtypes("number").columns:
+        if (runs[name].abs() > _MOST).any():
+            raise ValueError(f"its column {name} holds {runs[name].abs().max():g}; expected numbers up to {_MOST:g}")
+
+
+def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
+    """Means over all runs of one combination, which differ in their seeds, and the standard errors of these means."""
+    # Without axes, all runs are of one combination.
+    by = list(axes) or [np.zeros(len(good))]
+    groups = good.groupby(by, sort=False, dropna=False)
+    runs = groups.size()
+    means, deviations = groups[list(metrics)].mean(), groups[list(metrics)].sem()
+    rows = []
+    for i in range(min(len(runs), _MOST_ROWS)):
+        key = runs.index[i] if len(axes) > 1 else (runs.index[i],)
+        texts = [_mean(means[name].iloc[i], deviations[name].iloc[i]) for name in metrics]
+        rows.append(([_text(value) for value in key] if axes else [], texts, int(runs.iloc[i])))
+    return Summary(list(axes), list(metrics), rows, len(runs))
+
+
+def _mean(mean: float, error: float) -> str:
+    """A mean with its standard error, which has two digits, and the mean as many decimals."""
+    if pd.isna(mean):
+        return "–"
+    if pd.isna(error) or error <= 0:
+        return f"{mean:.4g}"
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    return f"{mean:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def _text(value: Any) -> str:
+    if pd.isna(value):
+        # An entry of the list leaves it as it is.
+        return "–"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _listed(values: Sequence[Any]) -> str:
+    more = f", … ({len(values)} values)" if len(values) > _MOST_VALUES else ""
+    return ", ".join(map(_text, values[:_MOST_VALUES])) + more
+
+
+def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
+    """Each error, how many runs it befell, and the first of these; and how many more errors there are."""
+    failed = runs[runs["status"] == FAILED]
+    counts = failed["error"].value_counts(sort=False)
+    firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
+    shown = [
+        ("; ".join(run["error"].splitlines()), int(counts[run["error"]]), _values(run, axes))
+        for _, run in firsts.iterrows()
+    ]
+    return shown, len(counts) - len(shown)
+
+
+def _values(run: Runs, axes: Sequence[str]) -> str:
+    return ", ".join(f"{axis} = {_text(run[axis])}" for axis in (*axes, _SEED) if not pd.isna(run[axis]))
+
+
+def _settings(folder: Path, runs: Runs) -> list[Row]:
+    """The settings of the first run that has been done, and whose configuration can be read."""
+    for id in runs["id"]:
+        file = folder / RUNS / id / "config.yaml"
+        if file.is_file():
+            with contextlib.suppress(ConfigError):
+                return describe(load_config(file, [], files=False))
+    return []
+
+
+def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequence[Row], form: str | None) -> str | None:
+    """The sweep's figure for the page, if it has one; written to the folder, too, where `form` says so."""
+    from .. import style
+    from ._figures import write_plot
+
+    if plot is None:
+        return None
+    needed = [str(name) for name in runs.columns if name in (plot.x, plot.y, plot.lines, plot.panels, _SEED)]
+    columns = {name: [None if pd.isna(value) else value for value in runs[name].tolist()] for name in needed}
+    try:
+        curves = curves_of(columns, plot)
+    except ValueError:
+        # No run has what is to be drawn; the failures say why.
+        return None
+    if form is not None:
+        write_plot(folder / f"plot.{form}", curves, plot, settings)
+    with tempfile.TemporaryDirectory() as scratch:
+        write_plot(Path(scratch) / "plot.svg", curves, plot, settings)
+        return style.themed((Path(scratch) / "plot.svg").read_text(encoding="utf-8"))
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """All pictures that lie in the folder itself."""
+    return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
+
+
+def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:
+    """A picture of each run that wrote some, and the run's values; no more than a page has place for."""
+    found = []
+    for number in range(len(runs) if (folder / FIGURES).is_dir() else 0):
+        run = runs.iloc[number]
+        for pattern in _RUN_PICTURES:
+            paths = sorted((folder / FIGURES).glob(f"{run['id']}*/{pattern}"))
+            found += [(path, _values(run, axes)) for path in paths if path.is_file()]
+        if len(found) >= _MOST_PICTURES:
+            break
+    return found[:_MOST_PICTURES]

@@ -1,0 +1,276 @@
+"""What a sweep does in a worker process: runs, one after another, that share programs, drawings and limits."""
+
+import dataclasses
+import gc
+import json
+import os
+import socket
+import threading
+import time
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float32
+from rich.console import Console
+
+from ... import io, metrics, reference
+from ..._types import HostArray
+from ...config import LIMIT_ERROR, Config, RandomDiskConfig, SweepConfig, SweepRun, build_technique
+from ..files._run_folder import RESULT, folder_of, remove, write_whole
+from ..files._schema import is_outcome, read_json
+from ..runs import _record as record
+from ..runs import _render as render_run
+from ..runs._fit import fit_technique, write_fit
+from ..runs._progress import Stages
+from ..runs._setup import Drawn, draw, load, visibility_of
+
+RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
+"""The folders, inside a sweep's own, of the runs, of their figures, and of filters' limits."""
+OK, FAILED = "ok", "failed"
+FITTED = "fitted."
+"""Begins the names of the metrics that are what a fit has found."""
+WHOLE = frozenset({"steps", "pixels"})
+"""The metrics that are whole numbers."""
+# Bytes of drawings and limits that a process keeps for further runs.
+_MOST_KEPT = 256 << 20
+# Programs pile up in a process, which may hold only so many mappings of memory.
+_MOST_SHAPES = 40
+# The limit's taps: the same for all runs, whatever their pattern and seed.
+_LIMIT = {"pattern": "sobol", "early_out": False}
+_LIMIT_SEED = 0x11317
+
+Measured = dict[str, float | int | None]
+
+
+class Batch(NamedTuple):
+    """Runs that a worker does one after another.
+
+    - `folder`: of the sweep, absolute, which all workers see.
+    - `programs`: the folder of compiled programs, if there is one.
+    """
+
+    folder: str
+    settings: SweepConfig
+    runs: tuple[SweepRun, ...]
+    programs: str | None = None
+
+
+class Outcome(NamedTuple):
+    """How a run ended: `"ok"` or `"failed"`, with metrics or with an error, and the seconds that its stages took."""
+
+    id: str
+    status: str
+    error: str | None
+    metrics: Mapping[str, float | int | None]
+    seconds: Mapping[str, float]
+
+
+def work(batch: Batch) -> list[Outcome]:
+    """Does the runs of `batch` that are not done yet, and writes a folder for each.
+
+    **Raises** `FileNotFoundError` if the sweep's folder cannot be seen from here.
+    """
+    if not Path(batch.folder).is_dir():
+        raise FileNotFoundError(
+            f"{socket.gethostname()}, on which a worker runs, has no folder {batch.folder}; expected a file system "
+            "that all workers share: set output to a folder on one"
+        )
+    if batch.programs is not None:
+        # Another worker may be writing the very program; it is compiled here too, then.
+        warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
+        jax.config.update("jax_compilation_cache_dir", batch.programs)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    return [read_outcome(batch.folder, run.id, batch.settings) or _do(batch, run) for run in batch.runs]
+
+
+def read_outcome(
+    folder: str | os.PathLike[str], id: str, settings: SweepConfig, *, failed: bool = False
+) -> Outcome | None:
+    """How the run `id` ended; `None` if it has not, what its folder holds is damaged, or it failed.
+
+    **Arguments:**
+
+    - `settings`: of the sweep in `folder`, which say what is measured.
+    - `failed`: whether to return the outcome of a run that failed, too.
+    """
+    try:
+        stored = read_json(Path(folder) / RUNS / id / RESULT)
+    except io.FileError:
+        return None
+    if not is_outcome(stored, id, *_measured(settings)):
+        return None
+    outcome = Outcome(**{name: stored[name] for name in Outcome._fields})
+    return outcome if outcome.status == OK or failed else None
+
+
+def _measured(settings: SweepConfig) -> tuple[dict[str, type], str]:
+    """The metrics that every good run of a sweep has, with their kinds, and what begins the names of others."""
+    errors = [field.name for field in dataclasses.fields(metrics.ShadowErrors)]
+    if settings.run == "fit":
+        names = [*(f"{when}.{name}" for when in ("before", "after") for name in errors), "steps"]
+    else:
+        names = [*errors, *([] if settings.limit_samples is None else [LIMIT_ERROR])]
+    names += ["reference_noise_floor", "pixels"]
+    return {name: int if name in WHOLE else float for name in names}, FITTED if settings.run == "fit" else ""
+
+
+def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome) -> None:
+    """Writes the run's folder: its configuration and how it ended."""
+
+    def write(draft: Path) -> None:
+        record.write_config(draft, run.config)
+        record.write_result(draft, outcome._asdict())
+
+    place = Path(folder) / RUNS / run.id
+    # The names of runs are the sweep's own. A file or a link to nothing in such a place is no run.
+    if not place.is_dir():
+        remove(place)
+    write_whole(place, write)
+
+
+def shape_of(config: Config) -> str:
+    """What the compiled programs of a run depend on, as text: all but real numbers, the pattern and the seed."""
+    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "seed", "sweep", "shading"})
+    data["filter"].pop("pattern", None)
+    return json.dumps(_without_reals(data), sort_keys=True)
+
+
+def drawing_of(config: Config) -> str:
+    """What the drawings and the reference of a run depend on, as text: all that comes before its taps."""
+    data = config.model_dump(
+        mode="json", warnings=False, exclude={"name", "output", "sweep", "filter", "fit", "shading"}
+    )
+    return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
+
+
+def _without_reals(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_reals(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_reals(inner) for inner in value]
+    return None if isinstance(value, float) else value
+
+
+def _do(batch: Batch, run: SweepRun) -> Outcome:
+    """Does one run and writes its folder. What goes wrong in the run itself is its outcome."""
+    started = time.perf_counter()
+    _make_room(shape_of(run.config))
+    stages = Stages(Console(quiet=True))
+    try:
+        config = _with_figures(batch, run) if batch.settings.figures else run.config
+        measured = _MEASURES[batch.settings.run](config, batch, stages)
+        status, error = OK, None
+    except Exception as problem:
+        measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
+    outcome = Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
+    write_outcome(batch.folder, run, outcome)
+    return outcome
+
+
+def _measure_render(config: Config, batch: Batch, stages: Stages) -> Measured:
+    drawn = _draw(config, stages)
+    rendered = render_run.render_drawn(config, build_technique(config, fitting=False), drawn, stages)
+    measured: Measured = dict(record.combined(rendered.errors, drawn))
+    if batch.settings.limit_samples is not None:
+        limits = _limits(config, batch.settings.limit_samples, drawn, batch.folder, stages)
+        away = [
+            {"rmse": metrics.rmse(image, limit, each.mask) if each.pixels else np.nan}
+            for image, limit, each in zip(rendered.visibility, limits, drawn, strict=True)
+        ]
+        measured[LIMIT_ERROR] = record.combined(away, drawn)["rmse"]
+    if batch.settings.figures:
+        with stages.stage("figures"):
+            render_run.write_render(folder_of(config, render_run.SUFFIX), rendered, stages.seconds)
+    return {**measured, **_of_reference(drawn)}
+
+
+def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
+    fitted = fit_technique(config, stages)
+    if batch.settings.figures:
+        with stages.stage("figures"):
+            write_fit(folder_of(config), fitted, stages.seconds)
+    return {
+        **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
+        **{f"before.{name}": value for name, value in fitted.errors_before.items()},
+        **{f"after.{name}": value for name, value in fitted.errors_after.items()},
+        "steps": fitted.result.steps,
+        **_of_reference(fitted.drawn),
+    }
+
+
+_MEASURES = {"render": _measure_render, "fit": _measure_fit}
+
+
+def _of_reference(drawn: list[Drawn]) -> Measured:
+    return {"reference_noise_floor": record.noise(drawn), "pixels": sum(each.pixels for each in drawn)}
+
+
+def _draw(config: Config, stages: Stages) -> list[Drawn]:
+    compute = lambda: draw(config, load(config, stages), build_technique(config, fitting=False), stages)
+    return _kept(("drawing", drawing_of(config)), compute)
+
+
+def _limits(
+    config: Config, samples: int, drawn: list[Drawn], folder: str, stages: Stages
+) -> list[Float32[HostArray, "h w"]]:
+    """The visibility of each light by very many taps, the same for all patterns, numbers of taps and seeds."""
+    section = config.filter
+    assert isinstance(section, RandomDiskConfig)
+    limit = config.model_copy(
+        update={"filter": section.model_copy(update={**_LIMIT, "samples": samples}), "seed": _LIMIT_SEED}
+    )
+    parts = {"scene", "technique", "shadow_map", "bias", "compare", "filter"}
+    key = json.dumps(limit.model_dump(mode="json", include=parts, warnings=False), sort_keys=True)
+
+    def compute() -> list[HostArray]:
+        technique = build_technique(limit, fitting=False)
+        make = lambda: {str(i): visibility_of(technique, each) for i, each in enumerate(drawn)}
+        # A mesh's file may have changed since another process was here.
+        mesh = drawn[0].scene.mesh
+        found = io.cached_arrays([key, mesh.vertices, mesh.faces], make, Path(folder) / LIMITS)
+        return [found[str(i)] for i in range(len(drawn))]
+
+    with stages.stage("limit"):
+        return _kept(("limit", key), compute)
+
+
+def _with_figures(batch: Batch, run: SweepRun) -> Config:
+    """The configuration of a run whose figures are written, too, to a folder of its own."""
+    return run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
+
+
+_memory: OrderedDict[tuple[str, str], Any] = OrderedDict()
+_shapes: set[str] = set()
+# A worker of a cluster may have several threads.
+_lock = threading.Lock()
+
+
+def _kept(key: tuple[str, str], compute: Callable[[], Any]) -> Any:
+    """What `compute` returns, from memory if it was computed before; the least recently used goes first."""
+    with _lock:
+        if key not in _memory:
+            _memory[key] = compute()
+            while len(_memory) > 1 and sum(map(_bytes_of, _memory.values())) > _MOST_KEPT:
+                _memory.popitem(last=False)
+        _memory.move_to_end(key)
+        return _memory[key]
+
+
+def _bytes_of(value: Any) -> int:
+    """Bytes of the arrays in `value`; one that several values share counts for each."""
+    inside = [vars(leaf) if isinstance(leaf, reference.Reference) else leaf for leaf in jax.tree.leaves(value)]
+    return sum(getattr(array, "nbytes", 0) for array in jax.tree.leaves(inside))
+
+
+def _make_room(shape: str) -> None:
+    """Drops all compiled programs before those of one shape too many are added."""
+    if shape not in _shapes and len(_shapes) >= _MOST_SHAPES:
+        _shapes.clear()
+        jax.clear_caches()
+        gc.collect()
+    _shapes.add(shape)
