@@ -9,18 +9,19 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float
 
-# The first step's damping, as a share of the largest square of a column of the Jacobian.
+# The first step's damping, relative to the largest squared norm of a column of the Jacobian.
 _FIRST_DAMPING = 0.01
-# By how much the first of several rejected steps shortens the next, and a good one lengthens it at most.
+# The factor by which the first of several rejected steps shortens the next, and the greatest by which a good one
+# lengthens it.
 _SHRINK, _MOST_GROWTH = 2.0, 3.0
-# Where the loss is noisy, a fit ends when a full step is foretold to gain less than this share of it.
+# Where the loss is noisy, a fit ends when the predicted reduction of a full step is less than this fraction of it.
 _LEAST_GAIN = 1e-3
-# What is added to the squares of the Jacobian's columns, as a share, so that parameters that do the same can be told.
+# Added to the squares of the Jacobian's columns, relative to them, so that parameters with the same effect do no harm.
 _RIDGE = 1e-6
 
 
 class _State(eqx.Module):
-    """`step_size` is one over the damping; `shrink` is what a rejected step divides it by."""
+    """`step_size` is 1 / μ; `shrink` is ν."""
 
     step_size: Array
     shrink: Array
@@ -29,10 +30,14 @@ class _State(eqx.Module):
 class NielsenDamping(optx.AbstractSearch):
     """The damping of H. B. Nielsen, "Damping parameter in Marquardt's method" (1999).
 
-    Good steps make the next longer, the more so the more of the decrease that the linear model foretells comes true;
-    each rejected step in a row shortens the next more than the last. Gains foretold and come true both count with the
-    loss's `noise`, a share of it, added: changes within it tell nothing, and the model is believed (Sun & Nocedal, "A
-    trust region method for noisy unconstrained optimization", Mathematical Programming 202, 2023).
+    With ρ the actual reduction of the loss over the one that the linear model predicts, the damping μ becomes
+
+        μ · max(1/3, 1 - (2ρ - 1)³),  ν = 2    if ρ > 0, and the step is accepted
+        μ · ν,                        ν = 2 ν  otherwise
+
+    The `noise` of the loss, as a fraction of it, is added to both reductions: smaller changes carry no information, and
+    the model is trusted there (Sun & Nocedal, "A trust region method for noisy unconstrained optimization",
+    Mathematical Programming 202, 2023).
     """
 
     noise: float = 0.0
@@ -44,11 +49,11 @@ class NielsenDamping(optx.AbstractSearch):
         self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: _State
     ) -> tuple[Array, Array, optx.RESULTS, _State]:
         noise = self.noise * f_info.as_min()
-        foretold = noise - optx.ClassicalTrustRegion().predict_reduction(y_eval - y, f_info)
-        came_true = noise + f_info.as_min() - f_eval_info.as_min()
-        accept = first_step | ((foretold > 0) & (came_true > 0))
-        share = came_true / jnp.where(foretold > 0, foretold, 1)
-        longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * share - 1) ** 3)
+        predicted = noise - optx.ClassicalTrustRegion().predict_reduction(y_eval - y, f_info)
+        actual = noise + f_info.as_min() - f_eval_info.as_min()
+        accept = first_step | ((predicted > 0) & (actual > 0))
+        ratio = actual / jnp.where(predicted > 0, predicted, 1)
+        longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * ratio - 1) ** 3)
         steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
         first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
         size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
@@ -56,7 +61,7 @@ class NielsenDamping(optx.AbstractSearch):
 
 
 def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[Array, ""]:
-    """By which share a sum of squares falls at most, if residuals are linear.
+    """The greatest fraction by which a sum of squares can fall if residuals are linear.
 
     That is the squared cosine of the angle between residual and tangents, zero where the fit is best (Bates & Watts, "A
     relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics 23, 1981).
@@ -71,11 +76,11 @@ def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's, with Nielsen's damping; it also ends where the step after a rejected one would be short.
+    """optimistix's, with Nielsen's damping. It also ends where the step after a rejected one would be short.
 
-    That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none to be had where
-    the loss is least at a jump, such as a pixel makes that changes from lit to shadowed. Where the loss has `noise`, a
-    share of it, it ends where the model foretells next to no gain.
+    That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
+    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. With `noise`, as a
+    fraction of the loss, it ends where the model predicts almost no reduction.
     """
 
     rtol: float

@@ -62,8 +62,8 @@ class Outcome(NamedTuple):
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
-    - `level`: how many pixels a side made one; `blur`: the standard deviation, in such pixels, of the Gaussian under
-        which images were compared, 0 where nothing moves.
+    - `level`: the downsampling factor, each coarse pixel averages `level` × `level` pixels; `blur`: the standard
+        deviation, in such pixels, of the Gaussian under which images were compared, 0 where nothing moves.
     """
 
     width: float

@@ -31,17 +31,17 @@ BLOCK = 16
 """Side, in pixels, of the blocks that those are cut into."""
 
 _NOTHING = -1
-# What small numbers are rounded up to: a loop ends with the last that is used, so that what is not costs little.
-_ROOMS = (0, 256, 4096)
+# Small capacities are rounded up to these. Loops end with the last window in use, so that the rest costs little.
+_ROUND_NUMBERS = (0, 256, 4096)
 # In the windows of a larger class, so many pixels are looked at in less time than a loop of their own takes to compile.
 _FEW_PIXELS = 1 << 16
 
 
 class Capacity(NamedTuple):
-    """How many triangles of each kind a compiled rasterizer has room for; each 0 or a power of two.
+    """How many triangles of each kind a compiled rasterizer can draw; each 0 or a power of two.
 
     - `clipped`: triangles that cross the near plane or leave the guard band.
-    - `windows`: triangles of each size class. A class with no room passes its triangles on to the next that has some:
+    - `windows`: triangles of each size class. A class of capacity 0 passes its triangles on to the next larger one:
         each class takes time to compile, so a few small triangles had better share a larger window.
     - `large`: triangles too big for a window; `candidates`, the blocks that their boxes touch; and `blocks`, those
         among them that the triangles themselves may touch.
@@ -57,10 +57,10 @@ class Capacity(NamedTuple):
 
     def grown_to(self, other: "Capacity") -> "Capacity":
         """The least capacity that surely holds what either holds."""
-        room = {k: max(self._room_from(k), other._room_from(k)) for k in {*self.classes, *other.classes}}
+        capacity = {k: max(self._capacity_from(k), other._capacity_from(k)) for k in {*self.classes, *other.classes}}
         return Capacity(
             clipped=max(self.clipped, other.clipped),
-            windows=tuple(room.get(k, 0) for k in range(LARGE)),
+            windows=tuple(capacity.get(k, 0) for k in range(LARGE)),
             large=max(self.large, other.large),
             candidates=max(self.candidates, other.candidates),
             blocks=max(self.blocks, other.blocks),
@@ -68,12 +68,12 @@ class Capacity(NamedTuple):
 
     @property
     def classes(self) -> tuple[int, ...]:
-        """The size classes that there is room for."""
-        return tuple(k for k, room in enumerate(self.windows) if room)
+        """The size classes whose capacity is not 0."""
+        return tuple(k for k, capacity in enumerate(self.windows) if capacity)
 
-    def _room_from(self, size_class: int) -> int:
-        """Room for triangles of a size class, be it in a larger window."""
-        return next((room for room in self.windows[size_class:] if room), self.large)
+    def _capacity_from(self, size_class: int) -> int:
+        """Capacity for triangles of a size class, in its windows or in larger ones."""
+        return next((capacity for capacity in self.windows[size_class:] if capacity), self.large)
 
 
 class Counts(eqx.Module):
@@ -98,7 +98,7 @@ class Counts(eqx.Module):
 
 
 def _rounded_up(number: int) -> int:
-    return next((room for room in _ROOMS if number <= room), round_up_to_power_of_two(number))
+    return next((capacity for capacity in _ROUND_NUMBERS if number <= capacity), round_up_to_power_of_two(number))
 
 
 class Corners(NamedTuple):

@@ -45,24 +45,24 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
     return Ranks(rank.reshape(-1)[:n], through[:, -1])
 
 
-def members(classes: Int[Array, " n"], ranks: Ranks, rooms: Sequence[int]) -> Int[Array, " room"]:
-    """Indices of the elements of class 0, then 1 and so on, each class filled up with -1 to its room.
+def members(classes: Int[Array, " n"], ranks: Ranks, capacities: Sequence[int]) -> Int[Array, " capacity"]:
+    """Indices of the elements of class 0, then 1 and so on, each class filled up with -1 to its capacity.
 
-    Elements beyond their class's room are left out: check `ranks.counts`.
+    Elements beyond their class's capacity are left out: check `ranks.counts`.
     """
-    total = sum(rooms)
+    total = sum(capacities)
     place = jnp.full_like(ranks.rank, total)
-    for k, room in enumerate(rooms):
-        if not room:
+    for k, capacity in enumerate(capacities):
+        if not capacity:
             continue
-        place = jnp.where((classes == k) & (ranks.rank < room), sum(rooms[:k]) + ranks.rank, place)
+        place = jnp.where((classes == k) & (ranks.rank < capacity), sum(capacities[:k]) + ranks.rank, place)
     indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
     # Elements that have no place go to a slot that is cut off, so that no index is ever out of bounds.
     found = jnp.full(total + 1, -1, jnp.int32).at[place].set(indices, mode="promise_in_bounds")
     return found[:total]
 
 
-def compact(mask: Array, room: int) -> Int[Array, " room"]:
-    """Indices where `mask` holds, filled up with -1 to `room`; further ones are left out."""
+def compact(mask: Array, capacity: int) -> Int[Array, " capacity"]:
+    """Indices where `mask` holds, filled up with -1 to `capacity`; further ones are left out."""
     classes = jnp.where(mask, 0, -1)
-    return members(classes, rank_in_class(classes, 1), (room,))
+    return members(classes, rank_in_class(classes, 1), (capacity,))

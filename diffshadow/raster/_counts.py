@@ -56,7 +56,7 @@ def count_fragments(
     - `depth`: (h, w), window depth, from `rasterize`. The sum is for its resolution.
     - `when`: which fragments count, those that `"pass"`, which are nearer than `depth`, or those that `"fail"`, which
         are not. What lies before the near plane is clipped away in either case.
-    - `capacity`: room for the triangles of each size. Left out, they are counted first, which needs concrete
+    - `capacity`: how many triangles of each size can be drawn. Left out, they are counted first, which needs concrete
         arguments; inside `jax.jit` it must be given, by `plan_counts`.
 
     **Raises** `ValueError` if `when` is neither, or `capacity` is left out under a trace; and a runtime error that

@@ -31,19 +31,19 @@ def count_crossings(start: Float[Array, "s 2"], end: Float[Array, "s 2"], used: 
 
 
 def grid_crossings(
-    start: Float[Array, "s 2"], end: Float[Array, "s 2"], counts: Int[Array, "s 2"], room: int
+    start: Float[Array, "s 2"], end: Float[Array, "s 2"], counts: Int[Array, "s 2"], capacity: int
 ) -> Crossings:
     """All crossings of segments from `start` to `end`, in pixels.
 
     **Arguments:**
 
     - `counts`: (s, 2), by `count_crossings`.
-    - `room`: for how many there is room; further ones are left out.
+    - `capacity`: the greatest number of crossings; further ones are left out.
     """
     each = counts.reshape(-1)
     last = jnp.cumsum(each, dtype=jnp.int32)
-    number = jnp.arange(room, dtype=jnp.int32)
-    owner = jnp.repeat(jnp.arange(each.shape[0], dtype=jnp.int32), each, total_repeat_length=room)
+    number = jnp.arange(capacity, dtype=jnp.int32)
+    owner = jnp.repeat(jnp.arange(each.shape[0], dtype=jnp.int32), each, total_repeat_length=capacity)
     segment, axis = owner // 2, owner % 2
     low = jnp.floor(jnp.minimum(start, end)).astype(jnp.int32).reshape(-1)
     line = take(low, owner) + 1 + number - take(last - each, owner)

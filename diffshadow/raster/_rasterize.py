@@ -17,9 +17,9 @@ from ._depth_test import DepthTest
 from ._fixed import Size
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
-# The least room in which what must be cut into parts is counted, which is enough for most scenes.
-_ROOM_FOR_PARTS = Capacity(large=256, candidates=1 << 16)
-_ROOM_TO_CLIP = _ROOM_FOR_PARTS._replace(clipped=64)
+# The least capacity with which parts are counted, which is enough for most scenes.
+_PARTS = Capacity(large=256, candidates=1 << 16)
+_PARTS_AND_CLIPPED = _PARTS._replace(clipped=64)
 # Meshes of up to so many faces are padded: filling up a larger one takes time that counts beside drawing it.
 _MOST_PADDED = 1 << 16
 _LEAST_PADDED = 64
@@ -56,17 +56,17 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
 def _plan_padded(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, cull: Cull) -> Capacity:
     """`plan` of triangles as `padded` returns them."""
     clip = clip.reshape(-1, *clip.shape[-2:])
-    # What is clipped, and what is large, must have room before its parts can be counted. Nearly every scene has large
+    # Parts of clipped and of large triangles are counted up to a capacity of their own. Nearly every scene has large
     # triangles, few need clipping. One view after another, so that any number of them share what is compiled.
-    room = _ROOM_FOR_PARTS
+    capacity = _PARTS
     while True:
-        counted = [_count(view, faces, as_int(resolution), cull, room) for view in clip]
+        counted = [_count(view, faces, as_int(resolution), cull, capacity) for view in clip]
         needed = jax.tree.map(lambda *each: np.max(np.stack(each), axis=0), *counted).capacity()
-        # Of windows and blocks there is no room to be made: what is compiled does not depend on how many there are.
-        parts = needed._replace(windows=room.windows, blocks=room.blocks)
-        if room == room.grown_to(parts):
+        # Windows and blocks are counted without one: the compiled program does not depend on their number.
+        parts = needed._replace(windows=capacity.windows, blocks=capacity.blocks)
+        if capacity == capacity.grown_to(parts):
             return needed
-        room = room.grown_to(parts).grown_to(_ROOM_TO_CLIP)
+        capacity = capacity.grown_to(parts).grown_to(_PARTS_AND_CLIPPED)
 
 
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b V 4"], Int[Array, "F 3"]]:
@@ -78,15 +78,15 @@ def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b
     if count > _MOST_PADDED or isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
     # In NumPy, whose copies need no compiling.
-    more_faces = np.full((_room_for(count), 3), vertices, np.asarray(faces).dtype)
+    more_faces = np.full((_padded_size(count), 3), vertices, np.asarray(faces).dtype)
     more_faces[:count] = faces
-    more = np.empty((*clip.shape[:-2], _room_for(vertices + 1), 4), np.asarray(clip).dtype)
+    more = np.empty((*clip.shape[:-2], _padded_size(vertices + 1), 4), np.asarray(clip).dtype)
     more[..., :vertices, :] = clip
     more[..., vertices:, :] = _OUTSIDE
     return jnp.asarray(more), jnp.asarray(more_faces)
 
 
-def _room_for(number: int) -> int:
+def _padded_size(number: int) -> int:
     """The next power of two; of small numbers, every second one."""
     power = max(number - 1, _LEAST_PADDED - 1).bit_length()
     return 1 << (power + power % 2 if number <= 4096 else power)

@@ -49,10 +49,10 @@ class Blocks(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """The blocks that the boxes of large triangles touch, as many as there is room for.
+    """The blocks that the boxes of large triangles touch, up to the capacity.
 
     - `blocks`: which; `hit`: (n,), whether their triangles themselves may touch them.
-    - `number`: how many there are, with or without room.
+    - `number`: how many there are, even beyond the capacity.
     """
 
     blocks: Blocks
@@ -61,7 +61,7 @@ class Candidates(NamedTuple):
 
 
 def count(triangles: Triangles, candidates: Candidates) -> Counts:
-    """How many there are of each kind; of blocks, as many as there was room to look at."""
+    """How many there are of each kind; of blocks, those among the candidates within the capacity."""
     counts = triangles.ranks.counts
     blocks = jnp.sum(candidates.hit, dtype=jnp.int32)
     return Counts(triangles.clipped, counts[:LARGE], counts[LARGE], candidates.number, blocks)
@@ -71,13 +71,13 @@ class Windows(eqx.Module):
     """Every window that has to be written, those of one size together: first the size classes, then the blocks.
 
     - `form`: what each holds; `source`: (n,), the mesh's face that it is a part of, -1 for an empty one.
-    - `used`: (k,), how many of each size are not empty; `rooms`: how many there is room for.
+    - `used`: (k,), how many of each size are not empty; `capacities`: how many of each size fit.
     """
 
     form: EdgeForm
     source: Int[Array, " n"]
     used: Int[Array, " k"]
-    rooms: tuple[int, ...] = eqx.field(static=True)
+    capacities: tuple[int, ...] = eqx.field(static=True)
 
 
 def windows(
@@ -93,14 +93,17 @@ def windows(
     corners = triangles.corners(member)
     box = pixel_box(*corners.snapped(), resolution)
     x, y = (jnp.where(member >= 0, low, 0) for low in (box.left, box.bottom))
-    used, rooms = triangles.ranks.counts, capacity.windows
+    used, capacities = triangles.ranks.counts, capacity.windows
     if capacity.large and capacity.blocks:
         blocks = _kept(candidates, capacity.blocks)
         member, x, y = (jnp.concatenate(both) for both in zip((member, x, y), blocks, strict=True))
-        used, rooms = used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)), (*rooms, capacity.blocks)
+        used, capacities = (
+            used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)),
+            (*capacities, capacity.blocks),
+        )
     # One set-up for all classes, which is far quicker to compile than one for each.
     form = edge_form(lax.optimization_barrier(triangles.corners(member)), x, y, test, polygon_offset)
-    return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, rooms)
+    return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, capacities)
 
 
 def candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Candidates:
@@ -125,13 +128,13 @@ def candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Ca
     x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
     blocks = Blocks(jnp.where(used, take(member, owner), -1), *(jnp.where(used, tile * BLOCK, 0) for tile in (x, y)))
     form = edge_form(triangles.corners(blocks.member), blocks.x, blocks.y, DepthTest(), None)
-    # Hundreds of thousands of faces as large as the map would wrap the integer round; none has room for that many.
+    # Hundreds of thousands of faces as large as the map would overflow the integer; no capacity is that large.
     too_many = jnp.sum(lengths.astype(jnp.float32)) > _MOST_BLOCKS
     return Candidates(blocks, used & ~form.misses(BLOCK), jnp.where(too_many, _MOST_BLOCKS, ends[-1]).astype(jnp.int32))
 
 
-def _kept(candidates: Candidates, room: int) -> Blocks:
-    kept = compact(candidates.hit, room)
+def _kept(candidates: Candidates, capacity: int) -> Blocks:
+    kept = compact(candidates.hit, capacity)
     pick = lambda values, empty: jnp.where(kept >= 0, take(values, kept), empty)
     blocks = candidates.blocks
     return Blocks(pick(blocks.member, -1), pick(blocks.x, 0), pick(blocks.y, 0))
@@ -202,19 +205,19 @@ def over_windows(
         return jax.tree.unflatten(tree, [next(rows[kind]) for kind in kinds])
 
     start = 0
-    for k, (side, room) in enumerate(zip((*WINDOWS, BLOCK), windows.rooms, strict=False)):
-        chunk = min(room, max(_CHUNK // side**2, 1))
-        if not room:
+    for k, (side, capacity) in enumerate(zip((*WINDOWS, BLOCK), windows.capacities, strict=False)):
+        chunk = min(capacity, max(_CHUNK // side**2, 1))
+        if not capacity:
             continue
 
-        def step(number: Array, buffer: Array, start=start, room=room, chunk=chunk, side=side) -> Array:
-            begin = jnp.minimum(number * chunk, room - chunk)
+        def step(number: Array, buffer: Array, start=start, capacity=capacity, chunk=chunk, side=side) -> Array:
+            begin = jnp.minimum(number * chunk, capacity - chunk)
             fresh = begin + jnp.arange(chunk, dtype=jnp.int32) >= number * chunk
             return write(buffer, *part(start + begin, chunk), side, fresh)
 
         chunks = (windows.used[k] + chunk - 1) // chunk
         buffer = lax.fori_loop(jnp.int32(0), chunks.astype(jnp.int32), step, buffer)
-        start += room
+        start += capacity
     return buffer
 
 

@@ -13,7 +13,7 @@ from ._rays import Triangles, in_float64
 
 # The samples that tell where a flat light's centre and the ends of its axes lie.
 _AXES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-# What is foretold to this share of the vectors is right but for rounding.
+# A prediction within this fraction of the vectors is exact but for rounding.
 _ROUNDING = 1e-9
 # The least number of vectors asked for at once.
 _LEAST = 32

@@ -107,8 +107,8 @@ class ShadowVolumes(eqx.Module):
         - `receivers`: further surfaces that are seen and cast none.
         - `edges`: of `casters`. Left out, they are found anew, which needs concrete meshes; find them once where one
             mesh is drawn often.
-        - `capacity`: room for triangles. Left out, they are counted first, which needs concrete arguments; inside
-            `jax.jit` it must be given, by `plan`.
+        - `capacity`: how many triangles can be drawn. Left out, they are counted first, which needs concrete
+            arguments; inside `jax.jit` it must be given, by `plan`.
 
         **Raises** `ValueError` if `edges` or `capacity` is left out under a trace; and a runtime error that names the
         capacity that is too small.
@@ -157,7 +157,7 @@ class ShadowVolumes(eqx.Module):
         # The view is the one that surfaces are drawn with, to the bit. All else is in double precision: a wall may
         # pass closer to a surface than single-precision depths can tell.
         view = _view(camera)
-        scene, room = (None, None) if capacity is None else capacity
+        scene, sides = (None, None) if capacity is None else capacity
         with jax.enable_x64(True):
             drawing = self._prepare(casters, light, camera, view, receivers, edges)
             clip = drawing.clip.astype(jnp.float32)
@@ -166,7 +166,7 @@ class ShadowVolumes(eqx.Module):
             at = _behind(face, drawing)
             when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)
             found = drawing.volumes
-            counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when, capacity=room)
+            counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when, capacity=sides)
             return _Found(sign * counts, at.lit_side, at.seen)
 
 

@@ -202,9 +202,7 @@ def test_sizes_of_lights():
     assert float(half_width_of(flat, None)) == 0
     assert np.isfinite(np.asarray(slope)).all()
     unknown = SimpleNamespace(is_directional=False)
-    with pytest.raises(
-        ValueError, match="how large a SimpleNamespace is is not known: give the soft shadows a light_size"
-    ):
+    with pytest.raises(ValueError, match="SimpleNamespace has no radius; set the light's radius or pass light_size"):
         half_width_of.__wrapped__(unknown, None)
 
 

@@ -152,7 +152,7 @@ class PercentageCloserSoftConfig(PatternedConfig):
 
 
 class _PrefilteredConfig(_FilterConfig):
-    """A map that is blurred before it is looked up. The compare is not asked."""
+    """A map that is blurred before it is looked up. The compare is ignored."""
 
     radius: WrittenOut = Field(default=2.0, ge=0, description="of the blur, in texels")
     kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")

@@ -45,7 +45,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Says of a number that it has a gradient, so that a fit may change it.
+    """Marks a number as fittable: visibility has a gradient with respect to it.
 
     - `path`: dotted, to the number in the module that its section stands for; its key if left out.
     """

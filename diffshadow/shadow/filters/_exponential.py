@@ -18,8 +18,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
     """Visibility is min(1, exp(k (z_m - z_r))), whose factor of the map's depth is blurred apart from the receiver's.
 
     It is right where no depth round a receiver is greater than its own, as on a planar receiver; elsewhere, the blur's
-    few deep texels light it. The compare is not asked, for visibility is smooth already; a bias moves the receiver as
-    ever, but that it follows the receiver's plane has no effect.
+    few deep texels light it.
 
     - `radius`: of the blur, in texels.
     - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is

@@ -21,8 +21,6 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     both bounds.
 
     The first warp leaves less light behind overlapping occluders, the second on receivers that deeper ones surround.
-    The compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it follows
-    the receiver's plane has no effect.
 
     - `radius`: of the blur, in texels.
     - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is

@@ -22,9 +22,7 @@ class MomentShadowMap(AbstractPrefiltered):
     """The map holds the first four powers of depth, blurred; visibility is the most that any distribution of depths
     with these moments allows (Hamburger's moment problem).
 
-    The bound is exact for two depths besides the receiver's, so that it takes three occluders for light to bleed. The
-    compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it follows the
-    receiver's plane has no effect.
+    The bound is exact for two depths besides the receiver's, so that it takes three occluders for light to bleed.
 
     - `radius`: of the blur, in texels.
     - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is

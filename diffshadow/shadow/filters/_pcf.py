@@ -16,7 +16,7 @@ from ..kernels import AbstractRow, Footprint, Span, sum_over_rows
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit
 
-# Narrower than this a box cannot be told from a point.
+# A narrower box counts as a point.
 _LEAST_RADIUS = 1e-3
 
 

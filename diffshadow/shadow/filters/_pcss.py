@@ -191,6 +191,6 @@ def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
         return jnp.tan(jnp.deg2rad(size)) if light.is_directional else size
     sides = getattr(light, "size", None)
     if sides is None:
-        raise ValueError(f"how large a {type(light).__name__} is is not known: give the soft shadows a light_size")
+        raise ValueError(f"{type(light).__name__} has no radius; set the light's radius or pass light_size")
     area = jnp.prod(sides)
     return jnp.where(area > 0, jnp.sqrt(jnp.where(area > 0, area, 1) / jnp.pi), 0)

@@ -29,7 +29,7 @@ _MAX_BLEEDING = 0.99
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
-    """The largest radius that a kernel makes room for, in half texels: `radius` itself, unless given."""
+    """The largest radius that a kernel can have, rounded up to half texels: `radius` itself, unless given."""
     return max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
 
 
@@ -60,7 +60,7 @@ class Blur(eqx.Module):
     """A separable blur of a map.
 
     - `radius`: in texels; more than `max_radius` counts as that. Up to half a texel, the map stays as it is.
-    - `max_radius`: for which there is room.
+    - `max_radius`: the largest radius.
     - `kernel`: its shape.
     """
 
@@ -152,8 +152,8 @@ class AbstractPrefiltered(AbstractFilter):
     """A filter that blurs moments of the map's depth, and bounds the visibility of each receiver by them.
 
     Depths are linear here, from 0 at the light's near plane to 1 at its far plane. A fetch from the blurred maps is
-    bilinear. The compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it
-    follows the receiver's plane has no effect.
+    bilinear. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but following the receiver's
+    plane has no effect.
 
     - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, and is rounded up to a half
         texel.

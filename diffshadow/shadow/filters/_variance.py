@@ -15,8 +15,7 @@ class VarianceShadowMap(AbstractPrefiltered):
     """The map holds depth and its square, blurred; Chebyshev's inequality bounds visibility from above.
 
     The bound is exact for one planar occluder over a planar receiver. Where occluders overlap, light bleeds into their
-    shadows. The compare is not asked, for visibility is smooth already; a bias moves the receiver as ever, but that it
-    follows the receiver's plane has no effect.
+    shadows.
 
     - `radius`: of the blur, in texels.
     - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
