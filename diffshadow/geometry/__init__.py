@@ -31,6 +31,8 @@ from ._view import View as View
 from .lights import AbstractLight as AbstractLight
 from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
+from .lights import LightPose as LightPose
 from .lights import PointLight as PointLight
 from .lights import RectangleLight as RectangleLight
 from .lights import SpotLight as SpotLight
+from .lights import Vector as Vector

@@ -306,6 +306,13 @@ _GEOMETRY = (
         "sample * self.size",
         "test_lights.py",
     ),
+    _fault(
+        "rectangle light: refitted frustum carries a gradient",
+        "geometry/lights/_rectangle.py",
+        "lax.stop_gradient((self.position, points, self.up, self.direction))",
+        "(self.position, points, self.up, self.direction)",
+        "test_lights.py",
+    ),
 )
 
 _RASTER = (
@@ -1204,7 +1211,7 @@ _FIT = (
     ),
     _fault(
         "light's pose: azimuth from x",
-        "fit/_arrangement.py",
+        "geometry/lights/_pose.py",
         "jnp.arctan2(x, z)",
         "jnp.arctan2(z, x)",
         "test_fit_pose.py",

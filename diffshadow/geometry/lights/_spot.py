@@ -10,6 +10,7 @@ from ..._types import Scalar, Vec3
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_position, check_size
 from ._frustum import Frustum, check_frustum, distances_along, frustum_view, on_plane
+from ._pose import LightPose, Vector, angles
 
 
 class SpotLight(AbstractLight):
@@ -70,6 +71,13 @@ class SpotLight(AbstractLight):
         frustum = Frustum.around("the spot light", position, points, target, as_float(UP), outer_angle)
         return cls(position, *frustum, radius, inner_angle)
 
+    def pose(self) -> LightPose:
+        return LightPose(Vector(*self.position), *angles(self.direction), self.radius)
+
+    def at(self, pose: LightPose) -> "SpotLight":
+        parts = lambda one: (one.position, one.direction, one.radius)
+        return eqx.tree_at(parts, self, (pose.place, pose.direction, pose.radius))
+
     def refitted(self, points: Float[Array, "n 3"]) -> "SpotLight":
         """The same light with near and far fitted anew to `points` (n, 3), also under a trace; they carry no gradient.
 
@@ -92,10 +100,10 @@ class SpotLight(AbstractLight):
     def layer(self, points: Float[Array, "*n 3"]) -> None:
         return None
 
-    def cone(self, to_light: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """The share of its light that the cone lets through along unit vectors to the light, (...,): 1 in full."""
+    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         if self.inner_angle is None:
-            return jnp.ones(to_light.shape[:-1])
+            return super().cone_fraction(points)
+        to_light = normalize(self.towards(points))
         outer = jnp.cos(jnp.deg2rad(self.outer_angle))
         # Equal angles make the cone's rim hard.
         width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)
