@@ -173,8 +173,16 @@ def test_rectangle_light_has_the_shadow_map_of_a_spot_light_at_its_centre():
     points, place = cloud(1.0), jnp.array([3.0, 5.0, 4.0])
     spot, panel = SpotLight.around(place, points), RectangleLight.around(place, points, (1.0, 0.5))
     np.testing.assert_array_equal(panel.view().matrix, spot.view().matrix)
-    on_its_side = RectangleLight.around(place, points, (1.0, 0.5), up=jnp.array([1.0, 0.0, 0.0]))
+    up = jnp.array([1.0, 0.0, 0.0])
+    on_its_side = RectangleLight.around(place, points, (1.0, 0.5), up=up)
     assert np.abs(divided(clip_of(on_its_side, points))).max() <= 1
+    turned = SpotLight.around(place, points, up=up)
+    np.testing.assert_array_equal(on_its_side.view().matrix, turned.view().matrix)
+    assert np.abs(np.asarray(turned.view().matrix - spot.view().matrix)).max() > 0.1
+    # The topmost point of a disk that shines is the one that lies upwards in the map.
+    lamp = SpotLight.around(place, points, radius=0.1, up=up)
+    offset = lamp.towards(points[:1], jnp.array([[0.0, 1.0]])) - lamp.towards(points[:1])
+    np.testing.assert_allclose(offset[0], 0.1 * lamp.view().world_to_eye[1, :3], atol=1e-5)
 
 
 def test_samples_of_a_sphere_lie_on_the_cone_that_touches_it():
@@ -273,6 +281,7 @@ def test_bad_lights_are_refused():
         (SpotLight, lamp_options, {"position": (0, math.inf, 0)}, "spot light's position"),
         (SpotLight, lamp_options, {"inner_angle": 89.0}, r"inner_angle is 89\.0; expected degrees from 0 to its outer"),
         (SpotLight, lamp_options, {"inner_angle": -1.0}, r"inner_angle is -1\.0"),
+        (SpotLight, lamp_options, {"up": (0, 0, 0)}, r"spot light's up is \[0\.0, 0\.0, 0\.0\]; expected a finite"),
         (RectangleLight, panel_options, {"size": (1.0, -1.0)}, r"size is \[1\.0, -1\.0\]; expected world units"),
         (RectangleLight, panel_options, {"up": (0, 0, 0)}, r"up is \[0\.0, 0\.0, 0\.0\]; expected a finite"),
         (RectangleLight, panel_options, {"outer_angle": 0.0}, "rectangle light's outer_angle"),
@@ -305,6 +314,7 @@ REFITTED = {
     "directional": lambda points: DirectionalLight.around(jnp.array([0.3, -1.0, 0.2]), points, 1.0),
     "spot": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1),
     "cone": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, outer_angle=30.0, inner_angle=20.0),
+    "turned": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, up=jnp.array([1.0, 2.0, 0.0])),
     "point": lambda points: PointLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1, guard=0.2),
     "rectangle": lambda points: RectangleLight.around(
         jnp.array([3.0, 5.0, 4.0]), points, (0.4, 0.2), up=jnp.array([1.0, 2.0, 0.0])
