@@ -6,7 +6,8 @@ Its rooms, each a module with its public names on one page:
 - `shading`: lit images. `fit`: settings by gradient. `reference`: traced truth. `metrics`: errors of shadows.
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
-A room is loaded, and JAX with it, when it is first asked for.
+A room is loaded, and JAX with it, when it is first asked for. Importing the package changes nothing global;
+`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores.
 """
 
 from importlib import import_module
@@ -14,7 +15,7 @@ from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from ._xla import use_all_cores_in_loops
+from ._xla import use_all_cores as use_all_cores
 
 if TYPE_CHECKING:
     from . import config as config
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from . import study as study
 
 __version__ = version("diffshadow")
-
-use_all_cores_in_loops()
 
 _ROOMS = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
 

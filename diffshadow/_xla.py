@@ -1,17 +1,37 @@
 """How XLA compiles for the CPU."""
 
 import os
+import sys
+import warnings
 
 _OPTIONS = "--xla_backend_extra_options"
 
 
-def use_all_cores_in_loops() -> None:
-    """Makes XLA keep the body of a loop as many programs, each of which runs on all cores.
+def use_all_cores() -> None:
+    """Makes XLA run the body of a loop on all cores; it writes an option to `XLA_FLAGS` in the process's environment.
 
-    It would make one program, for one core, of every loop that it takes for small, and takes loops over whole images
-    for such. It reads its flags as it starts, before the first computation: later this changes nothing. Options that
-    are already given are left as they are.
+    XLA would make one program, for one core, of every loop that it takes for small, and takes loops over whole images
+    for such. With the option it keeps the body as many programs, each of which runs on all cores. XLA reads its flags
+    as JAX starts its backend, with the first array: call this before. Extra options that `XLA_FLAGS` already has are
+    left as they are. The command `diffshadow` calls this itself.
+
+    **Warns** with a `RuntimeWarning` if JAX's backend already runs: the option then has no effect in this process.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if _OPTIONS not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=0".strip()
+    if _OPTIONS in flags:
+        return
+    if _is_running():
+        warnings.warn(
+            "JAX's backend already runs, so XLA keeps the flags that it has read; expected no array before "
+            "diffshadow.use_all_cores(): call it right after the imports",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return
+    os.environ["XLA_FLAGS"] = f"{flags} {_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=0".strip()
+
+
+def _is_running() -> bool:
+    # Without loading JAX, which takes long; it has no public name for this.
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    return getattr(bridge, "backends_are_initialized", lambda: False)()

@@ -23,6 +23,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from ._xla import use_all_cores
 from .config import ConfigError, describe, load_config, load_sweep, printable
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
@@ -248,6 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
     after an interrupt. Any other error is a fault of the program, and keeps its traceback.
     """
+    use_all_cores()
     errors = _Console(stderr=True, highlight=False)
     for stream in (sys.stdout, sys.stderr):
         # An encoding may lack letters of names.

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import fit, io, raster, reference, study
+from diffshadow import fit, io, raster, reference, study, use_all_cores
 from diffshadow.config import (
     Casting,
     Config,
@@ -47,6 +47,9 @@ USER_ERROR, INTERRUPTED = 2, 130
 
 # As the figures of a run look.
 INK, FAINT = style.INK, style.FAINT
+# Here, since experiments make arrays as they are imported.
+use_all_cores()
+
 COLOURS, HEAT = style.CYCLE, style.DISTANCE
 figure, colour_bar, curve = style.figure, style.colour_bar, style.curve
 _DPI = 100

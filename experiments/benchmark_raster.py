@@ -26,8 +26,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import raster
+from diffshadow import raster, use_all_cores
 from diffshadow.geometry import DirectionalLight, Mesh, library_mesh, merge, rotation, scaling, translation
+
+# Here, since benchmarks make arrays as they are imported.
+use_all_cores()
 
 CULL = "back"
 LIGHT_DIRECTION = (0.1, -1.0, 0.5)

@@ -25,7 +25,7 @@ from cyclopts import App
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import fit
+from diffshadow import fit, use_all_cores
 from diffshadow.config import Config, build_casting, build_fit, parse_config
 from diffshadow.study import pose_problems
 
@@ -217,6 +217,7 @@ def show(console: Console, rows: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
+    use_all_cores()
     try:
         app()
     except (ValueError, OSError) as error_:

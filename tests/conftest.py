@@ -8,6 +8,8 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+from diffshadow import use_all_cores
+
 _ARRAYS = ("_misc", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
 install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "beartype.beartype")
 
@@ -25,6 +27,8 @@ gc.set_threshold(200_000, 20, 100)
 
 def pytest_configure(config):
     """Lets JAX keep what it compiles: that is most of the work. Processes that tests start do so too."""
+    # Compiled programs depend on it.
+    use_all_cores()
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(PROGRAMS)
         _remove_oldest(PROGRAMS)

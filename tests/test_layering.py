@@ -20,7 +20,7 @@ KNOWN_BY = {
     "reference": {"fit", "config", "study", "cli"},
     "metrics": {"fit", "config", "study", "cli"},
     "io": {"config", "study", "cli"},
-    "_xla": set(),
+    "_xla": {"study", "cli"},
 }
 PURE = {*EVERYBODY, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {

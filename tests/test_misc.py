@@ -1,9 +1,16 @@
-"""Derivatives where plain formulas have none: of a norm and a quotient at 0."""
+"""Derivatives where plain formulas have none, of a norm and a quotient at 0; and the option that XLA reads."""
+
+import os
+import subprocess
+import sys
+import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+import diffshadow
 from diffshadow._misc import safe_divide, safe_norm
 
 
@@ -18,3 +25,36 @@ def test_a_quotient_by_zero_is_the_other_value_and_has_no_slope():
     value, slope = jax.vmap(jax.value_and_grad(quotient))(jnp.array([[3.0, 0.0], [3.0, 2.0]]))
     np.testing.assert_allclose(value, [7, 1.5])
     np.testing.assert_allclose(slope, [[0, 0], [0.5, -0.75]])
+
+
+FRESH = """
+import os
+import diffshadow
+from diffshadow import geometry, shadow
+
+assert "XLA_FLAGS" not in os.environ, "an import changed it"
+diffshadow.use_all_cores()
+flags = os.environ["XLA_FLAGS"]
+assert "small_while_loop_byte_threshold=0" in flags
+diffshadow.use_all_cores()
+assert os.environ["XLA_FLAGS"] == flags
+"""
+
+
+def test_importing_leaves_the_flags_of_xla_alone_until_all_cores_are_asked_for():
+    without = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    subprocess.run([sys.executable, "-W", "error", "-c", FRESH], env=without, check=True)
+
+
+def test_all_cores_come_too_late_once_jax_runs(monkeypatch):
+    jnp.zeros(1).block_until_ready()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_dump_to=here")
+    with pytest.warns(RuntimeWarning, match="JAX's backend already runs.* call it right after the imports"):
+        diffshadow.use_all_cores()
+    assert os.environ["XLA_FLAGS"] == "--xla_dump_to=here"
+    # Options of the user's own are left alone, and so is one that is set already.
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        diffshadow.use_all_cores()
+    assert os.environ["XLA_FLAGS"].endswith("disable_loop_unrolling")

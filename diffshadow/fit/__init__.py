@@ -1,9 +1,7 @@
 """Fitting shadow-mapping settings, lights and casters to a reference by gradient."""
 
 from ._arrangement import Arrangement as Arrangement
-from ._arrangement import LightPose as LightPose
 from ._arrangement import MeshPose as MeshPose
-from ._arrangement import Vector as Vector
 from ._history import Step as Step
 from ._parameters import Parameter as Parameter
 from ._parameters import parameter_names as parameter_names

@@ -7,82 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_float, normalize, safe_norm
-from .._types import Scalar, Vec3
-from ..geometry import AbstractLight, DirectionalLight, Mesh, PointLight, SpotLight
+from .._misc import as_float, safe_norm
+from .._types import Vec3
+from ..geometry import AbstractLight, LightPose, Mesh, Vector
 from ..shadow import ShadowMapping
-
-
-class Vector(eqx.Module):
-    """Three numbers, each of which can be fitted by itself."""
-
-    x: Scalar = eqx.field(converter=as_float, default=0.0)
-    y: Scalar = eqx.field(converter=as_float, default=0.0)
-    z: Scalar = eqx.field(converter=as_float, default=0.0)
-
-    @property
-    def array(self) -> Vec3:
-        """All three, (3,)."""
-        return jnp.stack([self.x, self.y, self.z])
-
-
-class LightPose(eqx.Module):
-    """Where a light stands, which way it shines, and how large it is; what a kind of light lacks is none.
-
-    - `position`: of a spot or a point light, world units.
-    - `azimuth`, `elevation`: where the light of a directional or a spot light comes from, along its axis, in degrees:
-        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. Elevation may go on beyond 90, over the pole.
-    - `radius`: a directional light's `angular_radius` in degrees, any other's `radius` in world units.
-    """
-
-    position: Vector | None
-    azimuth: Scalar | None
-    elevation: Scalar | None
-    radius: Scalar | None
-
-    @classmethod
-    def of(cls, light: AbstractLight) -> "LightPose":
-        """The pose of `light` as it stands; a light of another kind has nothing that could be fitted."""
-        match light:
-            case DirectionalLight():
-                return cls(None, *_angles(light.direction), light.angular_radius)
-            case SpotLight():
-                return cls(Vector(*light.position), *_angles(light.direction), light.radius)
-            case PointLight():
-                return cls(Vector(*light.position), None, None, light.radius)
-        return cls(None, None, None, None)
-
-    def placed(self, light: AbstractLight, points: Float[Array, "n 3"]) -> AbstractLight:
-        """`light` in this pose, the frustum of its map fitted to `points` (n, 3)."""
-        match light:
-            case DirectionalLight():
-                moved = eqx.tree_at(lambda one: (one.direction, one.angular_radius), light, (self._way, self.radius))
-            case SpotLight():
-                parts = lambda one: (one.position, one.direction, one.radius)
-                moved = eqx.tree_at(parts, light, (self._place, self._way, self.radius))
-            case PointLight():
-                moved = eqx.tree_at(lambda one: (one.position, one.radius), light, (self._place, self.radius))
-            case _:
-                return light
-        return moved.refitted(points)
-
-    @property
-    def _place(self) -> Vec3:
-        assert self.position is not None
-        return self.position.array
-
-    @property
-    def _way(self) -> Vec3:
-        assert self.azimuth is not None
-        assert self.elevation is not None
-        a, e = jnp.deg2rad(self.azimuth), jnp.deg2rad(self.elevation)
-        return -jnp.stack([jnp.cos(e) * jnp.sin(a), jnp.sin(e), jnp.cos(e) * jnp.cos(a)])
-
-
-def _angles(direction: Vec3) -> tuple[Scalar, Scalar]:
-    x, y, z = -normalize(direction)
-    # By the tangent, which keeps its digits near the pole.
-    return jnp.rad2deg(jnp.arctan2(x, z)), jnp.rad2deg(jnp.arctan2(y, jnp.hypot(x, z)))
 
 
 class MeshPose(eqx.Module):
@@ -169,7 +97,7 @@ class Arrangement(eqx.Module):
     ) -> "Arrangement":
         """Everything as it stands."""
         poses = (mesh if isinstance(mesh, MeshPose) else MeshPose.of(mesh) for mesh in meshes)
-        return cls(technique, tuple(map(LightPose.of, lights)), tuple(poses))
+        return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
 
 
 def is_of_technique(path: str) -> bool:

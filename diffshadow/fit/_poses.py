@@ -12,9 +12,9 @@ from jax import lax
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
-from .._misc import normalize, round_up_to_power_of_two, sums_along
+from .._misc import round_up_to_power_of_two, sums_along
 from .._types import Mask, Resolution, Scalar, Visibility
-from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, SpotLight, View, merge, transform_points
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, View, merge, transform_points
 from ..raster import Capacity, Cull, Overflow, Surface, draw_surface, plan
 from ..shadow import ShadowMap, draw_shadow_map, plan_shadow_map
 from ._arrangement import Arrangement
@@ -153,7 +153,7 @@ class PoseProblem(eqx.Module):
         **Arguments:** `overflows` as for `draw_shadow_map`.
         """
         meshes = self._placed(arrangement)
-        light = arrangement.lights[self.index].placed(self.light, _points(meshes))
+        light = self.light.at(arrangement.lights[self.index]).refitted(_points(meshes))
         room = self.room or _Unplanned()
         shadow_map = draw_shadow_map(
             self._casters(meshes),
@@ -212,7 +212,7 @@ class PoseProblem(eqx.Module):
         if edges is not None:
             # Silhouettes are lines, whose length in texels varies less than triangles' sizes do: one look is enough.
             meshes = self._placed(self.arrangement)
-            light = self.arrangement.lights[self.index].placed(self.light, _points(meshes))
+            light = self.light.at(self.arrangement.lights[self.index]).refitted(_points(meshes))
             here = plan_shadow_map(self._casters(meshes), light, resolution, edges=edges)
             room = room.grown_to(Room(_roomy(here.triangles), _MORE_SILHOUETTES * here.silhouettes))
         if from_camera is not None:
@@ -239,11 +239,8 @@ class PoseProblem(eqx.Module):
 
 
 def cone_share(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
-    """The share of the light that its cone lets through to each pixel, (h, w); 1 for a light without a cone."""
-    if not isinstance(light, SpotLight) or light.inner_angle is None:
-        return jnp.ones(surface.mask.shape)
-    share = light.cone(normalize(light.towards(surface.position)))
-    return jnp.where(surface.mask, share, 1)
+    """The share of the light that its cone lets through to each pixel, (h, w); 1 where there is no surface."""
+    return jnp.where(surface.mask, light.cone_fraction(surface.position), 1)
 
 
 def _blurred(image: Float[Array, "h w"], widest: float, sharpness: Scalar | float) -> Float[Array, "h w"]:
@@ -299,7 +296,7 @@ def _clips(problem: PoseProblem, paths: tuple[str, ...], values: Float[Array, "k
     def of(values: Array) -> tuple[Array, Array | None]:
         arrangement = with_values(problem.arrangement, paths, values)
         meshes = problem._placed(arrangement)
-        view = arrangement.lights[problem.index].placed(problem.light, _points(meshes)).view()
+        view = problem.light.at(arrangement.lights[problem.index]).refitted(_points(meshes)).view()
         casters = problem._casters(meshes)
         views = view.world_to_eye.reshape(-1, 4, 4)
         one = lambda matrix: eqx.tree_at(lambda v: v.world_to_eye, view, matrix).clip(casters.vertices)

@@ -1,6 +1,7 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
 from ._camera import AbstractCamera as AbstractCamera
+from ._camera import MatrixCamera as MatrixCamera
 from ._camera import OrthographicCamera as OrthographicCamera
 from ._camera import PinholeCamera as PinholeCamera
 from ._camera import orbit_eye as orbit_eye
@@ -31,6 +32,9 @@ from ._view import View as View
 from .lights import AbstractLight as AbstractLight
 from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
+from .lights import LightPose as LightPose
+from .lights import MatrixLight as MatrixLight
 from .lights import PointLight as PointLight
 from .lights import RectangleLight as RectangleLight
 from .lights import SpotLight as SpotLight
+from .lights import Vector as Vector

@@ -1,7 +1,11 @@
 """Cameras: the view that an image is drawn from."""
 
+# A camera of matrices works out what others hold as fields.
+# pyright: reportIncompatibleVariableOverride=false
+
 import abc
 import math
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +13,7 @@ import numpy as np
 
 from .._misc import as_float, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
+from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import look_at, orthographic, perspective
 from ._view import View
 
@@ -96,6 +101,73 @@ class OrthographicCamera(AbstractCamera):
         height = concrete(self.height)
         if height is not None and not height > 0:
             raise ValueError(f"the camera's height is {height}; expected a positive size in world units")
+
+
+class MatrixCamera(AbstractCamera):
+    """A camera given by its matrices, such as another program's.
+
+    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
+    - `eye_to_clip`: (4, 4), as `perspective` and `orthographic` make it, also off the centre. Depth in clip space goes
+        from -1 to 1, as OpenGL's does.
+    - `resolution`: (height, width) in pixels.
+    - `is_perspective`: whether sizes shrink with distance. By default `eye_to_clip` says so; under a trace it must be
+        given.
+
+    Near and far are those of the projection, and `target` is a point on the view axis.
+
+    **Raises** `ValueError` for matrices that are not finite or not (4, 4), a view that is not rigid, a projection of
+    another form, or one whose near and far are not near < far, or, of a perspective, 0 < near < far.
+    """
+
+    world_to_eye: Mat4
+    eye_to_clip: Mat4
+    resolution: Resolution = eqx.field(static=True)
+    is_perspective: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        world_to_eye: Any,
+        eye_to_clip: Any,
+        resolution: Resolution = (512, 512),
+        is_perspective: bool | None = None,
+    ):
+        matrices = matrices_of("the matrix camera", world_to_eye, eye_to_clip, is_perspective)
+        self.world_to_eye, self.eye_to_clip, self.is_perspective = matrices
+        self.resolution = resolution
+
+    def __check_init__(self):
+        check_near_far("the matrix camera", self.near, self.far, positive=self.is_perspective)
+
+    @property
+    def eye(self) -> Vec3:
+        """Where the eye is, (3,), world units."""
+        return eye_of(self.world_to_eye)
+
+    @property
+    def target(self) -> Vec3:
+        """A point on the view axis, (3,), as far off as the farther of near and far."""
+        return self.eye - jnp.maximum(jnp.abs(self.near), jnp.abs(self.far)) * self.world_to_eye[2, :3]
+
+    @property
+    def up(self) -> Vec3:
+        """The unit direction, (3,), that is upright in the image."""
+        return self.world_to_eye[1, :3]
+
+    @property
+    def near(self) -> Scalar:
+        """Distance of window depth 0 along the view axis, world units."""
+        return near_far_of(self.eye_to_clip, self.is_perspective)[0]
+
+    @property
+    def far(self) -> Scalar:
+        """Distance of window depth 1 along the view axis, world units."""
+        return near_far_of(self.eye_to_clip, self.is_perspective)[1]
+
+    def projection(self) -> Mat4:
+        return self.eye_to_clip
+
+    def view(self) -> View:
+        return view_of(self.world_to_eye, self.eye_to_clip, self.is_perspective)
 
 
 def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation: float) -> Vec3:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .._misc import as_float, concrete, dot, normalize, safe_norm
 from .._types import Scalar, Vec3, VectorMap
-from ..geometry import AbstractCamera, AbstractLight, SpotLight
+from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
 from ._abstract import AbstractShading, Lights, Visibilities, each_light
 
@@ -102,7 +102,7 @@ class Phong(AbstractShading):
         highlight = self._highlight(normal, to_light, to_camera)[..., None]
         # A surface turned away from the light has no highlight either.
         reflected = surface.albedo * cosine + self.specular * jnp.where(cosine > 0, highlight, 0)
-        return self._fall_off(path, to_light, light)[..., None] * self.intensity * reflected
+        return self._fall_off(path, surface, light)[..., None] * self.intensity * reflected
 
     def _highlight(self, normal: VectorMap, to_light: VectorMap, to_camera: VectorMap) -> Float[Array, "h w"]:
         if self.model == "blinn_phong":
@@ -113,12 +113,11 @@ class Phong(AbstractShading):
         positive = cosine > 0
         return jnp.where(positive, jnp.where(positive, cosine, 1) ** self.shininess, 0)
 
-    def _fall_off(self, path: VectorMap, to_light: VectorMap, light: AbstractLight) -> Float[Array, "h w"]:
+    def _fall_off(self, path: VectorMap, surface: Surface, light: AbstractLight) -> Float[Array, "h w"]:
         """The share of light that neither distance nor the spot's cone takes away."""
         if light.is_directional:
             return jnp.ones(path.shape[:-1])
-        share = self.attenuation(safe_norm(path))
-        return share * light.cone(to_light) if isinstance(light, SpotLight) else share
+        return self.attenuation(safe_norm(path)) * light.cone_fraction(surface.position)
 
 
 def _towards_camera(surface: Surface, camera: AbstractCamera) -> VectorMap:

@@ -353,6 +353,16 @@ def test_lights_are_those_of_the_config():
     assert float(panel.outer_angle) == 30
 
 
+def test_position_of_a_rectangle_light_is_fitted_and_its_angles_are_not():
+    light = "scene.light={type: rectangle, position: [1, 3, 0.5], size: [0.4, 0.2]}"
+    bounds = lambda key: f"fit.parameters={{scene.light.{key}: {{lower: 0, upper: 4}}}}"
+    plan = build_fit(parse_config(TINY, [light, bounds("position.y")]))
+    assert (plan.parameters[0].where, plan.parameters[0].initial) == ("lights.0.position.y", 3)
+    assert plan.truth == {"scene.light.position.y": 3}
+    with pytest.raises(ConfigError, match="azimuth: cannot be fitted in this scene"):
+        build_fit(parse_config(TINY, [light, bounds("azimuth")]))
+
+
 def test_a_directional_light_frames_what_casts_where_it_is_told_to():
     ground = "scene.meshes=[{path: builtin:box}, {path: builtin:plane, options: {size: 9}, casts: false}]"
     wide = build(ground, "scene.light={}").light

@@ -14,7 +14,6 @@ from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
     Arrangement,
-    LightPose,
     MapSettings,
     MeshPose,
     Parameter,
@@ -35,7 +34,16 @@ from diffshadow.fit._programs import compiled
 from diffshadow.fit._settings import levels_of
 from diffshadow.fit._solve import _Path, _Run
 from diffshadow.fit._starts import starts_within
-from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, PinholeCamera, PointLight, SpotLight, merge
+from diffshadow.geometry import (
+    DirectionalLight,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    PointLight,
+    RectangleLight,
+    SpotLight,
+    merge,
+)
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import Bias, Bilinear, ShadowMapping
 
@@ -45,6 +53,7 @@ LIGHTS = {
     "directional": sun(merge([FLOOR, CARD]), angular_radius=1.5),
     "spot": SpotLight.around(jnp.asarray(LAMP), POINTS, radius=0.1),
     "point": PointLight.around(jnp.asarray(LAMP), POINTS, radius=0.2),
+    "rectangle": RectangleLight.around(jnp.asarray(LAMP), POINTS, (0.3, 0.2)),
 }
 TECHNIQUE = ShadowMapping(Bilinear(), Bias(0.5, 0.5, 0.0))
 AZIMUTH, ELEVATION = "lights.0.azimuth", "lights.0.elevation"
@@ -94,7 +103,7 @@ def values(problem, paths):
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_light_pose_is_the_light_as_it_stands(kind):
     light = LIGHTS[kind]
-    placed = LightPose.of(light).placed(light, POINTS)
+    placed = light.at(light.pose())
     assert type(placed) is type(light)
     for field in ("position", "direction", "radius", "angular_radius"):
         if hasattr(light, field) and field != "direction":
@@ -108,15 +117,37 @@ def test_light_pose_is_the_light_as_it_stands(kind):
 
 
 def test_azimuth_and_elevation_go_over_the_pole():
-    pose = LightPose.of(LIGHTS["directional"])
-    way = lambda azimuth, elevation: np.asarray(
-        with_values(pose, ("azimuth", "elevation"), jnp.array([azimuth, elevation]))
-        .placed(LIGHTS["directional"], POINTS)
-        .direction
-    )
+    light = LIGHTS["directional"]
+    at = lambda *angles: light.at(with_values(light.pose(), ("azimuth", "elevation"), jnp.array(angles)))
+    way = lambda azimuth, elevation: np.asarray(at(azimuth, elevation).direction)
     np.testing.assert_allclose(way(90.0, 0.0), [-1, 0, 0], atol=1e-6)
     np.testing.assert_allclose(way(0.0, 30.0), [0, -0.5, -np.sqrt(0.75)], atol=1e-6)
     np.testing.assert_allclose(way(20.0, 100.0), way(200.0, 80.0), atol=1e-6)
+
+
+def test_rectangle_light_takes_its_shadow_along():
+    """The card's shadow, of area (H / (H - 1))² under a light at height H, and its middle, 1 / (H - 1) times as far off
+    the card's as the light."""
+    one = problem(LIGHTS["rectangle"], texels=128)
+    paths = tuple(f"lights.0.position.{axis}" for axis in "xyz")
+    start = jnp.array(values(one, paths))
+    one = one.planned(paths, start[None])
+
+    @jax.jit
+    def moments(at):
+        arrangement = with_values(one.arrangement, paths, at)
+        shadow_map, surface = one.draw(arrangement, overflows=[])
+        dark = 1 - arrangement.technique.visibility(shadow_map, surface)
+        # A pixel of the camera is 3 / 64 wide.
+        return (3 / 64) ** 2 * jnp.stack([dark.sum(), *(jnp.sum(dark * surface.position[..., k]) for k in (0, 2))])
+
+    def exact(at):
+        x, height, z = at
+        area = (height / (height - 1)) ** 2
+        return jnp.stack([area, -area * x / (height - 1), -area * z / (height - 1)])
+
+    np.testing.assert_allclose(moments(start), exact(start), rtol=0.01)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(moments))(start), jax.jacfwd(exact)(start), atol=0.03)
 
 
 def test_mesh_pose_moves_turns_and_pulls():

@@ -173,8 +173,16 @@ def test_rectangle_light_has_the_shadow_map_of_a_spot_light_at_its_centre():
     points, place = cloud(1.0), jnp.array([3.0, 5.0, 4.0])
     spot, panel = SpotLight.around(place, points), RectangleLight.around(place, points, (1.0, 0.5))
     np.testing.assert_array_equal(panel.view().matrix, spot.view().matrix)
-    on_its_side = RectangleLight.around(place, points, (1.0, 0.5), up=jnp.array([1.0, 0.0, 0.0]))
+    up = jnp.array([1.0, 0.0, 0.0])
+    on_its_side = RectangleLight.around(place, points, (1.0, 0.5), up=up)
     assert np.abs(divided(clip_of(on_its_side, points))).max() <= 1
+    turned = SpotLight.around(place, points, up=up)
+    np.testing.assert_array_equal(on_its_side.view().matrix, turned.view().matrix)
+    assert np.abs(np.asarray(turned.view().matrix - spot.view().matrix)).max() > 0.1
+    # The topmost point of a disk that shines is the one that lies upwards in the map.
+    lamp = SpotLight.around(place, points, radius=0.1, up=up)
+    offset = lamp.towards(points[:1], jnp.array([[0.0, 1.0]])) - lamp.towards(points[:1])
+    np.testing.assert_allclose(offset[0], 0.1 * lamp.view().world_to_eye[1, :3], atol=1e-5)
 
 
 def test_samples_of_a_sphere_lie_on_the_cone_that_touches_it():
@@ -214,15 +222,18 @@ def test_cone_is_full_inside_and_obeyed_only_where_an_inner_angle_is_given():
     down = lambda inner: SpotLight((0, 2, 0), (0, -1, 0), 30, 0.1, 10, inner_angle=inner)
     way = lambda degrees: jnp.array([[math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0.0]])
     ways = jnp.concatenate([way(degrees) for degrees in (0, 9.9, 20, 30.1, 80)])
-    np.testing.assert_array_equal(down(None).cone(ways), 1)
-    share = np.asarray(down(10).cone(ways))
+    # Points that see the light along these ways.
+    at = lambda ways: jnp.array([0.0, 2.0, 0.0]) - 1.5 * ways
+    np.testing.assert_array_equal(down(None).cone_fraction(at(ways)), 1)
+    np.testing.assert_array_equal(PointLight((0, 2, 0), 0.1, 10).cone_fraction(at(ways)), 1)
+    share = np.asarray(down(10).cone_fraction(at(ways)))
     np.testing.assert_allclose(share[[0, 1, 3, 4]], [1, 1, 0, 0], atol=1e-6)
     assert 0 < share[2] < 1
     outer, inner = (math.cos(math.radians(degrees)) for degrees in (30, 10))
     quarter = math.degrees(math.acos(outer + (inner - outer) / 4))
-    np.testing.assert_allclose(down(10).cone(way(quarter)), 3 / 16 - 2 / 64, rtol=1e-3)
+    np.testing.assert_allclose(down(10).cone_fraction(at(way(quarter))), 3 / 16 - 2 / 64, rtol=1e-3)
     # With both angles alike the rim is hard.
-    np.testing.assert_array_equal(down(30).cone(jnp.concatenate([way(29.9), way(30.1)])), [1, 0])
+    np.testing.assert_array_equal(down(30).cone_fraction(at(jnp.concatenate([way(29.9), way(30.1)]))), [1, 0])
 
 
 def test_scene_holds_one_light_or_several():
@@ -270,6 +281,7 @@ def test_bad_lights_are_refused():
         (SpotLight, lamp_options, {"position": (0, math.inf, 0)}, "spot light's position"),
         (SpotLight, lamp_options, {"inner_angle": 89.0}, r"inner_angle is 89\.0; expected degrees from 0 to its outer"),
         (SpotLight, lamp_options, {"inner_angle": -1.0}, r"inner_angle is -1\.0"),
+        (SpotLight, lamp_options, {"up": (0, 0, 0)}, r"spot light's up is \[0\.0, 0\.0, 0\.0\]; expected a finite"),
         (RectangleLight, panel_options, {"size": (1.0, -1.0)}, r"size is \[1\.0, -1\.0\]; expected world units"),
         (RectangleLight, panel_options, {"up": (0, 0, 0)}, r"up is \[0\.0, 0\.0, 0\.0\]; expected a finite"),
         (RectangleLight, panel_options, {"outer_angle": 0.0}, "rectangle light's outer_angle"),
@@ -302,7 +314,11 @@ REFITTED = {
     "directional": lambda points: DirectionalLight.around(jnp.array([0.3, -1.0, 0.2]), points, 1.0),
     "spot": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1),
     "cone": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, outer_angle=30.0, inner_angle=20.0),
+    "turned": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, up=jnp.array([1.0, 2.0, 0.0])),
     "point": lambda points: PointLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1, guard=0.2),
+    "rectangle": lambda points: RectangleLight.around(
+        jnp.array([3.0, 5.0, 4.0]), points, (0.4, 0.2), up=jnp.array([1.0, 2.0, 0.0])
+    ),
 }
 
 
@@ -312,7 +328,9 @@ def test_refitted_light_is_as_if_made_for_its_points(kind):
     far_off = REFITTED[kind](10 * points + 100)
     light = REFITTED[kind](points)
     # From another frustum, and under a trace: the same pose has the same frustum again.
-    pose = [name for name in ("position", "direction", "outer_angle", "inner_angle") if hasattr(light, name)]
+    pose = [
+        name for name in ("position", "direction", "outer_angle", "inner_angle", "size", "up") if hasattr(light, name)
+    ]
     other = eqx.tree_at(
         lambda one: [getattr(one, n) for n in pose if getattr(one, n) is not None],
         far_off,
@@ -342,7 +360,7 @@ def test_refitted_frustum_carries_no_gradient_and_the_pose_does(kind):
 
 def test_light_that_moves_into_the_scene_still_has_a_frustum():
     points = cloud(1.0)
-    for kind in ("spot", "cone", "point"):
+    for kind in ("spot", "cone", "point", "rectangle"):
         inside = eqx.tree_at(lambda one: one.position, REFITTED[kind](points), points.mean(axis=0))
         found = inside.refitted(points)
         assert 0 < float(found.near) < float(found.far), kind

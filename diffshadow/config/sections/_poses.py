@@ -17,6 +17,7 @@ _OF_LIGHTS = {
     "directional": {**_ANGLES, "angular_radius": _DEGREES},
     "spot": {**_POSITION, **_ANGLES, "radius": _WORLD},
     "point": {**_POSITION, "radius": _WORLD},
+    "rectangle": {**_POSITION},
 }
 """The keys that can be fitted, and their units, by the light's type."""
 _OF_MESHES = {**{f"translate.{a}": _WORLD for a in _AXES}, **{f"turn.{a}": _DEGREES for a in _AXES}}

@@ -9,12 +9,14 @@ import abc
 from typing import Literal
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._misc import concrete
 from ..._types import Scalar, Vec2, Vec3
 from .._view import View
+from ._pose import LightPose
 
 Domain = Literal["disk", "square"]
 """Where samples of a light lie: in the disk of radius 1, or in the square [-1, 1]²."""
@@ -48,6 +50,19 @@ class AbstractLight(eqx.Module):
     @abc.abstractmethod
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
         """Which of its views sees each of `points`; `None` for a light that looks one way only."""
+
+    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """The fraction of its light, (...,) in [0, 1], that the light sends towards each of `points` (..., 3), in world
+        units; 1 for a light without a cone. Shading obeys it, visibility does not."""
+        return jnp.ones(points.shape[:-1])
+
+    def pose(self) -> LightPose:
+        """The numbers by which the light can be placed, as it stands; all none for a kind that cannot be."""
+        return LightPose()
+
+    def at(self, pose: LightPose) -> "AbstractLight":
+        """The same light in a `pose` of its kind. Its shadow map's frustum is not fitted anew: see `refitted`."""
+        return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":
         """The same light with the frustum of its shadow map fitted anew to `points` (n, 3), also under a trace.

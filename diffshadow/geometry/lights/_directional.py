@@ -12,6 +12,7 @@ from .._transforms import frame, look_at, orthographic
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_direction
 from ._frustum import FLAT, MARGIN, on_plane
+from ._pose import LightPose, angles
 
 
 class DirectionalLight(AbstractLight):
@@ -78,6 +79,13 @@ class DirectionalLight(AbstractLight):
             far=size[2] / 2,
             angular_radius=angular_radius,
         )
+
+    def pose(self) -> LightPose:
+        return LightPose(None, *angles(self.direction), self.angular_radius)
+
+    def at(self, pose: LightPose) -> "DirectionalLight":
+        parts = lambda one: (one.direction, one.angular_radius)
+        return eqx.tree_at(parts, self, (pose.direction, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "DirectionalLight":
         tight = DirectionalLight.around(*lax.stop_gradient((self.direction, points)))

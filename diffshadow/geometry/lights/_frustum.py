@@ -64,9 +64,11 @@ class Frustum(NamedTuple):
         return cls(target - position, outer_angle, *near_far(low, high))
 
     @classmethod
-    def framing(cls, position: Vec3, points: Float[Array, "n 3"], up: Vec3) -> "Frustum":
-        """As `around`, under a trace as well: points beside or behind the light stay outside the frustum."""
-        direction = (points.min(axis=0) + points.max(axis=0)) / 2 - position
+    def framing(cls, position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3 | None = None) -> "Frustum":
+        """As `around`, under a trace as well, and along `direction` if given: points beside or behind the light stay
+        outside the frustum."""
+        if direction is None:
+            direction = (points.min(axis=0) + points.max(axis=0)) / 2 - position
         eye = transform_points(look_at(position, direction, up), points)[..., :3]
         distance = -eye[..., 2]
         ahead = distance > 0

@@ -13,6 +13,7 @@ from .._transforms import perspective
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_position, check_size
 from ._frustum import near_far
+from ._pose import LightPose, Vector
 
 # The ways the faces look, in OpenGL's order, and what is upright in each, as for a spot light that looks the same way.
 _FORWARD = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
@@ -70,6 +71,12 @@ class PointLight(AbstractLight):
         offset = points - position
         parted = jnp.max(jnp.maximum(jnp.min(offset, axis=0), -jnp.max(offset, axis=0)))
         return cls(position, *near_far(jnp.maximum(parted, 0), jnp.max(jnp.abs(offset))), radius, guard)
+
+    def pose(self) -> LightPose:
+        return LightPose(Vector(*self.position), radius=self.radius)
+
+    def at(self, pose: LightPose) -> "PointLight":
+        return eqx.tree_at(lambda one: (one.position, one.radius), self, (pose.place, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "PointLight":
         tight = PointLight.around(*lax.stop_gradient((self.position, points)))

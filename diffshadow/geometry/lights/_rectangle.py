@@ -1,6 +1,7 @@
 """Light from a rectangle."""
 
 import equinox as eqx
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import as_float
@@ -8,6 +9,7 @@ from ..._types import Scalar, Vec2, Vec3
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
 from ._frustum import Frustum, check_frustum, frustum_view, on_plane
+from ._pose import LightPose, Vector
 
 
 class RectangleLight(AbstractLight):
@@ -63,6 +65,20 @@ class RectangleLight(AbstractLight):
         check_direction("the rectangle light", up, "up")
         fitted = Frustum.around("the rectangle light", position, points, target, up, outer_angle)
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
+
+    def pose(self) -> LightPose:
+        """Its position alone: hard shadows do not tell which way it faces, nor how large it is."""
+        return LightPose(Vector(*self.position))
+
+    def at(self, pose: LightPose) -> "RectangleLight":
+        return eqx.tree_at(lambda one: one.position, self, pose.place)
+
+    def refitted(self, points: Float[Array, "n 3"]) -> "RectangleLight":
+        """The same light with angle, near and far fitted anew to `points` (n, 3), also under a trace; they carry no
+        gradient. It goes on facing the way it does, and opens by 80 degrees at most."""
+        seen = lax.stop_gradient((self.position, points, self.up, self.direction))
+        _, angle, near, far = Frustum.framing(*seen)
+        return RectangleLight(self.position, self.direction, self.size, angle, near, far, self.up)
 
     def view(self) -> View:
         return frustum_view(self.position, self.direction, self.up, self.outer_angle, self.near, self.far)

@@ -8,8 +8,9 @@ from jaxtyping import Array, Float
 from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._view import View
-from ._abstract import UP, AbstractLight, Domain, check_position, check_size
+from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
 from ._frustum import Frustum, check_frustum, distances_along, frustum_view, on_plane
+from ._pose import LightPose, Vector, angles
 
 
 class SpotLight(AbstractLight):
@@ -22,10 +23,11 @@ class SpotLight(AbstractLight):
     - `radius`: of the disk that shines, which faces along `direction`; world units, 0 for a point.
     - `inner_angle`: degrees. Inside this half-angle the light shines in full, and from there to `outer_angle` it fades
         by a smooth step in the cosine. Left out, shading does not obey the cone. Visibility never does.
+    - `up`: (3,), the way that the shadow map stands upright, as far as it is at right angles to `direction`.
 
     `SpotLight.around` fits angle, near and far to a scene.
 
-    **Raises** `ValueError` for a position that is not finite, a direction that is zero, angles that are not
+    **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, angles that are not
     0 <= inner <= outer < 90, near and far that are not 0 < near < far, or a negative radius.
     """
 
@@ -36,11 +38,13 @@ class SpotLight(AbstractLight):
     far: Scalar = eqx.field(converter=as_float)
     radius: Scalar = eqx.field(converter=as_float, default=0.0)
     inner_angle: Scalar | None = eqx.field(converter=lambda x: None if x is None else as_float(x), default=None)
+    up: Vec3 = eqx.field(converter=as_float, default=UP)
 
     def __check_init__(self):
         check_position("the spot light", self.position)
         check_frustum("the spot light", self.direction, self.outer_angle, self.near, self.far)
         check_size("the spot light", "radius", self.radius)
+        check_direction("the spot light", self.up, "up")
         inner = None if self.inner_angle is None else concrete(self.inner_angle)
         outer = concrete(self.outer_angle)
         if inner is not None and outer is not None and not 0 <= inner <= outer:
@@ -58,6 +62,7 @@ class SpotLight(AbstractLight):
         outer_angle: float | None = None,
         radius: float = 0.0,
         inner_angle: float | None = None,
+        up: Vec3 | None = None,
     ) -> "SpotLight":
         """The light at `position` whose near, far and, unless given, cone just hold `points` (n, 3).
 
@@ -66,9 +71,17 @@ class SpotLight(AbstractLight):
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
         """
-        position = as_float(position)
-        frustum = Frustum.around("the spot light", position, points, target, as_float(UP), outer_angle)
-        return cls(position, *frustum, radius, inner_angle)
+        position, up = as_float(position), as_float(UP if up is None else up)
+        check_direction("the spot light", up, "up")
+        frustum = Frustum.around("the spot light", position, points, target, up, outer_angle)
+        return cls(position, *frustum, radius, inner_angle, up)
+
+    def pose(self) -> LightPose:
+        return LightPose(Vector(*self.position), *angles(self.direction), self.radius)
+
+    def at(self, pose: LightPose) -> "SpotLight":
+        parts = lambda one: (one.position, one.direction, one.radius)
+        return eqx.tree_at(parts, self, (pose.place, pose.direction, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "SpotLight":
         """The same light with near and far fitted anew to `points` (n, 3), also under a trace; they carry no gradient.
@@ -78,24 +91,26 @@ class SpotLight(AbstractLight):
         """
         if self.inner_angle is not None:
             near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))
-            return SpotLight(self.position, self.direction, self.outer_angle, near, far, self.radius, self.inner_angle)
-        framed = Frustum.framing(*lax.stop_gradient((self.position, points)), as_float(UP))
-        return SpotLight(self.position, *framed, self.radius)
+            return SpotLight(
+                self.position, self.direction, self.outer_angle, near, far, self.radius, self.inner_angle, self.up
+            )
+        framed = Frustum.framing(*lax.stop_gradient((self.position, points, self.up)))
+        return SpotLight(self.position, *framed, self.radius, up=self.up)
 
     def view(self) -> View:
-        return frustum_view(self.position, self.direction, as_float(UP), self.outer_angle, self.near, self.far)
+        return frustum_view(self.position, self.direction, self.up, self.outer_angle, self.near, self.far)
 
     def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
         centre = self.position - points
-        return centre if sample is None else centre + self.radius * on_plane(self.direction, as_float(UP), sample)
+        return centre if sample is None else centre + self.radius * on_plane(self.direction, self.up, sample)
 
     def layer(self, points: Float[Array, "*n 3"]) -> None:
         return None
 
-    def cone(self, to_light: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """The share of its light that the cone lets through along unit vectors to the light, (...,): 1 in full."""
+    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         if self.inner_angle is None:
-            return jnp.ones(to_light.shape[:-1])
+            return super().cone_fraction(points)
+        to_light = normalize(self.towards(points))
         outer = jnp.cos(jnp.deg2rad(self.outer_angle))
         # Equal angles make the cone's rim hard.
         width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)

@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from ... import fit
 from ..._types import HostArray
 from ...config import Casting, FitPlan
-from ...geometry import DirectionalLight, Mesh
+from ...geometry import Mesh
 from .. import style
 
 Track = Float[HostArray, "n 3"]
@@ -84,10 +84,10 @@ def _places(
         if kind == "meshes":
             mesh: Mesh = moved.meshes[int(index)].placed(casting.meshes[int(index)])
             return mesh.bounds.mean(axis=0)
-        light = moved.lights[int(index)].placed(casting.scene.lights[int(index)], casting.scene.mesh.vertices)
-        if isinstance(light, DirectionalLight):
-            return middle + reach * light.towards(middle[None])[0]
-        return light.position  # type: ignore[attr-defined]
+        pose = moved.lights[int(index)]
+        if pose.position is None:
+            return middle + reach * casting.scene.lights[int(index)].at(pose).towards(middle[None])[0]
+        return pose.place
 
     return [place(jnp.asarray(each, jnp.float32)) for each in values]
 

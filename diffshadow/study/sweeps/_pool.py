@@ -12,6 +12,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any
 
+from ..._xla import use_all_cores
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
 
@@ -74,7 +75,7 @@ class OnCluster:
         finished = as_completed()
 
         def submit(batch: Batch) -> None:
-            future = self._client.submit(work, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
+            future = self._client.submit(_work_in_worker, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
             waiting[future] = batch
             finished.add(future)
 
@@ -126,6 +127,12 @@ class OnCluster:
                     "is done"
                 )
         return next(finished)
+
+
+def _work_in_worker(batch: Batch) -> list[Outcome]:
+    """`work`, by a process of its own, whose programs are compiled as the command's are."""
+    use_all_cores()
+    return work(batch)
 
 
 @contextmanager

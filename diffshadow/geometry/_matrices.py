@@ -1,0 +1,102 @@
+"""What can be read off OpenGL's matrices: where a view's eye is, where it begins and ends, and whether it is usable."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._misc import as_float, concrete
+from .._types import Mat4, Scalar, Vec3
+from ._view import View
+
+_PERSPECTIVE, _PARALLEL = (0.0, 0.0, -1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+# The entries that each kind of projection may have besides those of its last row.
+_ENTRIES = {
+    True: np.array([[1, 0, 1, 0], [0, 1, 1, 0], [0, 0, 1, 1]], dtype=bool),
+    False: np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1]], dtype=bool),
+}
+# How far single precision may carry entries that are 0 or 1, and products of a rotation's rows.
+_EXACT, _RIGID = 1e-6, 1e-4
+
+
+def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: bool | None) -> tuple[Mat4, Mat4, bool]:
+    """Both matrices as arrays, and whether the projection is a perspective one.
+
+    **Arguments:**
+
+    - `is_perspective`: whether it is; by default its last row says so.
+
+    **Raises** `ValueError` for what is no finite (4, 4) matrix, a view that is not rigid, a projection that is none of
+    `perspective` or `orthographic`, or one that is traced without `is_perspective`.
+    """
+    world_to_eye, eye_to_clip = as_float(world_to_eye), as_float(eye_to_clip)
+    for what, matrix in (("world_to_eye", world_to_eye), ("eye_to_clip", eye_to_clip)):
+        if matrix.shape != (4, 4):
+            raise ValueError(f"{name}'s {what} has shape {matrix.shape}; expected one matrix, (4, 4)")
+        known = concrete(matrix)
+        if known is not None and not np.isfinite(known).all():
+            raise ValueError(f"{name}'s {what} is {known.tolist()}; expected finite numbers")
+    _check_rigid(name, concrete(world_to_eye))
+    return world_to_eye, eye_to_clip, _check_projection(name, concrete(eye_to_clip), is_perspective)
+
+
+def _check_rigid(name: str, matrix: np.ndarray | None) -> None:
+    if matrix is None:
+        return
+    turn = matrix[:3, :3].astype(np.float64)
+    is_last = np.allclose(matrix[3], _PARALLEL, atol=_EXACT)
+    if not (is_last and np.allclose(turn @ turn.T, np.eye(3), atol=_RIGID) and np.linalg.det(turn) > 0):
+        raise ValueError(
+            f"{name}'s world_to_eye is {matrix.tolist()}; expected a rotation and a shift, with last row 0, 0, 0, 1: "
+            "transpose it if it acts on row vectors, take out its scale, and mirror it if its eye looks along +z"
+        )
+
+
+def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool | None) -> bool:
+    """Whether the projection is a perspective one."""
+    if matrix is None:
+        if is_perspective is None:
+            raise ValueError(
+                f"{name}'s eye_to_clip is traced, so its kind is not known; expected is_perspective to be given"
+            )
+        return is_perspective
+    kinds = [
+        kind for kind, row in ((True, _PERSPECTIVE), (False, _PARALLEL)) if np.allclose(matrix[3], row, atol=_EXACT)
+    ]
+    if not kinds:
+        raise ValueError(
+            f"{name}'s eye_to_clip has the last row {matrix[3].tolist()}; expected 0, 0, -1, 0 of a perspective or "
+            "0, 0, 0, 1 of a parallel projection: transpose it if it acts on row vectors"
+        )
+    kind = kinds[0]
+    if is_perspective is not None and is_perspective != kind:
+        raise ValueError(
+            f"{name} has is_perspective = {is_perspective}, and its eye_to_clip the last row {matrix[3].tolist()}; "
+            "expected them to agree: leave is_perspective out"
+        )
+    if np.abs(matrix[:3][~_ENTRIES[kind]]).max() > _EXACT or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise ValueError(
+            f"{name}'s eye_to_clip is {matrix.tolist()}; expected what glFrustum or glOrtho makes, with positive width "
+            "and height, and depth along z alone: turn y round if it runs down, and leave oblique near planes out"
+        )
+    return kind
+
+
+def near_far_of(eye_to_clip: Mat4, is_perspective: bool) -> tuple[Scalar, Scalar]:
+    """Distances of window depth 0 and 1 along the view axis, world units."""
+    # Of a perspective, -(f + n) / (f - n) and -2 f n / (f - n); of a parallel one, -2 / (f - n) and -(f + n) / (f - n).
+    slope, offset = eye_to_clip[2, 2], eye_to_clip[2, 3]
+    if is_perspective:
+        return offset / (slope - 1), offset / (slope + 1)
+    return (offset + 1) / slope, (offset - 1) / slope
+
+
+def eye_of(world_to_eye: Mat4) -> Vec3:
+    """The world point that is the origin of eye space."""
+    return -jnp.sum(world_to_eye[:3, :3] * world_to_eye[:3, 3:], axis=0)
+
+
+def view_of(world_to_eye: Mat4, eye_to_clip: Mat4, is_perspective: bool) -> View:
+    """The view of both matrices."""
+    near, far = near_far_of(eye_to_clip, is_perspective)
+    return View(world_to_eye, eye_to_clip, near, far, is_perspective)

@@ -1,0 +1,56 @@
+"""The numbers by which a light can be placed."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..._misc import as_float, normalize
+from ..._types import Scalar, Vec3
+
+
+class Vector(eqx.Module):
+    """Three numbers, each of which can be fitted by itself."""
+
+    x: Scalar = eqx.field(converter=as_float, default=0.0)
+    y: Scalar = eqx.field(converter=as_float, default=0.0)
+    z: Scalar = eqx.field(converter=as_float, default=0.0)
+
+    @property
+    def array(self) -> Vec3:
+        """All three, (3,)."""
+        return jnp.stack([self.x, self.y, self.z])
+
+
+class LightPose(eqx.Module):
+    """Where a light stands, which way it shines, and how large it is; what a kind of light lacks is none.
+
+    - `position`: of a light at a finite distance, world units.
+    - `azimuth`, `elevation`: where the light of a directional or a spot light comes from, along its axis, in degrees:
+        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. Elevation may go on beyond 90, over the pole.
+    - `radius`: a directional light's `angular_radius` in degrees, a spot or a point light's `radius` in world units.
+    """
+
+    position: Vector | None = None
+    azimuth: Scalar | None = None
+    elevation: Scalar | None = None
+    radius: Scalar | None = None
+
+    @property
+    def place(self) -> Vec3:
+        """The position, (3,), of a light that has one."""
+        assert self.position is not None
+        return self.position.array
+
+    @property
+    def direction(self) -> Vec3:
+        """The unit vector, (3,), along which the light shines, of a light that has angles."""
+        assert self.azimuth is not None
+        assert self.elevation is not None
+        a, e = jnp.deg2rad(self.azimuth), jnp.deg2rad(self.elevation)
+        return -jnp.stack([jnp.cos(e) * jnp.sin(a), jnp.sin(e), jnp.cos(e) * jnp.cos(a)])
+
+
+def angles(direction: Vec3) -> tuple[Scalar, Scalar]:
+    """Azimuth and elevation, in degrees, of what shines along `direction`, of any length."""
+    x, y, z = -normalize(direction)
+    # By the tangent, which keeps its digits near the pole.
+    return jnp.rad2deg(jnp.arctan2(x, z)), jnp.rad2deg(jnp.arctan2(y, jnp.hypot(x, z)))

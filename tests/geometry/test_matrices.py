@@ -1,0 +1,166 @@
+"""Cameras and lights given by matrices: they draw what those draw whose matrices they have."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import LIGHTS, covered, floor_and_card, floor_camera, shadows, side_camera, technique
+
+from diffshadow.geometry import (
+    MatrixCamera,
+    MatrixLight,
+    OrthographicCamera,
+    Scene,
+    View,
+    look_at,
+    orthographic,
+    perspective,
+)
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import Bilinear, draw_shadow_map
+
+MESH = floor_and_card()
+CAMERAS = {
+    "pinhole": side_camera(),
+    "orthographic": OrthographicCamera((2, 3, 3), (0, 0, 0), height=4.0, near=-1.0, far=9.0, resolution=(64, 48)),
+}
+TECHNIQUE = technique(Bilinear(), slope=1.0)
+NAMES = {"camera": MatrixCamera, "light": MatrixLight}
+
+
+@eqx.filter_jit
+def view_of(one):
+    # Compiled, as where it draws: single operations round otherwise.
+    return one.view()
+
+
+def matrices(view: View):
+    return np.asarray(view.world_to_eye), np.asarray(view.eye_to_clip)
+
+
+def same_to_the_bit(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("kind", CAMERAS)
+def test_camera_of_anothers_matrices_draws_the_same_surface(kind):
+    camera = CAMERAS[kind]
+    of_matrices = MatrixCamera(*matrices(view_of(camera)), camera.resolution)
+    same_to_the_bit(draw_surface(MESH, camera), draw_surface(MESH, of_matrices))
+    for name in ("eye", "near", "far"):
+        np.testing.assert_allclose(getattr(of_matrices, name), getattr(camera, name), rtol=1e-5, atol=1e-5)
+    assert of_matrices.is_perspective == (kind == "pinhole")
+    # It looks at its target, which is no farther off than it sees.
+    along = np.asarray(of_matrices.target - of_matrices.eye)
+    np.testing.assert_allclose(along / np.linalg.norm(along), -of_matrices.world_to_eye[2, :3], atol=1e-5)
+    assert dataclasses.replace(of_matrices, resolution=(8, 8)).resolution == (8, 8)
+
+
+def test_camera_off_the_centre_sees_its_part_of_the_image():
+    whole = side_camera((128, 128))
+    tangent = float(np.tan(np.radians(20.0)))
+    part = perspective(tangent * jnp.array([0.0, 1.0]), tangent * jnp.array([-1.0, 0.0]), whole.near, whole.far)
+    lower_right = draw_surface(MESH, MatrixCamera(whole.view().world_to_eye, part, (64, 64)))
+    surface = draw_surface(MESH, whole)
+    same = np.asarray(lower_right.face) == np.asarray(surface.face)[:64, 64:]
+    # Corners of triangles are rounded to a fraction of a pixel of either image.
+    assert same.mean() > 0.998
+    positions = np.asarray(lower_right.position)[same], np.asarray(surface.position)[:64, 64:][same]
+    np.testing.assert_allclose(*positions, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_light_of_anothers_matrices_casts_the_same_shadow(kind):
+    light, surface = LIGHTS[kind](MESH), draw_surface(MESH, side_camera())
+    of_matrices = MatrixLight(*matrices(view_of(light)))
+    assert of_matrices.is_directional == light.is_directional
+    assert not of_matrices.has_size
+    theirs, ours = (draw_shadow_map(MESH, each, (64, 64)) for each in (light, of_matrices))
+    np.testing.assert_array_equal(ours.depth, theirs.depth)
+    visibility = np.asarray(shadows(TECHNIQUE, ours, surface))
+    np.testing.assert_allclose(visibility, shadows(TECHNIQUE, theirs, surface), atol=1e-5)
+    assert visibility.min() == 0
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_light_off_the_centre_has_its_part_of_the_map(kind):
+    """Of a frustum that is as high, and three quarters as wide with as many fewer texels."""
+    light, surface = LIGHTS[kind](MESH), draw_surface(MESH, floor_camera())
+    world_to_eye, eye_to_clip = matrices(view_of(light))
+    right, top = 1 / eye_to_clip[0, 0], 1 / eye_to_clip[1, 1]
+    make = orthographic if light.is_directional else perspective
+    sides = jnp.array([-right / 2, right]), jnp.array([-top, top])
+    part = draw_shadow_map(MESH, MatrixLight(world_to_eye, make(*sides, light.near, light.far)), (64, 48))
+    whole = draw_shadow_map(MESH, light, (64, 64))
+    np.testing.assert_allclose(part.depth, whole.depth[:, 16:], atol=2e-4)
+    both = np.asarray(covered(TECHNIQUE, part, surface) & covered(TECHNIQUE, whole, surface))
+    assert both.mean() > 0.5
+    off = np.abs(np.asarray(shadows(TECHNIQUE, part, surface)) - np.asarray(shadows(TECHNIQUE, whole, surface)))
+    # Alike but for texels along outlines, whose corners were rounded otherwise.
+    assert np.quantile(off[both], 0.98) < 1e-3
+
+
+def test_reference_is_that_of_the_camera_and_the_light_whose_matrices_they_have():
+    camera, light = side_camera((32, 32)), LIGHTS["spot"](MESH)
+    given = MatrixCamera(*matrices(view_of(camera)), camera.resolution), MatrixLight(*matrices(view_of(light)))
+    theirs, ours = trace_visibility(Scene(MESH, camera, light)), trace_visibility(Scene(MESH, *given))
+    np.testing.assert_array_equal(ours.mask, theirs.mask)
+    assert np.mean(ours.visibility != theirs.visibility) < 0.002
+
+
+def test_matrices_can_be_traced_once_their_kind_is_known():
+    view = side_camera().view()
+    camera = MatrixCamera(*matrices(view), (64, 64))
+    seen = eqx.filter_jit(lambda camera: (camera.eye, camera.view().clip(jnp.zeros(3))))
+    np.testing.assert_allclose(seen(camera)[1], view.clip(jnp.zeros(3)), rtol=1e-6)
+
+    def eye(shift, **kind):
+        moved = view.world_to_eye.at[:3, 3].add(shift)
+        return MatrixCamera(moved, view.eye_to_clip + 0 * shift[0], (64, 64), **kind).eye
+
+    slope = jax.jit(jax.jacfwd(lambda shift: eye(shift, is_perspective=True)))(jnp.zeros(3))
+    np.testing.assert_allclose(slope, -view.world_to_eye[:3, :3].T, atol=1e-6)
+    with pytest.raises(ValueError, match="eye_to_clip is traced, so its kind is not known; expected is_perspective"):
+        jax.jit(eye)(jnp.zeros(3))
+
+
+RIGID = np.asarray(look_at(jnp.array([1.0, 2.0, 3.0]), jnp.array([-1.0, -2.0, -3.0]), jnp.array([0.0, 1.0, 0.0])))
+SIDES = jnp.array([-1.0, 1.0])
+NEAR, FAR = jnp.array(0.5), jnp.array(9.0)
+FRUSTUM, BOX = (np.asarray(make(SIDES, SIDES, NEAR, FAR)) for make in (perspective, orthographic))
+
+
+def changed(matrix, row, column, value):
+    matrix = matrix.copy()
+    matrix[row, column] = value
+    return matrix
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("world_to_eye", "eye_to_clip", "options", "said"),
+    [
+        (RIGID[:3], FRUSTUM, {}, r"'s world_to_eye has shape \(3, 4\); expected one matrix, \(4, 4\)"),
+        (RIGID, FRUSTUM[None], {}, r"'s eye_to_clip has shape \(1, 4, 4\)"),
+        (changed(RIGID, 0, 3, np.nan), FRUSTUM, {}, "'s world_to_eye is .*nan.*; expected finite numbers"),
+        (RIGID.T, FRUSTUM, {}, "expected a rotation and a shift.* transpose it if it acts on row vectors"),
+        (RIGID @ np.diag([2.0, 2.0, 2.0, 1.0]), FRUSTUM, {}, "expected a rotation and a shift.* take out its scale"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]) @ RIGID, FRUSTUM, {}, "mirror it if its eye looks along"),
+        (RIGID, FRUSTUM.T, {}, r"'s eye_to_clip has the last row .*; expected 0, 0, -1, 0 of a perspective"),
+        (RIGID, FRUSTUM, {"is_perspective": False}, "has is_perspective = False, and .*; expected them to agree"),
+        (RIGID, changed(FRUSTUM, 1, 1, -1.0), {}, "turn y round if it runs down"),
+        (RIGID, changed(FRUSTUM, 2, 0, 0.3), {}, "leave oblique near planes out"),
+        (RIGID, changed(BOX, 0, 1, 0.3), {}, "expected what glFrustum or glOrtho makes"),
+        (RIGID, np.asarray(perspective(SIDES, SIDES, FAR, NEAR)), {}, "has near = 9.0.* expected 0 < near < far"),
+        (RIGID, np.asarray(orthographic(SIDES, SIDES, FAR, NEAR)), {}, "expected near < far"),
+        (RIGID, changed(changed(FRUSTUM, 2, 2, -1.0), 2, 3, -1.0), {}, "and far = .*inf; expected 0 < near < far"),
+    ],
+)
+def test_matrices_that_are_no_view_are_refused(name, world_to_eye, eye_to_clip, options, said):
+    with pytest.raises(ValueError, match=f"the matrix {name}.*{said}"):
+        NAMES[name](world_to_eye, eye_to_clip, **options)
