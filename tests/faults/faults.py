@@ -1749,6 +1749,7 @@ _STUDY = (
         "study/runs/_record.py",
         'if name == "rmse"',
         'if name == ""',
+        "test_report.py",
         "test_study.py",
     ),
     _fault(

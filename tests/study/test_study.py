@@ -568,12 +568,13 @@ def test_validating_loads_no_matplotlib():
 
 @pytest.fixture
 def readme():
-    """The README's Python, block by block, each of which uses what those before it import; the quickstart is tiny."""
+    """The Python of the README and of docs/usage.md, one block each."""
     shutil.copytree(ROOT / "configs", "configs")
-    shutil.copy("tiny.yaml", "configs/quickstart.yaml")
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 2
-    return [compile(block, "README.md", "exec") for block in blocks]
+    blocks = []
+    for page in ("README.md", "docs/usage.md"):
+        (block,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+        blocks.append(compile(block, page, "exec"))
+    return blocks
 
 
 @pytest.mark.exhaustive
