@@ -61,11 +61,11 @@ class AbstractLight(eqx.Module):
         return LightPose()
 
     def at(self, pose: LightPose) -> "AbstractLight":
-        """The same light in a `pose` of its kind. Its shadow map's frustum is not fitted anew: see `refitted`."""
+        """The same light in a `pose` of its kind. The frustum of its shadow map does not follow: see `refitted`."""
         return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":
-        """The same light with the frustum of its shadow map fitted anew to `points` (n, 3), also under a trace.
+        """The same light with the frustum of its shadow map refitted to `points` (n, 3), also under a trace.
 
         The frustum carries no gradient; where the light stands and which way it shines do. A light that cannot be
         refitted stays as it is.

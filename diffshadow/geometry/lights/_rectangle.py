@@ -74,7 +74,7 @@ class RectangleLight(AbstractLight):
         return eqx.tree_at(lambda one: one.position, self, pose.place)
 
     def refitted(self, points: Float[Array, "n 3"]) -> "RectangleLight":
-        """The same light with angle, near and far fitted anew to `points` (n, 3), also under a trace; they carry no
+        """The same light with angle, near and far refitted to `points` (n, 3), also under a trace; they carry no
         gradient. It goes on facing the way it does, and opens by 80 degrees at most."""
         seen = lax.stop_gradient((self.position, points, self.up, self.direction))
         _, angle, near, far = Frustum.framing(*seen)
