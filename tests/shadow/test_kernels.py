@@ -28,7 +28,7 @@ class Gaussian(AbstractFilter):
     radius: jax.Array
 
     def __call__(self, shadow_map, lookup, compare):
-        return sum_over_rows(SeparableRow("gaussian", RADIUS, self.radius), shadow_map, compare, lookup)
+        return sum_over_rows(SeparableRow(RADIUS, self.radius, "gaussian"), shadow_map, compare, lookup)
 
 
 class Comb(AbstractRow):

@@ -1,8 +1,5 @@
 """Percentage-closer filtering (Reeves, Salesin & Cook 1987)."""
 
-import math
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -12,12 +9,9 @@ from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import AbstractRow, Footprint, Span, sum_over_rows
+from ..kernels import LEAST_RADIUS, AbstractSizedRow, Footprint, Span, sum_over_rows
 from ._abstract import AbstractFilter
 from ._prefilter import check_radius, radius_limit
-
-# A narrower box counts as a point.
-_LEAST_RADIUS = 1e-3
 
 
 class PercentageCloser(AbstractFilter):
@@ -44,20 +38,12 @@ class PercentageCloser(AbstractFilter):
         check_radius("filter", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        row = _Row(self.max_radius, jnp.clip(self.radius, _LEAST_RADIUS, self.max_radius))
+        row = _Row(self.max_radius, jnp.clip(self.radius, LEAST_RADIUS, self.max_radius))
         return sum_over_rows(row, shadow_map, compare, lookup)
 
 
-class _Row(AbstractRow):
+class _Row(AbstractSizedRow):
     """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
-
-    max_radius: float = eqx.field(static=True)
-    radius: Float[Array, "..."]
-
-    @property
-    def texels(self) -> int:
-        """Texels that a box may cover along a side."""
-        return math.ceil(2 * self.max_radius) + 1
 
     def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
         column, left = _lower_edge(lookup.x, self.radius)
@@ -66,9 +52,6 @@ class _Row(AbstractRow):
         own = _covered(below, self.radius, step)
         area = _width(left, self.radius) * _width(below, self.radius)
         return Footprint(column, row, columns, [own._replace(weight=own.weight / area)], step)
-
-    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
-        return self.radius
 
 
 def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, concrete, sums_along
+from ..._misc import as_float, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -122,7 +122,7 @@ def bilinear_fetch(
 
     def fetch(blurred: Float[Array, "*l H W"]) -> DepthMap:
         row_of_memory = blurred.reshape(-1)
-        at = lambda skip: row_of_memory.at[first + skip].get(mode="promise_in_bounds")
+        at = lambda skip: take(row_of_memory, first + skip)
         lower = at(0) * (1 - right) + at(1) * right
         upper = at(width) * (1 - right) + at(width + 1) * right
         return lower * (1 - above) + upper * above

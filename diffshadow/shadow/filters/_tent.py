@@ -37,5 +37,5 @@ class Tent(AbstractFilter):
         check_radius("tent", self.radius, self.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        row = SeparableRow("tent", self.max_radius, jnp.minimum(self.radius, self.max_radius))
+        row = SeparableRow(self.max_radius, jnp.minimum(self.radius, self.max_radius), "tent")
         return sum_over_rows(row, shadow_map, compare, lookup)

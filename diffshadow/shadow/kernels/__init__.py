@@ -9,11 +9,13 @@ For authors of filters, who choose one of these:
 
 from ._kernel import AbstractKernel as AbstractKernel
 from ._kernel import AbstractRow as AbstractRow
+from ._kernel import AbstractSizedRow as AbstractSizedRow
 from ._kernel import Footprint as Footprint
 from ._kernel import Span as Span
 from ._padded_map import PaddedMap as PaddedMap
 from ._padded_map import pad as pad
 from ._separable import INTEGRALS as INTEGRALS
+from ._separable import LEAST_RADIUS as LEAST_RADIUS
 from ._separable import SeparableRow as SeparableRow
 from ._separable import Shape as Shape
 from ._separable import weight_between as weight_between

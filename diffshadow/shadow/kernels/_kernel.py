@@ -5,6 +5,7 @@ kernel is separable: the weight of a texel is the product of its column's and it
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -106,3 +107,20 @@ class AbstractRow(AbstractKernel):
     @property
     def cost(self) -> float:
         return _COST_OF_A_TEXEL * self.texels
+
+
+class AbstractSizedRow(AbstractRow):
+    """One row of the texels under a kernel whose radius may change, up to a largest one.
+
+    - `max_radius`: the largest radius, in texels; `radius`: one for all look-ups, or one for each.
+    """
+
+    max_radius: float = eqx.field(static=True)
+    radius: Float[Array, "..."]
+
+    @property
+    def texels(self) -> int:
+        return math.ceil(2 * self.max_radius) + 1
+
+    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
+        return self.radius

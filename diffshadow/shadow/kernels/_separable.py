@@ -6,7 +6,7 @@ for radius 1, as pbrt gives its filters (Pharr, Jakob & Humphreys, "Physically B
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._lookup import Lookup
-from ._kernel import AbstractRow, Footprint, Span
+from ._kernel import AbstractSizedRow, Footprint, Span
 
 Shape = Literal["box", "tent", "gaussian"]
 """Shapes of a kernel. All end at the radius: half the box's width, half the tent's, or three standard deviations of the
@@ -23,8 +23,8 @@ Gaussian."""
 # Standard deviations at which the Gaussian is cut off.
 _DEVIATIONS = 3.0
 _WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
-# A narrower kernel counts as a point.
-_LEAST_RADIUS = 1e-3
+LEAST_RADIUS = 1e-3
+"""In texels: a narrower kernel counts as a point."""
 
 INTEGRALS: dict[Shape, Callable[[Array], Array]] = {
     "box": lambda u: u / 2,
@@ -41,34 +41,22 @@ def weight_between(
 
     Weights of intervals that cover the kernel sum to 1.
     """
-    radius = jnp.maximum(radius, _LEAST_RADIUS)
+    radius = jnp.maximum(radius, LEAST_RADIUS)
     until = lambda x: INTEGRALS[shape](jnp.clip(x / radius, -1, 1))
     # Rounding must not make a weight negative: exponentials would follow it.
     return jnp.maximum(until(high) - until(low), 0)
 
 
-class SeparableRow(AbstractRow):
-    """One row of the texels under a kernel, numbered from the lowest that the widest kernel covers.
-
-    - `radius`: in texels; `max_radius`: the largest.
-    """
+class SeparableRow(AbstractSizedRow):
+    """One row of the texels under a kernel of this `shape`, numbered from the lowest that the widest one covers."""
 
     shape: Shape = eqx.field(static=True)
-    max_radius: float = eqx.field(static=True)
-    radius: Float[Array, "..."]
-
-    @property
-    def texels(self) -> int:
-        return math.ceil(2 * self.max_radius) + 1
 
     def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
         column, left = self._first(lookup.x)
         row, below = self._first(lookup.y)
         span = lambda first, i: Span(weight_between(self.shape, self.radius, first + i, first + (i + 1)))
         return Footprint(column, row, [span(left, i) for i in range(self.texels)], [span(below, step)], step)
-
-    def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
-        return self.radius
 
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
         """The first texel along one axis, and where it begins, relative to `position`."""

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import round_up_to_power_of_two
+from ..._misc import round_up_to_power_of_two, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ._kernel import AbstractKernel
@@ -112,7 +112,7 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     @jax.checkpoint
     def some(own: Int[Array, "p n"]) -> Any:
         run = jnp.minimum(own, runs - 1)
-        return function(rearranged(at, lambda a: a.reshape(runs, q).at[run].get(mode="promise_in_bounds")))
+        return function(rearranged(at, lambda a: take(a.reshape(runs, q), run)))
 
     like = jax.eval_shape(some, queue[0])
     none = lambda own: jax.tree.map(zeros_like, like)

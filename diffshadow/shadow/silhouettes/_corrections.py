@@ -21,6 +21,7 @@ from ..kernels._padded_map import PaddedMap
 from ..kernels._terms import AbstractTerms, At, zeros_like
 from ._half_planes import Rectangle
 from ._set_bits import SetBits, empty_words, put_bits
+from ._silhouette_map import NO_SILHOUETTE
 
 # Texels with silhouettes that one step of the loop over them takes.
 _TEXELS_A_STEP = 16384
@@ -57,7 +58,7 @@ class Corrections(AbstractTerms):
         def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
             number = row // texels
             at_step = lambda s: s[number] if s.ndim == 1 else s[number, pixel]
-            here = rearranged(at, lambda a: a.at[pixel].get(mode="promise_in_bounds"))
+            here = rearranged(at, lambda a: take(a, pixel))
             return function(here, (jax.tree.map(at_step, steps), row % texels))
 
         @jax.checkpoint
@@ -85,11 +86,11 @@ def _find(padded: PaddedMap, at: At, steps: Any) -> tuple[SetBits, int]:
     count = jax.tree.leaves(steps)[0].shape[0]
     texels = len(jax.eval_shape(places, jax.tree.map(itemgetter(0), steps)))
     assert padded.silhouettes is not None
-    silhouettes = padded.silhouettes
+    slot = padded.silhouettes.map.slot
 
     def mark(words: Any, at_step: Any) -> tuple[Any, None]:
         number, step = at_step
-        has_silhouette = [silhouettes.at(padded.read(silhouettes.map.slot, *place)) for place in places(step)]
+        has_silhouette = [padded.read(slot, *place) != NO_SILHOUETTE for place in places(step)]
         return put_bits(words, number * texels, has_silhouette), None
 
     words = empty_words(count * texels, lookup.depth.size)

@@ -36,10 +36,6 @@ class PaddedSilhouettes(eqx.Module):
         new = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
         return cls(eqx.tree_at(where, silhouettes, new), Pyramid.of(silhouettes.slot != NO_SILHOUETTE))
 
-    def at(self, slot: Int[Array, "*n"]) -> Bool[Array, "*n"]:
-        """Whether texels with these entries of `map.slot` have a silhouette."""
-        return slot != NO_SILHOUETTE
-
     def change(
         self,
         function: Callable[[Array], Array],
@@ -100,6 +96,6 @@ class Pyramid(eqx.Module):
         for row in (block(y - reach, rows), block(y + reach, rows)):
             for column in (block(x - reach, columns), block(x + reach, columns)):
                 place = first + (before * rows + row) * columns + column
-                found = found | self.marked.at[place].get(mode="promise_in_bounds")
+                found = found | take(self.marked, place)
         # Squares beyond the border would find what is on it.
         return found & (x + reach >= 0)
