@@ -25,16 +25,15 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import fit, io, raster, reference, study, use_all_cores
+from diffshadow import fit, io, raster, reference, use_all_cores
 from diffshadow.config import (
-    Casting,
     Config,
     ConfigError,
     ImageReferenceConfig,
     Place,
     Problem,
-    build_casting,
     build_fit,
+    build_scene,
     build_shadow_mapping,
     load_config,
 )
@@ -63,7 +62,7 @@ class Drawn(NamedTuple):
     """
 
     settings: Config
-    casting: Casting
+    scene: geometry.Scene
     surface: raster.Surface
     truth: reference.Reference
     floor: float
@@ -131,30 +130,30 @@ def draw(settings: Config) -> Drawn:
 
     **Raises** `ConfigError` if the scene cannot be made, or the camera sees nothing of it.
     """
-    casting = build_casting(settings)
-    surface = raster.draw_surface(casting.scene.mesh, casting.scene.camera)
+    scene = build_scene(settings)
+    surface = raster.draw_surface(scene.mesh, scene.camera)
     if not bool(surface.mask.any()):
         raise mistake(settings, "scene.camera", "sees no surface; expected one at some pixel: move or turn it")
-    truth = truth_of(settings, casting)
-    return Drawn(settings, casting, surface, truth, truth.noise_floor if truth.samples else 0.0)
+    truth = truth_of(settings, scene)
+    return Drawn(settings, scene, surface, truth, truth.noise_floor if truth.samples else 0.0)
 
 
-def truth_of(settings: Config, casting: Casting) -> reference.Reference:
+def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
     """The truth of a scene with one light; a traced one is kept on disk and found again."""
     wanted = settings.reference
     if isinstance(wanted, ImageReferenceConfig):
         try:
-            return reference.reference_from_image(io.read_visibility(wanted.path), casting.scene)
+            return reference.reference_from_image(io.read_visibility(wanted.path), scene)
         except ValueError as error:
             raise mistake(settings, "reference.path", str(error)) from error
     how = wanted.samples, wanted.sampler, settings.seed
     rays = wanted.supersampling
-    traced = lambda: vars(reference.trace_visibility(casting.scene, *how, supersampling=rays))
-    arrays = io.cached_arrays(reference.cache_key(casting.scene, *how, supersampling=rays), traced)
+    traced = lambda: vars(reference.trace_visibility(scene, *how, supersampling=rays))
+    arrays = io.cached_arrays(reference.cache_key(scene, *how, supersampling=rays), traced)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
-def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = True) -> fit.Problem:
+def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = True) -> fit.TechniqueProblem:
     """The problem of bringing the shadow mapping of `settings`, by default those of the scene, close to the truth.
 
     **Arguments:**
@@ -165,15 +164,15 @@ def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = 
     """
     settings = settings or drawn.settings
     technique = build_shadow_mapping(settings, fitting=fitting)
-    shadow_map = study.draw_from_light(settings, technique, drawn.casting)
+    shadow_map = technique.prepare(drawn.scene, drawn.surface)
     mask = technique.covered(shadow_map, drawn.surface) & jnp.asarray(drawn.truth.mask)  # type: ignore[arg-type]
     if not bool(mask.any()):
         said = "and the camera see no surface together; expected both to see the same part of the scene: move one"
         raise mistake(settings, "scene.light", said)
-    return fit.Problem(technique, shadow_map, drawn.surface, jnp.asarray(drawn.truth.visibility), mask)  # type: ignore[arg-type]
+    return fit.TechniqueProblem(technique, shadow_map, drawn.surface, jnp.asarray(drawn.truth.visibility), mask)  # type: ignore[arg-type]
 
 
-def run_fit(settings: Config, problem: fit.Problem) -> fit.FitResult:
+def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:
     """Fits what `settings` say.
 
     **Raises** `ConfigError` if they say nothing that can be fitted.
@@ -185,12 +184,12 @@ def run_fit(settings: Config, problem: fit.Problem) -> fit.FitResult:
         raise mistake(settings, "fit", str(error)) from error
 
 
-def rmse(problem: fit.Problem, technique: Any = None) -> float:
+def rmse(problem: fit.TechniqueProblem, technique: Any = None) -> float:
     """The error of a problem's technique, or of another one in its place, over the pixels that count."""
     return float(jnp.sqrt(_mean_square(problem, problem.technique if technique is None else technique)))
 
 
-def visibility(problem: fit.Problem, technique: Any = None) -> np.ndarray:
+def visibility(problem: fit.TechniqueProblem, technique: Any = None) -> np.ndarray:
     """The visibility that a problem's technique, or another one in its place, makes: (h, w)."""
     return np.asarray(_visibility(problem, problem.technique if technique is None else technique))
 

@@ -55,8 +55,7 @@ def main() -> None:
             light(by),
             size,
             edges=edges if outlines else None,
-            capacity=room.triangles,
-            silhouette_capacity=room.silhouettes,
+            capacity=room,
         )
 
     def loss(by, outlines=True):

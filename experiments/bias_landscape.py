@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 from diffshadow import metrics
-from diffshadow.fit import FitResult, Problem, with_values
+from diffshadow.fit import FitResult, TechniqueProblem, with_values
 
 NAME = "bias_landscape"
 AXES = (common.BIAS, common.RADIUS)
@@ -92,7 +92,7 @@ def main(config: Path, /, *overrides: str, size: int = 25) -> dict[str, Any]:
     return {**summary, "rows": rows, "folder": str(folder)}
 
 
-def errors_at(problem: Problem, result: FitResult, bias: float, radius: float) -> dict[str, float]:
+def errors_at(problem: TechniqueProblem, result: FitResult, bias: float, radius: float) -> dict[str, float]:
     """The errors under the hard compare with the two axes' parameters at `bias` and `radius`."""
     image = common.visibility(problem, with_values(result.technique, AXES, jnp.array([bias, radius], jnp.float32)))
     truth, mask = np.asarray(problem.reference), np.asarray(problem.mask)
@@ -103,7 +103,7 @@ def errors_at(problem: Problem, result: FitResult, bias: float, radius: float) -
     }
 
 
-def summarise(problem: Problem, result: FitResult, rows: list[dict[str, float]]) -> dict[str, Any]:
+def summarise(problem: TechniqueProblem, result: FitResult, rows: list[dict[str, float]]) -> dict[str, Any]:
     """The start, the fit and the grid's best, each with its errors."""
 
     def at(values: dict[str, float]) -> dict[str, float]:

@@ -29,7 +29,7 @@ from rich.table import Table
 from scipy.stats import norm
 
 from diffshadow import fit
-from diffshadow.config import build_casting, build_fit
+from diffshadow.config import build_fit, build_scene
 from diffshadow.study import pose_problems
 
 NAME = "coverage"
@@ -133,9 +133,9 @@ def within(name: str, value: float) -> dict[str, float]:
 def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, room: Any) -> tuple[list[Any], Any]:
     """A row for each parameter of one fit, and the capacity that it took to draw, with which the next is compiled."""
     settings = common.load(config, overrides)
-    casting = build_casting(settings)
-    plan = build_fit(settings, casting)
-    (problem,) = pose_problems(settings, plan, casting)
+    scene = build_scene(settings)
+    plan = build_fit(settings, scene)
+    (problem,) = pose_problems(settings, plan, scene)
     off = {p.name: OFF[p.name.split(".")[2]] * rng.normal() for p in plan.parameters}
     parameters = [
         fit.Parameter(p.name, plan.truth[p.name] + off[p.name], p.lower, p.upper, p.unit, p.path)

@@ -28,8 +28,8 @@ from matplotlib import colormaps
 from rich.console import Console
 from rich.progress import track
 
-from diffshadow import io, metrics, raster, study
-from diffshadow.config import Casting, Config, build_casting, build_shading, build_technique, load_config
+from diffshadow import io, metrics, raster
+from diffshadow.config import Config, build_scene, build_shading, build_technique, load_config
 from diffshadow.reference import Reference
 
 NO_SURFACE = 0.85
@@ -177,9 +177,9 @@ def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int 
     """
     console = Console(highlight=False)
     settings = load_config(config)
-    scene = build_casting(settings)
+    scene = build_scene(settings)
     truth = common.truth_of(settings, scene)
-    surface = raster.draw_surface(scene.scene.mesh, scene.scene.camera)
+    surface = raster.draw_surface(scene.mesh, scene.camera)
     folder = page.parent / "images" / "gallery"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -210,18 +210,17 @@ class Result(NamedTuple):
 def draw(config: Path, row: Row, surface: raster.Surface, truth: Reference, folder: Path, repeats: int) -> Result:
     """Draws, measures and times one technique."""
     settings = load_config(config, row.overrides)
-    casting, technique = build_casting(settings), build_technique(settings, fitting=False)
-    from_light = study.draw_from_light(settings, technique, casting)
-    visibility = study.draw_visibility(technique, from_light, casting, surface)
-    image = np.asarray(visibility)
+    scene, technique = build_scene(settings), build_technique(settings, fitting=False)
+    state = technique.prepare(scene, surface)
+    image = np.asarray(technique.visibility(state, surface))
     errors = metrics.measure_errors(image, truth.visibility, truth.mask).as_dict()
     picture = f"{slug(row.name)}.png"
     io.write_png(folder / picture, np.concatenate([grey(image, truth.mask), signed(image, truth)], axis=1))
     return Result(
         errors,
         picture,
-        median_ms(lambda: study.draw_from_light(settings, technique, casting), repeats),
-        median_ms(lambda: study.draw_visibility(technique, from_light, casting, surface), repeats),
+        median_ms(lambda: technique.prepare(scene, surface), repeats),
+        median_ms(lambda: technique.visibility(state, surface), repeats),
     )
 
 
@@ -237,11 +236,10 @@ def median_ms(run: Callable[[], Any], repeats: int) -> float:
 
 
 def write_reference(
-    folder: Path, settings: Config, casting: Casting, surface: raster.Surface, truth: Reference
+    folder: Path, settings: Config, scene: geometry.Scene, surface: raster.Surface, truth: Reference
 ) -> None:
     """Two pictures: the reference, and the scene shaded with it."""
     io.write_png(folder / "reference.png", grey(truth.visibility, truth.mask))
-    scene = casting.scene
     linear = build_shading(settings)(surface, jnp.asarray(truth.visibility), scene.light, scene.camera)
     io.write_png(folder / "shaded.png", np.clip(np.asarray(linear), 0, 1) ** (1 / 2.2))
 
@@ -262,7 +260,7 @@ def signed(visibility: Any, truth: Reference) -> np.ndarray:
 def page_of(
     config: Path,
     settings: Config,
-    casting: Casting,
+    scene: geometry.Scene,
     truth: Reference,
     results: list[tuple[str, Row, Result]],
     repeats: int,
@@ -274,7 +272,7 @@ def page_of(
     lines = [
         "# Gallery",
         "",
-        f"One scene, {casting.scene.mesh.faces.shape[0]:,} triangles under a spot light with a size, by every "
+        f"One scene, {scene.mesh.faces.shape[0]:,} triangles under a spot light with a size, by every "
         f"technique; `make gallery` draws this page, from `{config}` and the values in each row. Left of each picture: "
         "visibility. Right: its difference from the reference, orange where it is too dark and purple where it is too "
         "light.",

@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import DirectionalLightConfig, fit_paths, load_config
-from diffshadow.fit import Problem, with_values
+from diffshadow.fit import TechniqueProblem, with_values
 
 NAME = "generalisation"
 MESHES = ("torus_knot", "torus", "sphere", "blob", "fence", "box")
@@ -119,7 +119,7 @@ def fit_and_measure(
     return values, np.array(errors)
 
 
-def measured(problem: Problem, paths: tuple[str, ...], values: dict[str, float]) -> float:
+def measured(problem: TechniqueProblem, paths: tuple[str, ...], values: dict[str, float]) -> float:
     """The error of a problem with values that were fitted elsewhere."""
     return common.rmse(problem, with_values(problem.technique, paths, jnp.array(list(values.values()), jnp.float32)))
 

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from diffshadow import fit, use_all_cores
-from diffshadow.config import Config, build_casting, build_fit, parse_config
+from diffshadow.config import Config, build_fit, build_scene, parse_config
 from diffshadow.study import pose_problems
 
 Kind = Literal["directional", "spot", "point"]
@@ -133,11 +133,11 @@ def limits_of(kind: Kind) -> dict[str, dict[str, float]]:
 def recover(mesh: str, kind: Kind, starts: int, pixels: int, texels: int, seed: int) -> dict[str, Any]:
     """Errors of the fits from random starts."""
     config = configuration(mesh, kind, pixels, texels)
-    casting = build_casting(config)
-    plan = build_fit(config, casting)
-    problems = pose_problems(config, plan, casting)
+    scene = build_scene(config)
+    plan = build_fit(config, scene)
+    problems = pose_problems(config, plan, scene)
     truth = np.asarray(list(plan.truth.values()))
-    low, high = np.asarray(casting.scene.mesh.bounds)
+    low, high = np.asarray(scene.mesh.bounds)
     size = float(np.linalg.norm(high - low))
     rng = np.random.default_rng(seed)
     errors, told, seconds = [], [], []

@@ -26,7 +26,7 @@ from cyclopts import App
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import metrics, study
+from diffshadow import metrics
 from diffshadow.config import Config, build_technique, load_config
 
 NAME = "shootout"
@@ -107,7 +107,7 @@ def main(
         rows.append(row)
     # Drawing the map is no technique's own: the first one's will do.
     first = load_config(config, [*overrides, *replaced(TECHNIQUES[names[0]], cases[0][1])])
-    runs["map"] = lambda: study.draw_from_light(first, build_technique(first, fitting=False), drawn.casting)
+    runs["map"] = lambda: build_technique(first, fitting=False).prepare(drawn.scene)
     times = common.median_ms(runs, repeats, console)
     for (name, setting), row in zip(cases, rows, strict=True):
         row["milliseconds"] = times[f"{name} {setting:g}"]
@@ -163,8 +163,8 @@ def fitted(
 def visibility_of(drawn: common.Drawn, settings: Config) -> Callable[[], Any]:
     """What is timed: the making of visibility from a map that is there."""
     technique = build_technique(settings, fitting=False)
-    from_light = jax.block_until_ready(study.draw_from_light(settings, technique, drawn.casting))
-    return functools.partial(study.draw_visibility, technique, from_light, drawn.casting, drawn.surface)
+    state = jax.block_until_ready(technique.prepare(drawn.scene))
+    return functools.partial(technique.visibility, state, drawn.surface)
 
 
 def show(console: Console, rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:

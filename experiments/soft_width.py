@@ -50,7 +50,7 @@ from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import Config
-from diffshadow.fit import Problem, with_values
+from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.shadow import HardCompare, SoftCompare, SoftKernel
 
 NAME = "soft_width"
@@ -135,7 +135,7 @@ def grid_of(settings: Config, points: int) -> np.ndarray:
 
 
 def measure_all(
-    hard: Problem, cases: Sequence[tuple[SoftKernel, float]], grid: np.ndarray, scale: float, console: Console
+    hard: TechniqueProblem, cases: Sequence[tuple[SoftKernel, float]], grid: np.ndarray, scale: float, console: Console
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A row for each kernel and standard deviation of `cases`, and what is true of the hard loss at `scale`."""
     with jax.enable_x64(True):
@@ -160,26 +160,26 @@ def measure_all(
 
 
 @eqx.filter_jit
-def _loss(problem: Problem, values: Any) -> Any:
+def _loss(problem: TechniqueProblem, values: Any) -> Any:
     """The mean square error with the two axes' parameters at `values`, or as the problem stands."""
     technique = problem.technique if values is None else with_values(problem.technique, AXES, values)
     return problem.mean_square_error(technique)
 
 
 @eqx.filter_jit
-def _gradient(problem: Problem, values: Any) -> Any:
+def _gradient(problem: TechniqueProblem, values: Any) -> Any:
     return jax.jacfwd(functools.partial(_loss, problem))(values)
 
 
 @eqx.filter_jit
-def _images(soft: Problem, hard: Problem) -> Any:
+def _images(soft: TechniqueProblem, hard: TechniqueProblem) -> Any:
     """The root mean square of soft less hard, and of soft less truth."""
     rms = lambda difference: jnp.sqrt(jnp.sum(difference**2) / hard.count)
     to_truth = soft.difference(soft.technique)
     return rms(to_truth - hard.difference(hard.technique)), rms(to_truth)
 
 
-def slopes(hard: Problem, at: Any, scale: float) -> list[float]:
+def slopes(hard: TechniqueProblem, at: Any, scale: float) -> list[float]:
     """The derivatives of the hard loss at `scale` by each of the axes' parameters: least-squares slopes."""
     found = []
     for axis in np.eye(len(AXES)):
@@ -190,7 +190,7 @@ def slopes(hard: Problem, at: Any, scale: float) -> list[float]:
     return found
 
 
-def measure(hard: Problem, kernel: SoftKernel, spread: float, grid: Any, truth: Any) -> dict[str, Any]:
+def measure(hard: TechniqueProblem, kernel: SoftKernel, spread: float, grid: Any, truth: Any) -> dict[str, Any]:
     """A kernel at the width that gives it the standard deviation `spread`."""
     width = spread / DEVIATION[kernel]
     soft = eqx.tree_at(lambda p: p.technique.compare, hard, SoftCompare(width, kernel))

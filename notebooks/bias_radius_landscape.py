@@ -37,7 +37,7 @@ technique = shadow.ShadowMapping(
     shadow.RandomDisk(1.0, shadow.stratified((4, 4))), shadow.Bias(constant=0.3, slope=0.5, normal_offset=0.0)
 )
 mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-problem = fit.Problem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+problem = fit.TechniqueProblem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
 
 # %% [markdown]
 # **Fit**, from almost no bias and a wide disk. Every evaluation of the loss is kept in `result.history`.

@@ -80,7 +80,7 @@ for ax, (title, image) in zip(axes, panels.items()):
 # phase. The result is judged with the hard compare that a game would use.
 
 # %%
-problem = fit.Problem(technique, shadow_map, surface, jnp.asarray(truth.visibility), jnp.asarray(mask))
+problem = fit.TechniqueProblem(technique, shadow_map, surface, jnp.asarray(truth.visibility), jnp.asarray(mask))
 parameters = [
     fit.Parameter("bias.constant", initial=0.2, lower=0.0, upper=16.0),
     fit.Parameter("filter.radius", initial=1.0, lower=0.0, upper=12.0),

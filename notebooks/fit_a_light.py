@@ -34,9 +34,9 @@ settings = config.load_config(
         f"fit.solver.max_steps={STEPS}",
     ],
 )
-casting = config.build_casting(settings)
-plan = config.build_fit(settings, casting)
-problems = study.pose_problems(settings, plan, casting)
+scene = config.build_scene(settings)
+plan = config.build_fit(settings, scene)
+problems = study.pose_problems(settings, plan, scene)
 for p in plan.parameters:
     print(f"{p.name:22} starts at {p.initial:.0f}, within {p.lower:.0f} to {p.upper:.0f} {p.unit}")
 

@@ -116,7 +116,7 @@ pictures = {"ray traced": truth.visibility}
 for name, (kernel, width) in filters.items():
     technique = shadow.ShadowMapping(kernel, bias)
     mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-    problem = fit.Problem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+    problem = fit.TechniqueProblem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
     result = fit.fit(
         problem,
         [fit.Parameter("bias.constant", 0.5, 0.0, 16.0), width],

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow.fit import Problem, with_values
+from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -110,14 +110,14 @@ def problem(
     image: int = 64,
     texels: int = 64,
     target: ShadowMapping | None = None,
-) -> Problem:
+) -> TechniqueProblem:
     """The card over the floor seen from the side; the reference is what `target` makes of it, or all lit."""
     to_default = lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x
     surface, shadow_map = jax.tree.map(to_default, drawn(light, image, texels))
     reference = jnp.ones_like(surface.position[..., 0])
     if target is not None:
         reference = shadows(target, shadow_map, surface)
-    return Problem(technique, shadow_map, surface, reference, covered(technique, shadow_map, surface))
+    return TechniqueProblem(technique, shadow_map, surface, reference, covered(technique, shadow_map, surface))
 
 
 @eqx.filter_jit
@@ -141,13 +141,15 @@ def jacfwd_and_value(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @eqx.filter_jit
-def _loss_and_gradients(known: Problem, names: tuple[str, ...], values: Any, reverse: bool) -> Any:
+def _loss_and_gradients(known: TechniqueProblem, names: tuple[str, ...], values: Any, reverse: bool) -> Any:
     loss = lambda values: known.mean_square_error(with_values(known.technique, names, values))
     forward, value = jacfwd_and_value(loss)(values)
     return value, forward, jax.jacrev(loss)(values) if reverse else None
 
 
-def slopes_of_loss(known: Problem, names: tuple[str, ...], values: Any, steps: Any, reverse: bool = False) -> Any:
+def slopes_of_loss(
+    known: TechniqueProblem, names: tuple[str, ...], values: Any, steps: Any, reverse: bool = False
+) -> Any:
     """Central differences (p,) of the mean square error by the numbers at `names`, in `steps` (p,) of each; and its
     gradient by forward and, if asked for, by reverse mode. All by one program, so that one is compiled."""
     at = lambda values: jax.tree.map(np.asarray, _loss_and_gradients(known, names, jnp.asarray(values), reverse))

@@ -79,10 +79,7 @@ from .sections._technique import TechniqueConfig as TechniqueConfig
 from .whole._schema import Config as Config
 
 if TYPE_CHECKING:
-    from .building._modules import Casting as Casting
     from .building._modules import FitPlan as FitPlan
-    from .building._modules import Technique as Technique
-    from .building._modules import build_casting as build_casting
     from .building._modules import build_fit as build_fit
     from .building._modules import build_mesh as build_mesh
     from .building._modules import build_scene as build_scene
@@ -92,10 +89,7 @@ if TYPE_CHECKING:
 
 _NEED_JAX = frozenset(
     {
-        "Casting",
         "FitPlan",
-        "Technique",
-        "build_casting",
         "build_fit",
         "build_mesh",
         "build_scene",

@@ -1,4 +1,4 @@
-"""What a fit of poses may move: a technique's numbers, the lights, and the meshes."""
+"""What a fit of poses may change: a technique's numbers, the lights, and the meshes."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The steps of a fit, told while it runs."""
+"""The steps of a fit, reported while it runs."""
 
 import itertools
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._misc import as_int
 from ..raster import Overflow
-from ._parameters import Bounds
+from ._parameters import Parameters
 
 
 class Step(NamedTuple):
@@ -64,26 +64,26 @@ def _dispatch_overflow(token, overflow, y):
 class Reporter:
     """Collects the steps of one fit. A compiled phase outlives it, so it is found by number."""
 
-    def __init__(self, bounds: Bounds, history: list[Step], on_step: Callable[[Step], None] | None):
-        self.lower, self.upper = np.asarray(bounds.lower), np.asarray(bounds.upper)
+    def __init__(self, parameters: Parameters, history: list[Step], on_step: Callable[[Step], None] | None):
+        self.lower, self.upper = np.asarray(parameters.lower), np.asarray(parameters.upper)
         self.history, self.on_step = history, on_step
         self.number = next(_TOKENS)
         self.token = as_int(self.number)
         self.start, self.phase, self.width, self.step, self.scale = 0, 0, 0.0, 0, 1.0
-        self.held, self.active = np.zeros_like(self.lower), np.arange(self.lower.size)
+        self.free, self.active = np.zeros_like(self.lower), np.arange(self.lower.size)
         self.overflowed: list[tuple[float, ...]] = []
         self._known = len(history)
 
-    def begin(self, phase: int, width: float, held: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
+    def begin(self, phase: int, width: float, free: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
         """Steps from here on belong to `phase`, whose soft compare is `width` texels wide.
 
         **Arguments:**
 
-        - `held`: (p,), the free values of all parameters; `active`: the indices of those that the phase changes.
+        - `free`: (p,), the free values of all parameters; `active`: the indices of those that the phase changes.
         - `scale`: of the residuals that the solver sees.
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale
-        self.held, self.active = np.array(held), active
+        self.free, self.active = np.array(free), active
         self.overflowed.clear()
         self._known = len(self.history)
 
@@ -94,7 +94,7 @@ class Reporter:
         self.step = 0
 
     def add(self, loss: float, y: np.ndarray) -> None:
-        """One more evaluation, of `loss` at the free values `y` (a,) of what is active."""
+        """One more evaluation, of `loss` at the free values `y` (a,) of the active parameters."""
         step = Step(self.phase, self.step, self.width, loss / self.scale**2, self._values(y), self.start)
         self.step += 1
         self.history.append(step)
@@ -102,12 +102,12 @@ class Reporter:
             self.on_step(step)
 
     def add_overflow(self, y: np.ndarray) -> None:
-        """An evaluation at the free values `y` (a,) of what is active, for which a capacity was too small."""
+        """An evaluation at the free values `y` (a,) of the active parameters, for which a capacity was too small."""
         self.overflowed.append(self._values(y))
 
     def _values(self, y: np.ndarray) -> tuple[float, ...]:
-        # In NumPy, for a callback must not wait for JAX.
-        free = self.held.copy()
+        # In NumPy: a callback must not wait for JAX.
+        free = self.free.copy()
         free[self.active] = y
         return tuple((self.lower + (self.upper - self.lower) * (1 + np.sin(free)) / 2).tolist())
 

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float, PyTree
 
 from .._misc import as_float
 
-# How far inside its bounds a fit starts at the least, as a share of their distance: on a bound itself the
-# reparametrisation has no slope.
+# A fit starts at least this far inside its bounds, as a fraction of their distance: on a bound itself the change of
+# variables has no slope.
 _INSET = 0.01
 
 
@@ -53,37 +53,55 @@ class Parameter(eqx.Module):
             )
 
 
-class Bounds(eqx.Module):
-    """The bounds of several parameters, and the smooth map onto them from all real numbers.
+class Parameters(eqx.Module):
+    """Where the fitted numbers are in a subject, their bounds, and the smooth map onto these from all real numbers.
 
     With `x = lower + (upper - lower) (1 + sin y) / 2` (James & Roos 1975) every `y` is allowed, and the bounds
-    themselves can be reached.
+    themselves can be reached. `x` are called values, and `y` free values.
+
+    - `paths`: dotted paths in the subject.
+    - `lower`, `upper`: (p,), the bounds.
     """
 
+    paths: tuple[str, ...] = eqx.field(static=True)
     lower: Float[Array, " p"]
     upper: Float[Array, " p"]
 
-    def share(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> "Parameters":
+        """The paths and bounds of `parameters`."""
+        lower, upper = (as_float([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
+        return cls(tuple(p.where for p in parameters), lower, upper)
+
+    def __getitem__(self, indices: Sequence[int]) -> "Parameters":
+        """Those at `indices`."""
+        at = np.asarray(indices, int)
+        return Parameters(tuple(self.paths[i] for i in indices), self.lower[at], self.upper[at])
+
+    def put(self, subject: PyTree, values: Float[Array, " p"]) -> PyTree:
+        """`subject` with `values` (p,) in place of its own."""
+        return with_values(subject, self.paths, values)
+
+    def take(self, subject: PyTree) -> Float[Array, " p"]:
+        """The values (p,) in `subject`."""
+        return jnp.stack([resolve(subject, path) for path in self.paths])
+
+    def fraction(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
         """How far the free values `y` are from the lower bounds towards the upper, in [0, 1]."""
         return (1 + jnp.sin(y)) / 2
 
-    def at(self, share: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Values so far between the bounds."""
-        return self.lower + (self.upper - self.lower) * share
+    def at(self, fraction: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
+        """The values that lie this far between the bounds."""
+        return self.lower + (self.upper - self.lower) * fraction
 
     def to_bounded(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Values within the bounds."""
-        return self.at(self.share(y))
+        """The values of free values `y`."""
+        return self.at(self.fraction(y))
 
     def to_free(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
         """The inverse of `to_bounded`, for values moved off the bounds by at least 1 % of their distance."""
-        share = jnp.clip((x - self.lower) / (self.upper - self.lower), _INSET, 1 - _INSET)
-        return jnp.arcsin(2 * share - 1)
-
-
-def bounds_of(parameters: Sequence[Parameter]) -> Bounds:
-    """The bounds of `parameters`."""
-    return Bounds(as_float([p.lower for p in parameters]), as_float([p.upper for p in parameters]))
+        fraction = jnp.clip((x - self.lower) / (self.upper - self.lower), _INSET, 1 - _INSET)
+        return jnp.arcsin(2 * fraction - 1)
 
 
 def resolve(module: PyTree, name: str) -> Any:

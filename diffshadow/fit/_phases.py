@@ -1,34 +1,39 @@
-"""The phases that a fit runs through."""
+"""The phases of a fit.
+
+The hard compare has no gradient with respect to bias, so the fit of a technique runs under a soft compare whose width
+shrinks geometrically from phase to phase. Where lights or meshes move, phases go from coarse images and maps to fine
+ones under the hard compare, since silhouettes have derivatives whatever the compare; only a bias that is fitted as well
+needs the soft one, at the end. The last phase is repeated under less blur, which is more accurate but sees less far.
+"""
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._misc import as_float
-from ..shadow import HardCompare, SoftCompare
+from ..shadow import SoftCompare
+from ._anneal import Anneal
 from ._arrangement import is_of_technique
-from ._parameters import Bounds, with_values
-from ._poses import PoseProblem
-from ._residuals import Joint
-from ._settings import Anneal, levels_of
+from ._parameters import Parameters
 from ._starts import starts_within
+from .problems import AbstractProblem, Joint, PoseProblem, levels_of
 
-# At so many places within the bounds a fit of poses looks how much room drawing takes.
+# A fit of poses plans its capacity at this many places within the bounds.
 _PLACES = 16
-# Of a technique's numbers, those whose gradient does not depend on the compare being soft.
+# Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
 
 
 class Phase(NamedTuple):
     """A part of a fit.
 
-    - `joint`: the problems as it sees them, with its compare.
+    - `joint`: the problems at its resolution and with its compare.
     - `active`: the indices of the parameters that it changes.
     - `width`: of its soft compare in texels; 0 for the hard one.
-    - `level`: how many pixels a side make one.
+    - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels.
     """
 
     joint: Joint
@@ -38,19 +43,13 @@ class Phase(NamedTuple):
 
     @property
     def program(self) -> tuple[object, ...]:
-        """What tells its compiled program from those of other phases."""
+        """What identifies its compiled program among those of the fit."""
         return self.level, self.active, self.width > 0
 
     @property
     def blurs(self) -> tuple[float, ...]:
         """The standard deviation, in its pixels, of the blur under which it compares each problem's images."""
-        return tuple(float(p.blur / p.sharpness) if isinstance(p, PoseProblem) else 0.0 for p in self.joint.problems)
-
-
-def hard(joint: Joint) -> Joint:
-    """With the hard compare."""
-    compare = joint.technique.compare
-    return joint.compared_by(compare if isinstance(compare, HardCompare) else HardCompare())
+        return tuple(problem.blur_in_pixels for problem in self.joint.problems)
 
 
 def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequence[int] | None) -> list[Phase]:
@@ -59,20 +58,27 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
     **Raises** `ValueError` if the levels do not suit the problems.
     """
     every = tuple(range(len(paths)))
-    soft = lambda width: joint.compared_by(SoftCompare(width, anneal.kernel))
-    if not joint.moves:
-        if levels is not None:
-            raise ValueError("got levels, and nothing moves; expected none: they are for fits of poses")
-        return [Phase(soft(width), every, width) for width in anneal.widths]
-    joint = _sharpened(joint, lambda _: 1.0)
-    sides = [side for p in joint.problems if isinstance(p, PoseProblem) for side in p.sides]
-    poses = tuple(i for i in every if not is_of_technique(paths[i]))
-    chosen = levels_of(levels, *sides)
-    coarse = [Phase(hard(joint).each(lambda p, n=n: p.at_level(n)), poses, 0.0, n) for n in chosen[:-1] if poses]
+    annealed = [Phase(joint.with_compare(SoftCompare(width, anneal.kernel)), every, width) for width in anneal.widths]
+    if joint.moves:
+        return _phases_of_poses(joint, paths, annealed, levels)
+    if levels is not None:
+        raise ValueError("got levels, but no light or mesh moves; expected none: they are for fits of poses")
+    return annealed
+
+
+def _phases_of_poses(
+    joint: Joint, paths: Sequence[str], annealed: list[Phase], levels: Sequence[int] | None
+) -> list[Phase]:
+    poses = tuple(i for i, path in enumerate(paths) if not is_of_technique(path))
+    problems: tuple[Any, ...] = joint.problems
+    factors = levels_of(levels, *(side for problem in problems for side in problem.sides))
+    blurred = lambda joint: _sharpened(joint, lambda _: 1.0)
+    hard = blurred(joint).hard()
+    coarse = [Phase(hard.each(lambda p, n=n: p.at_level(n)), poses, 0.0, n) for n in factors[:-1] if poses]
     if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
-        fine = [Phase(soft(width), every, width) for width in anneal.widths]
+        fine = [phase._replace(joint=blurred(phase.joint)) for phase in annealed]
     else:
-        fine = [Phase(hard(joint), every, 0.0)]
+        fine = [Phase(hard, tuple(range(len(paths))), 0.0)]
     # By the same program.
     return [*coarse, *fine, fine[-1]._replace(joint=_sharpened(fine[-1].joint, lambda p: p.sharpest))]
 
@@ -81,22 +87,23 @@ def _sharpened(joint: Joint, sharpness: Callable[[PoseProblem], float]) -> Joint
     return joint.each(lambda p: dataclasses.replace(p, sharpness=as_float(sharpness(p))))
 
 
-def prepared(joint: Joint, paths: Sequence[str], bounds: Bounds, initial: Float[Array, " p"]) -> Joint:
-    """With room to draw at the initial values, at both ends of the bounds, and at a Sobol sequence between."""
+def prepared(joint: Joint, parameters: Parameters, initial: Float[Array, " p"]) -> Joint:
+    """With the capacity to draw at the initial values, at both ends of the bounds, and at a Sobol sequence between."""
     if not joint.moves:
         return joint
-    spread = starts_within(bounds, initial, _PLACES, seed=0)
-    return joint.each(lambda p: p.planned(paths, jnp.concatenate([spread, bounds.lower[None], bounds.upper[None]])))
+    spread = starts_within(parameters, initial, _PLACES, seed=0)
+    places = jnp.concatenate([spread, parameters.lower[None], parameters.upper[None]])
+    return joint.each(lambda problem: problem.planned(parameters.paths, places))
 
 
-def enlarged(joint: Joint, paths: Sequence[str], values: Float[Array, "k p"]) -> Joint:
-    """With capacity for the arrangements that have `values` (k, p) at `paths`, and as much again."""
+def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
+    """With twice the capacity to draw at each row of `values` (k, p)."""
 
-    def grown(problem: PoseProblem) -> PoseProblem:
+    def grown(problem: PoseProblem) -> AbstractProblem:
         for there in values:
-            arrangement = with_values(problem.arrangement, paths, there)
-            moved = dataclasses.replace(problem, arrangement=arrangement).planned(paths, there[None])
-            problem = dataclasses.replace(moved, arrangement=problem.arrangement)
+            moved = dataclasses.replace(problem, arrangement=parameters.put(problem.arrangement, there))
+            planned = moved.planned(parameters.paths, there[None])
+            problem = dataclasses.replace(planned, arrangement=problem.arrangement)
         return problem
 
     return joint.each(grown)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
 from .._types import HostArray
-from ._poses import REACH_OF_BLUR
+from .problems import REACH_OF_BLUR
 
 # A combination of parameters that moves the image by less than this share of what the best-seen one does, or whose
 # standard deviation is more than this share of its bounds' distance, is not determined by it.

@@ -6,19 +6,19 @@ from jaxtyping import Array, Float
 from scipy.stats import qmc
 
 from .._misc import as_float
-from ._parameters import Bounds
+from ._parameters import Parameters
 
 
-def starts_within(bounds: Bounds, initial: Float[Array, " p"], count: int, seed: int) -> Float[Array, "s p"]:
+def starts_within(parameters: Parameters, initial: Float[Array, " p"], count: int, seed: int) -> Float[Array, "s p"]:
     """`initial` (p,), and a scrambled Sobol sequence over the bounds, `count` values in all.
 
     **Raises** `ValueError` unless `count` is at least 1.
     """
     if count < 1:
-        raise ValueError(f"{count} starts are asked for; expected 1 or more")
+        raise ValueError(f"{count} starts were requested; expected 1 or more")
     if count == 1:
         return initial[None]
     sobol = qmc.Sobol(initial.shape[0], rng=np.random.default_rng(seed))
     # A power of two at once, whose points are even.
-    shares = sobol.random_base2(max(count - 2, 0).bit_length())[: count - 1]
-    return jnp.concatenate([initial[None], bounds.lower + (bounds.upper - bounds.lower) * as_float(shares)])
+    fractions = sobol.random_base2(max(count - 2, 0).bit_length())[: count - 1]
+    return jnp.concatenate([initial[None], parameters.at(as_float(fractions))])

@@ -85,6 +85,8 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     """One mesh that holds the triangles of all `meshes`, in their order."""
     if not meshes:
         raise ValueError("got no meshes to merge; expected at least one")
+    if len(meshes) == 1:
+        return meshes[0]
     xp = array_module(*jax.tree.leaves(list(meshes)))
     starts = np.cumsum([0] + [mesh.vertices.shape[0] for mesh in meshes])
     return Mesh(

@@ -1,35 +1,75 @@
 """A scene: meshes, a camera and lights."""
 
+import dataclasses
 from collections.abc import Iterable
 
 import equinox as eqx
+import numpy as np
+from jaxtyping import Bool
 
+from .._types import HostArray
 from ._camera import AbstractCamera
-from ._mesh import Mesh
+from ._mesh import Mesh, merge
 from .lights import AbstractLight
 
 
-def _as_tuple(lights: AbstractLight | Iterable[AbstractLight]) -> tuple[AbstractLight, ...]:
+def _as_meshes(meshes: Mesh | Iterable[Mesh]) -> tuple[Mesh, ...]:
+    return (meshes,) if isinstance(meshes, Mesh) else tuple(meshes)
+
+
+def _as_lights(lights: AbstractLight | Iterable[AbstractLight]) -> tuple[AbstractLight, ...]:
     return (lights,) if isinstance(lights, AbstractLight) else tuple(lights)
 
 
 class Scene(eqx.Module):
     """What is drawn, from where, and lit by what.
 
-    - `mesh`: every surface, each a caster and a receiver; `merge` makes one mesh of several.
+    - `meshes`: every surface that is seen; one mesh or several, kept as a tuple.
     - `camera`: where the image is drawn from.
     - `lights`: what casts the shadows; one light or several, kept as a tuple.
+    - `casts`: for each mesh, whether techniques draw its shadow; all of them if left out. A mesh that does not cast
+        still receives shadows, and still stops the rays of a reference.
 
-    **Raises** `ValueError` if there is no light.
+    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or if `casts` is not one for each mesh.
     """
 
-    mesh: Mesh
+    meshes: tuple[Mesh, ...] = eqx.field(converter=_as_meshes)
     camera: AbstractCamera
-    lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_tuple)
+    lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_lights)
+    casts: tuple[bool, ...] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
+        if not self.meshes:
+            raise ValueError("the scene has no mesh; expected a mesh, or several in a sequence")
         if not self.lights:
             raise ValueError("the scene has no light; expected a light, or several in a sequence")
+        if self.casts is not None and len(self.casts) != len(self.meshes):
+            raise ValueError(
+                f"casts has {len(self.casts)} entries, and the scene has {len(self.meshes)} meshes; expected one each"
+            )
+        if self.casts is not None and not any(self.casts):
+            raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
+
+    @property
+    def mesh(self) -> Mesh:
+        """All meshes as one, in their order."""
+        return merge(self.meshes)
+
+    @property
+    def casters(self) -> Mesh:
+        """The meshes that cast, as one."""
+        return merge([mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if casts])
+
+    @property
+    def receivers(self) -> Mesh | None:
+        """The meshes that only receive, as one; none if all cast."""
+        meshes = [mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if not casts]
+        return merge(meshes) if meshes else None
+
+    @property
+    def casting_faces(self) -> Bool[HostArray, " f"]:
+        """Which faces of `mesh` cast."""
+        return np.repeat(self._casts, [mesh.faces.shape[0] for mesh in self.meshes])
 
     @property
     def light(self) -> AbstractLight:
@@ -54,4 +94,8 @@ class Scene(eqx.Module):
                 f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, for it has "
                 f"{len(self.lights)}"
             )
-        return Scene(self.mesh, self.camera, self.lights[index])
+        return dataclasses.replace(self, lights=self.lights[index])
+
+    @property
+    def _casts(self) -> tuple[bool, ...]:
+        return (True,) * len(self.meshes) if self.casts is None else self.casts

@@ -1,4 +1,4 @@
-"""Shadow maps, and the biases, compares and filters that turn them into visibility."""
+"""Shadow mapping, its biases, compares and filters; shadow volumes and projective shadows."""
 
 from ._compare import AbstractCompare as AbstractCompare
 from ._compare import HardCompare as HardCompare
@@ -7,18 +7,20 @@ from ._compare import SoftKernel as SoftKernel
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
 from ._map import MapCapacity as MapCapacity
+from ._map import MapSettings as MapSettings
 from ._map import ShadowMap as ShadowMap
 from ._map import draw_shadow_map as draw_shadow_map
 from ._map import plan_shadow_map as plan_shadow_map
 from ._projective import ProjectiveShadow as ProjectiveShadow
 from ._projective import ProjectiveTexture as ProjectiveTexture
-from ._projective import draw_projective_texture as draw_projective_texture
 from ._receiver import Receiver as Receiver
 from ._receiver import receiver as receiver
-from ._technique import ShadowMapping as ShadowMapping
+from ._shadow_mapping import ShadowMapping as ShadowMapping
+from ._technique import AbstractTechnique as AbstractTechnique
 from ._volumes import ShadowVolumes as ShadowVolumes
 from ._volumes import VolumeCapacity as VolumeCapacity
 from ._volumes import Volumes as Volumes
+from ._volumes import VolumeScene as VolumeScene
 from ._volumes import shadow_volumes as shadow_volumes
 from .biases import AbstractBias as AbstractBias
 from .biases import AdaptiveBias as AdaptiveBias

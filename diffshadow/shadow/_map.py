@@ -1,6 +1,6 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -64,8 +64,7 @@ def draw_shadow_map(
     depth_format: DepthFormat = "float32",
     polygon_offset: tuple[float, float] | None = None,
     edges: Edges | None = None,
-    capacity: Capacity | None = None,
-    silhouette_capacity: int | None = None,
+    capacity: "MapCapacity | None" = None,
     overflows: list[Overflow] | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
@@ -89,8 +88,7 @@ def draw_shadow_map(
         deeper by `factor · max(|dz/dx|, |dz/dy|) + units · r`, slopes per texel and `r` the least difference of depths
         that the format is sure to resolve.
     - `edges`: of the mesh, for a map with silhouettes, which holds the nearest surface with nothing culled.
-    - `capacity`, `silhouette_capacity`: how many triangles, and silhouettes, can be drawn; needed under a trace, by
-        `plan_shadow_map`.
+    - `capacity`: how many triangles and silhouettes can be drawn, by `plan_shadow_map`; needed under a trace.
     - `overflows`: a list that is appended whether each capacity is too small, instead of an error; see `rasterize`.
 
     **Raises** `ValueError` if `layer` is unknown, if `edges` are given with another `layer` than `"nearest"` or with
@@ -104,6 +102,7 @@ def draw_shadow_map(
             "leave edges out, or change these"
         )
     clip = clip_vertices(mesh, light)
+    triangles = None if capacity is None else capacity.triangles
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -116,7 +115,7 @@ def draw_shadow_map(
             depth_test=test,
             polygon_offset=polygon_offset,
             behind=behind,
-            capacity=capacity,
+            capacity=triangles,
             overflows=overflows,
         )
         depth = _depth(seen.face, clip, mesh.faces)
@@ -128,29 +127,46 @@ def draw_shadow_map(
         depth = second if layer == "second" else _midpoint(depth, second, test)
     if edges is None:
         return ShadowMap(depth, light, depth_format)
-    if silhouette_capacity is None:
-        silhouette_capacity = _plan_silhouettes(clip, mesh, light, edges, resolution)
+    most = _plan_silhouettes(clip, mesh, light, edges, resolution) if capacity is None else capacity.silhouettes
     about_corners, size = _about_corners(clip, resolution), _corners(resolution)
-    corners = rasterize_depth(about_corners, mesh.faces, size, capacity=capacity, overflows=overflows)
-    silhouettes, overflow = _silhouettes(
-        depth, corners, clip, mesh, light, edges, silhouette_capacity, overflows is None
-    )
+    corners = rasterize_depth(about_corners, mesh.faces, size, capacity=triangles, overflows=overflows)
+    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, most, overflows is None)
     if overflows is not None:
         overflows.append(overflow)
     return ShadowMap(depth, light, depth_format, silhouettes)
 
 
-class MapCapacity(NamedTuple):
-    """Room that drawing a shadow map takes: for `triangles`, and for crossings of `silhouettes` with sides of texels.
+class MapSettings(NamedTuple):
+    """How a shadow map is drawn; see `draw_shadow_map`.
 
-    Both are part of a compiled function: others compile anew.
+    - `silhouettes`: whether the map holds silhouettes. With `None`, it does where lights or meshes are fitted, since
+        derivatives with respect to these need them.
+    """
+
+    resolution: Resolution = (512, 512)
+    layer: DepthLayer = "nearest"
+    cull: Cull = "none"
+    depth_format: DepthFormat = "float32"
+    polygon_offset: tuple[float, float] | None = None
+    silhouettes: bool | None = None
+
+    def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
+        """The shadow map of `casters` under `light`; edges, capacities and `overflows` as for `draw_shadow_map`."""
+        given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
+        return draw_shadow_map(casters, light, **given, **how)
+
+
+class MapCapacity(NamedTuple):
+    """The capacity to draw a shadow map: of `triangles`, and of crossings of `silhouettes` with sides of texels.
+
+    Both are static: another capacity compiles another program.
     """
 
     triangles: Capacity
     silhouettes: int = 0
 
     def grown_to(self, other: "MapCapacity") -> "MapCapacity":
-        """The least capacity that holds what either holds."""
+        """The least capacity that is enough for both."""
         return MapCapacity(self.triangles.grown_to(other.triangles), max(self.silhouettes, other.silhouettes))
 
 

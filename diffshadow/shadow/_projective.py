@@ -15,9 +15,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
-from ..geometry import AbstractLight, Mesh
+from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Capacity, Surface, rasterize
 from ._map import clip_vertices
+from ._technique import AbstractTechnique
 from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
 from .kernels import Shape
 
@@ -30,12 +31,14 @@ class ProjectiveTexture(eqx.Module):
     - `coverage`: (h, w), how much of each texel's surroundings the casters cover, 0 to 1. Row 0 is the bottom row. Of a
         light that looks several ways, (l, h, w).
     - `light`: the light that sees it.
+    - `casts`: (f,), which faces of the scene's mesh are the casters'.
     - `margin`: how many texels at each side lie beyond the light's frustum. There is nothing there but what the blur
         spreads out.
     """
 
     coverage: Float[Array, "*l h w"]
     light: AbstractLight
+    casts: Bool[Array, " f"] = eqx.field(converter=jnp.asarray)
     margin: int = eqx.field(static=True)
 
     @property
@@ -45,67 +48,75 @@ class ProjectiveTexture(eqx.Module):
         return height - 2 * self.margin, width - 2 * self.margin
 
 
-class ProjectiveShadow(eqx.Module):
+class ProjectiveShadow(AbstractTechnique):
     """Shadows by a projected texture, with bilinear look-ups.
+
+    - `resolution`: of the texture, (height, width) in texels.
+    - `blur`: radius of the kernel that the silhouette is averaged over, in texels; up to 0.5 nothing is blurred.
+    - `max_blur`: the largest blur that can be asked for; defaults to `blur`, and is needed if that is traced.
+    - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, which ends at three of its standard
+        deviations.
 
     Differentiable by what moves receivers within the texture, their positions and the light, while the texture stays,
     and by its blur. A texel is covered or not by its centre, so how the silhouette moves with casters and light has no
     gradient: those of their poses are not to be trusted.
-    """
-
-    def visibility(self, texture: ProjectiveTexture, surface: Surface, casts: Bool[Array, " f"]) -> Visibility:
-        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
-
-        **Arguments:**
-
-        - `casts`: (f,), which faces of the mesh that the surface was drawn from are the casters'. They are lit.
-
-        What the texture does not show is lit, as is what lies behind the light. A surface turned away from the light's
-        centre is dark, the casters' too. Pixels without a surface are lit.
-        """
-        light = texture.light
-        cosine = dot(surface.normal, normalize(light.towards(surface.position)))
-        seen = _seen(texture, *_project(texture, surface))
-        lit = in_unit_range(jnp.where(casts[jnp.maximum(surface.face, 0)], 1, 1 - seen))
-        return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
-
-    def covered(self, texture: ProjectiveTexture, surface: Surface) -> Mask:
-        """Pixels whose surface the texture is projected on, (h, w): those within the light's frustum."""
-        texel, in_front, _ = _project(texture, surface)
-        height, width = texture.resolution
-        inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)
-        return surface.mask & in_front & inside
-
-
-def draw_projective_texture(
-    casters: Mesh,
-    light: AbstractLight,
-    resolution: Resolution,
-    blur: float | Scalar = 0.0,
-    *,
-    max_blur: float | None = None,
-    kernel: Shape = "box",
-    capacity: Capacity | None = None,
-) -> ProjectiveTexture:
-    """The silhouette of `casters` under `light`.
-
-    **Arguments:**
-
-    - `resolution`: (height, width) in texels.
-    - `blur`: radius of the kernel that the silhouette is averaged over, in texels; up to 0.5 nothing is blurred. The
-        texture differentiates with respect to it.
-    - `max_blur`: the largest blur that can be asked for; defaults to `blur`, and is needed if that is traced.
-    - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, which ends at three of its standard
-        deviations.
-    - `capacity`: as for `rasterize`; needed under a trace.
 
     **Raises** `ValueError` if `blur` is negative or above `max_blur`, or `kernel` is unknown.
     """
-    check_kernel("projective texture", kernel)
-    blurring = Blur(as_float(blur), radius_limit(blur, max_blur), kernel)
-    check_radius("projective texture", blurring.radius, blurring.max_radius)
-    face = rasterize(clip_vertices(casters, light), casters.faces, resolution, capacity=capacity).face
-    return ProjectiveTexture(_blurred(as_float(face != NO_FACE), blurring), light, blurring.margin)
+
+    resolution: Resolution = eqx.field(static=True)
+    blur: Scalar
+    max_blur: float = eqx.field(static=True)
+    kernel: Shape = eqx.field(static=True)
+
+    def __init__(
+        self,
+        resolution: Resolution = (512, 512),
+        blur: float | Scalar = 0.0,
+        *,
+        max_blur: float | None = None,
+        kernel: Shape = "box",
+    ):
+        self.resolution, self.blur, self.kernel = resolution, as_float(blur), kernel
+        self.max_blur = radius_limit(blur, max_blur)
+
+    def __check_init__(self):
+        check_kernel("projective texture", self.kernel)
+        check_radius("projective texture", self.blur, self.max_blur)
+
+    def prepare(
+        self, scene: Scene, surface: Surface | None = None, *, capacity: Capacity | None = None
+    ) -> ProjectiveTexture:
+        """The silhouette of the scene's casters under its only light. It does not depend on `surface`.
+
+        **Arguments:** `capacity` as for `rasterize`; needed under a trace.
+        """
+        casters, light = scene.casters, scene.light
+        face = rasterize(clip_vertices(casters, light), casters.faces, self.resolution, capacity=capacity).face
+        blurring = Blur(self.blur, self.max_blur, self.kernel)
+        coverage = _blurred(as_float(face != NO_FACE), blurring)
+        return ProjectiveTexture(coverage, light, scene.casting_faces, blurring.margin)
+
+    @eqx.filter_jit
+    def visibility(self, state: ProjectiveTexture, surface: Surface) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        What the texture does not show is lit, as is what lies behind the light, and every caster. A surface that faces
+        away from the light's centre is dark, the casters' too. Pixels without a surface are lit.
+        """
+        light = state.light
+        cosine = dot(surface.normal, normalize(light.towards(surface.position)))
+        seen = _seen(state, *_project(state, surface))
+        lit = in_unit_range(jnp.where(state.casts[jnp.maximum(surface.face, 0)], 1, 1 - seen))
+        return jnp.where(surface.mask, jnp.where(cosine > 0, lit, 0), 1)
+
+    @eqx.filter_jit
+    def covered(self, state: ProjectiveTexture, surface: Surface) -> Mask:
+        """Pixels whose surface the texture is projected on, (h, w): those within the light's frustum."""
+        texel, in_front, _ = _project(state, surface)
+        height, width = state.resolution
+        inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)
+        return surface.mask & in_front & inside
 
 
 @eqx.filter_jit

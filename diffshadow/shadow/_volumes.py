@@ -19,9 +19,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float, dot, normalize
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Resolution, Scalar, Vec3, Visibility
-from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, View, infinite_far, merge, transform_vectors
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, infinite_far, merge, transform_vectors
 from ..raster import (
     Capacity,
+    Surface,
     barycentrics,
     count_fragments,
     interpolate_depth,
@@ -31,6 +32,7 @@ from ..raster import (
     rasterize,
     silhouettes_by_adjacency,
 )
+from ._technique import AbstractTechnique
 
 # Surfaces count as this much nearer, in window depth, than they are, so that the caps that lie in them lie behind them
 # whatever the rounding. It is some thousand times what float64 rounds off, and what float32 rounds off is 65,000 times
@@ -43,10 +45,26 @@ _OUTSIDE = 0.25
 
 
 class VolumeCapacity(NamedTuple):
-    """Room for the triangles of what is seen, `scene`, and for those of the `volumes`; `ShadowVolumes.plan` counts."""
+    """The capacity to draw what is seen, `scene`, and the faces of the `volumes`; `ShadowVolumes.plan` counts both."""
 
     scene: Capacity
     volumes: Capacity
+
+
+class VolumeScene(eqx.Module):
+    """What shadow volumes are made of and seen with.
+
+    - `casters`: seen, and cast shadows. Volumes close without a gap if vertices at one place are equal to the bit.
+    - `light`, `camera`: where volumes are extruded from, and where they are seen from.
+    - `edges`: of `casters`.
+    - `receivers`: further surfaces, which are seen and cast none; or none.
+    """
+
+    casters: Mesh
+    light: AbstractLight
+    camera: AbstractCamera
+    edges: Edges
+    receivers: Mesh | None = None
 
 
 class Volumes(eqx.Module):
@@ -62,7 +80,7 @@ class Volumes(eqx.Module):
     weights: Int[Array, " t"]
 
 
-class ShadowVolumes(eqx.Module):
+class ShadowVolumes(AbstractTechnique):
     """Hard shadows by counting the shadow volumes round each visible surface point.
 
     - `method`: which faces of volumes are counted. `"z_fail"`, those at or behind the surface, with volumes closed by
@@ -71,11 +89,10 @@ class ShadowVolumes(eqx.Module):
 
     Lights of any kind count as points, or as infinitely far away: a spot light's cone is not obeyed, nor is a size.
 
-    Surfaces that are to be seen but cast nothing are given as `receivers`. They stop neither light nor shadow: a
-    caster's shadow falls on such a wall, and once more on whatever lies behind it (a "ghost shadow"). Make the wall a
-    caster to be rid of it.
+    A mesh that does not cast stops neither light nor shadow: a caster's shadow falls on such a wall, and once more on
+    whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid it.
 
-    What is found is whole numbers, without gradient.
+    The counts are whole numbers, without gradient.
 
     **Raises** `ValueError` if the method is unknown.
     """
@@ -86,16 +103,15 @@ class ShadowVolumes(eqx.Module):
         if self.method not in ("z_fail", "z_pass"):
             raise ValueError(f'the method of shadow volumes is {self.method!r}; expected "z_fail" or "z_pass"')
 
-    def counts(
-        self,
-        casters: Mesh,
-        light: AbstractLight,
-        camera: AbstractCamera,
-        receivers: Mesh | None = None,
-        *,
-        edges: Edges | None = None,
-        capacity: VolumeCapacity | None = None,
-    ) -> Int[Array, "h w"]:
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
+        """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.
+
+        Edges depend on the mesh alone: find them once where one mesh is drawn often.
+        """
+        casters = scene.casters
+        return VolumeScene(casters, scene.light, scene.camera, Edges.of(casters), scene.receivers)
+
+    def counts(self, state: VolumeScene, *, capacity: VolumeCapacity | None = None) -> Int[Array, "h w"]:
         """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
 
         A solid counts once for each of its faces turned to the light that lie between it and the point, an open mesh
@@ -103,65 +119,54 @@ class ShadowVolumes(eqx.Module):
 
         **Arguments:**
 
-        - `casters`: seen, and cast shadows. Volumes close without a gap if vertices at one place are equal to the bit.
-        - `receivers`: further surfaces that are seen and cast none.
-        - `edges`: of `casters`. Left out, they are found anew, which needs concrete meshes; find them once where one
-            mesh is drawn often.
         - `capacity`: how many triangles can be drawn. Left out, they are counted first, which needs concrete
             arguments; inside `jax.jit` it must be given, by `plan`.
 
-        **Raises** `ValueError` if `edges` or `capacity` is left out under a trace; and a runtime error that names the
-        capacity that is too small.
+        **Raises** `ValueError` if `capacity` is left out under a trace; and a runtime error that names the capacity
+        that is too small.
         """
-        return self._count(casters, light, camera, receivers, edges, capacity).counts
+        return self._count(state, capacity).counts
 
     def visibility(
-        self,
-        casters: Mesh,
-        light: AbstractLight,
-        camera: AbstractCamera,
-        receivers: Mesh | None = None,
-        *,
-        edges: Edges | None = None,
-        capacity: VolumeCapacity | None = None,
+        self, state: VolumeScene, surface: Surface | None = None, *, capacity: VolumeCapacity | None = None
     ) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        A point is lit if it lies in no volume, and its surface, on the side that the camera sees, is turned to the
-        light. Pixels without a surface between the camera's near and far distances are lit. Arguments and errors are
-        those of `counts`.
+        A point is lit if it lies in no volume, and its surface, on the side that the camera sees, faces the light.
+        Pixels without a surface between the camera's near and far distances are lit.
+
+        **Arguments:**
+
+        - `surface`: not needed: the faces that the state's camera sees are found again, in double precision.
+        - `capacity`, and errors: as for `counts`.
         """
-        found = self._count(casters, light, camera, receivers, edges, capacity)
+        found = self._count(state, capacity)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)
 
-    def plan(
-        self,
-        casters: Mesh,
-        light: AbstractLight,
-        camera: AbstractCamera,
-        receivers: Mesh | None = None,
-        *,
-        edges: Edges | None = None,
-    ) -> VolumeCapacity:
-        """The capacity that `counts` and `visibility` need with these arguments; not for use inside `jax.jit`."""
-        view = _view(camera)
+    def covered(self, state: VolumeScene, surface: Surface) -> Mask:
+        """Every pixel with a surface, (h, w)."""
+        return surface.mask
+
+    def plan(self, state: VolumeScene) -> VolumeCapacity:
+        """The capacity that `counts` and `visibility` need; not for use inside `jax.jit`."""
+        view = _view(state.camera)
         with jax.enable_x64(True):
-            return _plan(self._prepare(casters, light, camera, view, receivers, edges), camera.resolution)
+            return _plan(self._widened_drawing(state, view), state.camera.resolution)
 
-    def _prepare(self, casters, light, camera, view, receivers, edges) -> "_Drawing":
-        edges = Edges.of(casters) if edges is None else edges
-        casters, light, eye, view, receivers = _widened((casters, light, camera.eye, view, receivers))
-        return _drawing(casters, light, eye, view, receivers, edges, self.method == "z_fail")
+    def _widened_drawing(self, state: VolumeScene, view: View) -> "_Drawing":
+        given = state.casters, state.light, state.camera.eye, view, state.receivers
+        casters, light, eye, view, receivers = _widened(given)
+        return _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
 
-    def _count(self, casters, light, camera, receivers, edges, capacity) -> "_Found":
+    def _count(self, state: VolumeScene, capacity: VolumeCapacity | None) -> "_Found":
         # The view is the one that surfaces are drawn with, to the bit. All else is in double precision: a wall may
         # pass closer to a surface than single-precision depths can tell.
-        view = _view(camera)
+        view = _view(state.camera)
         scene, sides = (None, None) if capacity is None else capacity
         with jax.enable_x64(True):
-            drawing = self._prepare(casters, light, camera, view, receivers, edges)
+            drawing = self._widened_drawing(state, view)
             clip = drawing.clip.astype(jnp.float32)
-        face = rasterize(clip, drawing.faces, camera.resolution, capacity=scene).face
+        face = rasterize(clip, drawing.faces, state.camera.resolution, capacity=scene).face
         with jax.enable_x64(True):
             at = _behind(face, drawing)
             when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)

@@ -6,7 +6,5 @@ from .runs._check import check as check
 from .runs._fit import run_fit as run_fit
 from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render as run_render
-from .runs._techniques import draw_from_light as draw_from_light
-from .runs._techniques import draw_visibility as draw_visibility
 from .sweeps._run import print_plan as print_plan
 from .sweeps._run import run_sweep as run_sweep

@@ -13,7 +13,6 @@ from diffshadow.config import (
     ConfigError,
     ReceiverPlaneConfig,
     SoftCompareConfig,
-    build_casting,
     build_fit,
     build_scene,
     build_shading,
@@ -394,22 +393,22 @@ shadow_map: {{cull: front}}
 
 def test_open_caster_is_refused_where_back_faces_cast_for_it():
     with pytest.raises(ConfigError) as caught:
-        build_casting(parse_config(CASTING.format(box="true"), source="file.yaml"))
+        build_scene(parse_config(CASTING.format(box="true"), source="file.yaml"))
     assert str(caught.value).startswith(
         "file.yaml:3: scene.meshes.0: is an open mesh that casts shadows, while shadow_map.cull is front; expected "
         "closed meshes, whose back faces can cast for them: set casts: false if it only receives"
     )
     volumes = parse_config(CASTING.format(box="true"), ["technique.type=shadow_volumes"])
-    assert build_casting(volumes).receivers is None
+    assert build_scene(volumes).receivers is None
 
 
 def test_casters_and_receivers_are_told_apart():
-    casting = build_casting(parse_config(CASTING.format(box="false"), ["shadow_map.cull=none"]))
-    assert casting.casters.faces.shape == (2, 3)
-    assert casting.receivers is not None
-    assert casting.receivers.faces.shape == (12, 3)
-    assert casting.scene.mesh.faces.shape == (14, 3)
-    assert casting.casts.tolist() == [True] * 2 + [False] * 12
+    scene = build_scene(parse_config(CASTING.format(box="false"), ["shadow_map.cull=none"]))
+    assert scene.casters.faces.shape == (2, 3)
+    assert scene.receivers is not None
+    assert scene.receivers.faces.shape == (12, 3)
+    assert scene.mesh.faces.shape == (14, 3)
+    assert scene.casting_faces.tolist() == [True] * 2 + [False] * 12
 
 
 def test_fit_of_a_technique_without_a_gradient_is_refused():

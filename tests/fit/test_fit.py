@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scenes import problem, technique
 
-from diffshadow.fit import Anneal, Parameter, Solver, fit, parameter_names, resolve, with_values
-from diffshadow.fit._parameters import bounds_of
-from diffshadow.fit._residuals import Joint
+from diffshadow.fit import Anneal, Parameter, Parameters, Solver, fit, parameter_names, resolve, with_values
+from diffshadow.fit.problems import Joint
 from diffshadow.shadow import (
     Bias,
     FourTap,
@@ -220,7 +219,7 @@ def test_names_and_values():
 
 @pytest.mark.parametrize("value", [0.02, 0.3, 0.5, 0.98])
 def test_bounded_and_free_values_are_each_others_inverse(value):
-    bounds = bounds_of([Parameter("a", 1.0, -1.0, 4.0), Parameter("b", 1.0, 0.0, 1e3)])
+    bounds = Parameters.of([Parameter("a", 1.0, -1.0, 4.0), Parameter("b", 1.0, 0.0, 1e3)])
     x = bounds.lower + value * (bounds.upper - bounds.lower)
     np.testing.assert_allclose(bounds.to_bounded(bounds.to_free(x)), x, rtol=1e-5)
     edge = bounds.to_bounded(bounds.to_free(bounds.lower))

@@ -14,26 +14,24 @@ from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
     Arrangement,
-    MapSettings,
     MeshPose,
     Parameter,
+    Parameters,
     PoseProblem,
     Solver,
-    cone_share,
+    cone_fraction,
     fit,
     parameter_names,
     resolve,
     with_values,
 )
-from diffshadow.fit._adam import Adam, _Descent
-from diffshadow.fit._levenberg_marquardt import LevenbergMarquardt
-from diffshadow.fit._parameters import bounds_of
-from diffshadow.fit._poses import Room
 from diffshadow.fit._precision import precision_of
 from diffshadow.fit._programs import compiled
-from diffshadow.fit._settings import levels_of
-from diffshadow.fit._solve import _Path, _Run
+from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
+from diffshadow.fit.problems import PoseCapacity, levels_of
+from diffshadow.fit.solvers import Adam, LevenbergMarquardt
+from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
     DirectionalLight,
     Mesh,
@@ -41,11 +39,12 @@ from diffshadow.geometry import (
     PinholeCamera,
     PointLight,
     RectangleLight,
+    Scene,
     SpotLight,
     merge,
 )
 from diffshadow.raster import draw_surface
-from diffshadow.shadow import Bias, Bilinear, ShadowMapping
+from diffshadow.shadow import Bias, Bilinear, MapSettings, ShadowMapping
 
 FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
 POINTS = merge([FLOOR, CARD]).vertices
@@ -68,11 +67,8 @@ def problem(light, *, moves=False, meshes=(FLOOR, CARD), camera=None, texels=64,
     surface = None if moves else draw_surface(merge(meshes), camera)
     return PoseProblem(
         arrangement=Arrangement.of(TECHNIQUE, [light], poses),
-        meshes=tuple(meshes),
-        casts=(True,) * len(meshes),
-        light=light,
+        scene=Scene(meshes, camera, light),
         index=0,
-        camera=camera,
         reference=jnp.ones(shape),
         weight=jnp.ones(shape),
         settings=MapSettings((texels, texels), silhouettes=silhouettes),
@@ -82,7 +78,7 @@ def problem(light, *, moves=False, meshes=(FLOOR, CARD), camera=None, texels=64,
 
 @eqx.filter_jit
 def _seen(technique, shadow_map, surface):
-    return technique.visibility(shadow_map, surface) * cone_share(shadow_map.light, surface)
+    return technique.visibility(shadow_map, surface) * cone_fraction(shadow_map.light, surface)
 
 
 def image(problem, paths, values):
@@ -208,7 +204,7 @@ def test_coarse_levels_hold_means_of_the_pixels_that_count():
         one, reference=jnp.asarray(reference, jnp.float32), weight=jnp.asarray(weight, jnp.float32)
     )
     coarse = one.at_level(4)
-    assert coarse.camera.resolution == coarse.surface.mask.shape == (16, 16)
+    assert coarse.scene.camera.resolution == coarse.surface.mask.shape == (16, 16)
     assert coarse.settings.resolution == (32, 32)
     block = (slice(8, 12), slice(4, 8))
     assert float(coarse.weight[2, 1]) == pytest.approx(weight[block].mean())
@@ -221,7 +217,7 @@ def test_coarse_levels_hold_means_of_the_pixels_that_count():
 
 
 def test_starts_are_the_first_and_an_even_spread():
-    bounds = bounds_of([Parameter("a", 1.0, 0.0, 4.0), Parameter("b", -1.0, -2.0, 0.0)])
+    bounds = Parameters.of([Parameter("a", 1.0, 0.0, 4.0), Parameter("b", -1.0, -2.0, 0.0)])
     first = jnp.array([1.0, -1.0])
     starts = np.asarray(starts_within(bounds, first, 9, seed=3))
     assert starts[0].tolist() == [1, -1]
@@ -230,7 +226,7 @@ def test_starts_are_the_first_and_an_even_spread():
     assert sorted(np.floor(shares[:, 0] * 8)) == sorted(np.floor(shares[:, 1] * 8)) == list(range(8))
     np.testing.assert_array_equal(starts, starts_within(bounds, first, 9, seed=3))
     assert (starts[1:] != starts_within(bounds, first, 9, seed=4)[1:]).all()
-    with pytest.raises(ValueError, match="0 starts are asked for; expected 1 or more"):
+    with pytest.raises(ValueError, match="0 starts were requested; expected 1 or more"):
         starts_within(bounds, first, 0, seed=0)
 
 
@@ -308,7 +304,7 @@ def test_what_an_image_cannot_tell_apart_is_named():
 
 
 def test_of_losses_within_the_noise_the_last_phase_is_chosen():
-    path = lambda *losses: _Path([], [], list(losses), [], [])
+    path = lambda *losses: Path([], [], list(losses), [], [])
     # Where pixels jump, a start may have a lower loss than the place that the slopes lead to.
     assert path(1.0, 1.2).chosen(0.25) == 1
     assert path(1.0, 1.2, 1.3).chosen(0.25) == 1
@@ -320,15 +316,15 @@ def test_the_start_with_the_least_loss_runs_the_remaining_phases():
 
     def along(phases, path):
         runs.append((phases, path.values[0]))
-        return _Path([], path.values, [losses[path.values[0]]], [], [])
+        return Path([], path.values, [losses[path.values[0]]], [], [])
 
     solving = SimpleNamespace(
         phases=[SimpleNamespace(level=level) for level in (4, 1, 1)],
         reporter=SimpleNamespace(start=None),
         _along=along,
-        _start=lambda initial: _Path([], [(float(initial[0]),)], [], [], []),
+        _start=lambda initial: Path([], [(float(initial[0]),)], [], [], []),
     )
-    path, tried = _Run.through(solving, jnp.array(list(losses)))
+    path, tried = Run.through(solving, jnp.array(list(losses)))
     assert [start.loss for start in tried] == [0.7, 0.2, 0.4]
     assert runs == [*(([0], start) for start in losses), ([1, 2], (2.0,))]
     assert (path.values[0], solving.reporter.start) == ((2.0,), 1)
@@ -464,9 +460,9 @@ def test_height_of_a_card_along_the_light_is_not_determined():
 
 
 @pytest.mark.exhaustive
-def test_too_little_room_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
-    tight = lambda joint, *_: joint.each(lambda p: dataclasses.replace(p, room=Room(), edges=p._edges()))
-    monkeypatch.setattr("diffshadow.fit._solve.prepared", tight)
+def test_too_little_capacity_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
+    tight = lambda joint, *_: joint.each(lambda p: dataclasses.replace(p, capacity=PoseCapacity(), edges=p._edges()))
+    monkeypatch.setattr("diffshadow.fit._fit.prepared", tight)
     one = problem(LIGHTS["spot"], texels=32, camera=floor_camera(1.5, (32, 32)))
     paths = ("lights.0.position.x", AZIMUTH)
     truth = values(one, paths)

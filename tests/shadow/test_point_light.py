@@ -13,7 +13,16 @@ from scipy import ndimage
 from diffshadow.geometry import Mesh, PinholeCamera, PointLight, Scene, SpotLight, library_mesh, merge
 from diffshadow.raster import Capacity, Surface, draw_surface
 from diffshadow.reference import trace_visibility
-from diffshadow.shadow import Bilinear, Nearest, PercentageCloser, RandomDisk, ShadowMap, draw_shadow_map, stratified
+from diffshadow.shadow import (
+    Bilinear,
+    MapCapacity,
+    Nearest,
+    PercentageCloser,
+    RandomDisk,
+    ShadowMap,
+    draw_shadow_map,
+    stratified,
+)
 
 AXES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
 PLACE = (0.3, -0.2, 0.1)
@@ -65,7 +74,7 @@ def draw(mesh, light, texels=128) -> ShadowMap:
     vertices, faces = 32 - len(mesh.vertices), 48 - len(mesh.faces)
     pad = lambda values, n: np.pad(np.asarray(values), [(0, n), (0, 0)])
     full = Mesh(pad(mesh.vertices, vertices), pad(mesh.faces, faces), np.zeros((48, 3, 3)))
-    return draw_shadow_map(full, light, (texels, texels), capacity=CAPACITY)
+    return draw_shadow_map(full, light, (texels, texels), capacity=MapCapacity(CAPACITY))
 
 
 # --- Faces ---

@@ -9,30 +9,25 @@ import numpy as np
 import pytest
 from scenes import floor_surface, quad, side_camera
 
-from diffshadow.geometry import DirectionalLight, PointLight, SpotLight, merge
+from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, SpotLight
 from diffshadow.raster import Capacity, draw_surface
-from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture, draw_projective_texture
+from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture
 
 DOWN = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -3, 3)
 """Straight down on a map 4 world units wide."""
 TEXELS = 128
-IS_CARD = jnp.array([False, False, True, True])
 HALF = 0.5
 """Of the card's width, world units: 16 texels."""
 CARD = quad((0, 1, 0), (HALF, 0, 0), (0, 0, -HALF))
+FLOOR = quad((0, 0, 0), (1.5, 0, 0), (0, 0, -1.5))
+CAMERA = OrthographicCamera((0, 2, 0), (0, 0, 0), (0, 0, -1), height=3.0)
 # All textures and images are of one size, and all can be blurred as far, so that they share what is compiled.
 ROOM = Capacity(windows=(0, 0, 0, 0, 16), large=16, candidates=1024, blocks=1024)
 MOST_BLUR = 10.0
 
 
-@eqx.filter_jit
-def shadows(texture, surface, casts):
-    return ProjectiveShadow().visibility(texture, surface, casts)
-
-
-@eqx.filter_jit
-def covered(texture, surface):
-    return ProjectiveShadow().covered(texture, surface)
+# Visibility depends on the texture alone.
+ANY = ProjectiveShadow()
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +36,17 @@ def floor():
     return floor_surface(1.5, (TEXELS, TEXELS))
 
 
+def scene_of(light):
+    return Scene([FLOOR, CARD], CAMERA, light, casts=(False, True))
+
+
 def texture_of(light=DOWN, blur=0.0, kernel="box"):
-    return draw_projective_texture(
-        CARD, light, (TEXELS, TEXELS), blur, max_blur=MOST_BLUR, kernel=kernel, capacity=ROOM
-    )
+    technique = ProjectiveShadow((TEXELS, TEXELS), blur, max_blur=MOST_BLUR, kernel=kernel)
+    return technique.prepare(scene_of(light), capacity=ROOM)
 
 
 def project(floor, blur=0.0, light=DOWN, **options):
-    return np.asarray(shadows(texture_of(light, blur, **options), floor, IS_CARD))
+    return np.asarray(ANY.visibility(texture_of(light, blur, **options), floor))
 
 
 def test_shadow_of_a_square_is_the_square(floor):
@@ -89,25 +87,26 @@ def test_shadow_grows_with_the_distance_from_a_spot_light(floor):
 
 
 def test_casters_are_lit_and_surfaces_turned_away_are_dark():
-    floor = quad((0, 0, 0), (1.5, 0, 0), (0, 0, -1.5))
-    scene = merge([floor, CARD, quad((0, 0.5, 0), (0.2, 0, 0), (0, 0, 0.2))])
-    surface = draw_surface(scene, side_camera((TEXELS, TEXELS)), capacity=ROOM)
-    casts = jnp.array([False] * 2 + [True] * 4)
-    visibility = np.asarray(shadows(texture_of(), surface, casts))
+    below = quad((0, 0.5, 0), (0.2, 0, 0), (0, 0, 0.2))
+    scene = Scene([FLOOR, CARD, below], side_camera((TEXELS, TEXELS)), DOWN, casts=(False, True, True))
+    surface = draw_surface(scene.mesh, scene.camera, capacity=ROOM)
+    technique = ProjectiveShadow((TEXELS, TEXELS), max_blur=MOST_BLUR)
+    shadows = lambda scene: np.asarray(technique.visibility(technique.prepare(scene, capacity=ROOM), surface))
+    visibility = shadows(scene)
     face = np.asarray(surface.face)
     # The small card hangs in the shadow of the large one, and is a caster itself.
     assert np.isin([4, 5], face).any()
     assert np.all(visibility[face >= 2] == 1)
     assert visibility[np.isin(face, (0, 1))].min() == 0
     up = DirectionalLight((0, 1, 0), (0, 0, 0), (4, 4), -3, 3)
-    from_below = texture_of(up)
-    assert np.all(np.asarray(shadows(from_below, surface, casts))[np.isin(face, (0, 1))] == 0)
+    from_below = Scene(scene.meshes, scene.camera, up, scene.casts)
+    assert np.all(shadows(from_below)[np.isin(face, (0, 1))] == 0)
 
 
 def test_what_the_texture_does_not_show_is_lit(floor):
     narrow = DirectionalLight((0, -1, 0), (0, 0, 0), (0.6, 0.6), -3, 3)
     visibility = project(floor, 2.0, light=narrow)
-    shown = np.asarray(covered(texture_of(narrow, 2.0), floor))
+    shown = np.asarray(ANY.covered(texture_of(narrow, 2.0), floor))
     reach = np.abs(np.asarray(floor.position)[..., [0, 2]]).max(axis=-1)
     assert np.array_equal(shown, reach <= 0.3)
     assert np.all(visibility[reach < 0.28] == 0)
@@ -119,16 +118,16 @@ def test_what_lies_behind_the_light_is_lit(floor):
     light = SpotLight((0, 0.5, 0), (0, 1, 0), 60, 0.01, 2)
     texture = texture_of(light)
     assert np.asarray(texture.coverage).max() == 1
-    assert not np.asarray(covered(texture, floor)).any()
+    assert not np.asarray(ANY.covered(texture, floor)).any()
     # The floor's upper side faces the light, which lies above it.
-    assert np.all(np.asarray(shadows(texture, floor, IS_CARD)) == 1)
+    assert np.all(np.asarray(ANY.visibility(texture, floor)) == 1)
 
 
 def test_point_light_projects_as_a_spot_light_that_looks_the_same_way(floor):
     spot = SpotLight((0, 2, 0), (0, -1, 0), 45, 0.1, 4)
     point = PointLight((0, 2, 0), 0.1, 4, guard=0.0)
     textures = [texture_of(light) for light in (spot, point)]
-    images = [np.asarray(shadows(texture, floor, IS_CARD)) for texture in textures]
+    images = [np.asarray(ANY.visibility(texture, floor)) for texture in textures]
     assert (images[0] == 0).any()
     # The one texture may stand upside down.
     assert np.abs(images[0] - images[1]).max() < 1e-5 or np.abs(images[0] - images[1][::-1]).mean() < 0.01
@@ -143,9 +142,10 @@ def _compiled():
 
     def sums(at):
         room = Capacity(windows=(0, 0, 0, 0, 16))
-        texture = draw_projective_texture(CARD, DOWN, (32, 32), at[0], max_blur=6.0, capacity=room)
+        technique = ProjectiveShadow((32, 32), at[0], max_blur=6.0)
+        texture = technique.prepare(scene_of(DOWN), capacity=room)
         moved = eqx.tree_at(lambda s: s.position, surface, surface.position + at[1] * jnp.array([1.0, 0, 0.3]))
-        visibility = ProjectiveShadow().visibility(texture, moved, IS_CARD)
+        visibility = technique.visibility(texture, moved)
         return jnp.stack([jnp.mean(visibility**2), jnp.mean(jnp.arange(24.0) * visibility)])
 
     return jax.jit(lambda at: (sums(at), jax.jacfwd(sums)(at), jax.jacrev(sums)(at)))
@@ -182,10 +182,11 @@ def test_receivers_have_a_gradient_within_the_texture():
 )
 def test_impossible_blurs_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        draw_projective_texture(CARD, DOWN, (8, 8), **options)
+        ProjectiveShadow((8, 8), **options)
 
 
 def test_texture_knows_its_resolution():
-    texture = jax.eval_shape(lambda: draw_projective_texture(CARD, DOWN, (8, 16), 2.0, capacity=ROOM))
+    prepare = lambda: ProjectiveShadow((8, 16), 2.0).prepare(scene_of(DOWN), capacity=ROOM)
+    texture = jax.eval_shape(prepare)
     assert isinstance(texture, ProjectiveTexture)
     assert texture.resolution == (8, 16)

@@ -23,7 +23,17 @@ from scenes import (
 
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
 from diffshadow.raster import Capacity, draw_surface
-from diffshadow.shadow import Bias, Bilinear, ConstantBias, Nearest, ShadowMap, draw_shadow_map, look_up, receiver
+from diffshadow.shadow import (
+    Bias,
+    Bilinear,
+    ConstantBias,
+    MapCapacity,
+    Nearest,
+    ShadowMap,
+    draw_shadow_map,
+    look_up,
+    receiver,
+)
 
 # A map and an image of one size, and meshes filled up to one number of faces, share what is compiled. Nothing in an
 # image of this size is too large for a window.
@@ -41,7 +51,7 @@ def of_size(mesh, vertices=700, faces=1300):
 
 
 def drawn_map(mesh, light, **options):
-    return draw_shadow_map(of_size(mesh), light, SIZE, capacity=ROOM, **options)
+    return draw_shadow_map(of_size(mesh), light, SIZE, capacity=MapCapacity(ROOM), **options)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -96,7 +106,7 @@ def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated
     def depth_and_slope(lift):
         def depth_with(lift):
             raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices + jnp.array([0.0, 1.0, 0.0]) * lift)
-            return draw_shadow_map(raised, light, SIZE, capacity=Capacity(windows=(0, 0, 0, 0, 4))).depth
+            return draw_shadow_map(raised, light, SIZE, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 4)))).depth
 
         return jax.jvp(depth_with, (lift,), (jnp.ones(()),))
 
@@ -151,7 +161,9 @@ def test_layers_of_a_map_are_differentiable(layer):
     def depth_and_slope(stretch):
         def depth_with(stretch):
             raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
-            return draw_shadow_map(raised, NOON, SIZE, layer=layer, capacity=Capacity(windows=(0, 0, 0, 0, 16))).depth
+            return draw_shadow_map(
+                raised, NOON, SIZE, layer=layer, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 16)))
+            ).depth
 
         return jax.jvp(depth_with, (stretch,), (jnp.ones(()),))
 

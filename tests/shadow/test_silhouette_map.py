@@ -32,6 +32,7 @@ from diffshadow.shadow import (
     ConstantBias,
     FourTap,
     HardCompare,
+    MapCapacity,
     Nearest,
     PercentageCloser,
     PercentageCloserSoft,
@@ -147,8 +148,7 @@ def _draw(mesh: Mesh, edges: Edges, light):
         light,
         (texels, texels),
         edges=edges,
-        capacity=TRIANGLES,
-        silhouette_capacity=SILHOUETTES,
+        capacity=MapCapacity(TRIANGLES, SILHOUETTES),
         overflows=overflows,
     )
     return shadow_map if overflows is None else (shadow_map, overflows)
@@ -172,8 +172,7 @@ def _follow(make, mesh: Mesh, edges: Edges, resolution: int, room, by, surface: 
             make(by),
             (resolution, resolution),
             edges=edges,
-            capacity=room.triangles,
-            silhouette_capacity=room.silhouettes,
+            capacity=room,
         )
         return _technique(Bilinear()).visibility(shadow_map, surface)
 
@@ -326,8 +325,7 @@ def test_a_vertex_moves_the_shadow_of_a_square(light, float64):
             make(none),
             resolution,
             edges=edges,
-            capacity=room.triangles,
-            silhouette_capacity=room.silhouettes,
+            capacity=room,
         )
         return size * jnp.mean(technique.visibility(shadow_map, surface))
 

@@ -33,6 +33,7 @@ from diffshadow.shadow import (
     FourTap,
     HardCompare,
     Lookup,
+    MapCapacity,
     Nearest,
     Pattern,
     RandomDisk,
@@ -182,7 +183,7 @@ class Column:
             cull=stored.cull,
             depth_format="float32" if stored.bits == 32 else "unorm24",
             polygon_offset=stored.offset,
-            capacity=ROOM,
+            capacity=MapCapacity(ROOM),
         )
 
 

@@ -22,6 +22,7 @@ from diffshadow.shadow import (
     ExponentialVarianceShadowMap,
     FourTap,
     HardCompare,
+    MapCapacity,
     MomentShadowMap,
     PercentageCloser,
     PercentageCloserSoft,
@@ -117,7 +118,8 @@ def test_visibility_lies_in_the_unit_range_exactly(silhouettes, kernel, radius, 
 @functools.cache
 def outlined():
     mesh = floor_and_card()
-    return draw_shadow_map(mesh, sun(mesh), MAP, edges=Edges.of(mesh), capacity=Capacity(windows=(0, 0, 0, 0, 256)))
+    capacity = MapCapacity(Capacity(windows=(0, 0, 0, 0, 256)), 512)
+    return draw_shadow_map(mesh, sun(mesh), MAP, edges=Edges.of(mesh), capacity=capacity)
 
 
 def test_a_mean_beyond_the_range_keeps_its_derivative():

@@ -32,7 +32,7 @@ from diffshadow.geometry import (
 from diffshadow.io import load_mesh
 from diffshadow.raster import Capacity, count_fragments, plan_counts, rasterize
 from diffshadow.reference import trace_visibility_exact
-from diffshadow.shadow import ShadowVolumes, VolumeCapacity
+from diffshadow.shadow import ShadowVolumes, VolumeCapacity, VolumeScene
 
 REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 RESOLUTION = (48, 64)
@@ -40,7 +40,7 @@ RESOLUTION = (48, 64)
 VERTICES, FACES, EDGES = 300, 600, 520
 ROOM = Capacity(clipped=1024, windows=(0, 0, 0, 0, 2048), large=1024, candidates=16384, blocks=8192)
 # Sides and caps of volumes are so many that they are filled up alike, whatever the light.
-ROOMS = VolumeCapacity(ROOM, ROOM)
+CAPACITY = VolumeCapacity(ROOM, ROOM)
 # How far from a shadow's edge, in pixels, every count must be right.
 BAR = 1e-3
 
@@ -82,9 +82,8 @@ def found(casters, light, camera, method=Z_FAIL, receivers=None):
     # With receivers there are as many of everything in all.
     vertices, faces = (0, 0) if receivers is None else (len(receivers.vertices), len(receivers.faces))
     mesh, edges = filled(casters, Edges.of(casters), VERTICES - vertices, FACES - faces, EDGES)
-    arguments = (mesh, light, camera, receivers)
-    rooms = {"edges": edges, "capacity": ROOMS}
-    return tuple(np.asarray(ask(*arguments, **rooms)) for ask in (method.visibility, method.counts))
+    state = VolumeScene(mesh, light, camera, edges, receivers)
+    return tuple(np.asarray(ask(state, capacity=CAPACITY)) for ask in (method.visibility, method.counts))
 
 
 @functools.cache
@@ -161,7 +160,8 @@ def test_real_closed_meshes_agree_with_float64_rays(file):
     camera = PinholeCamera(camera.eye, camera.target, fov_y=25.0, near=0.1, far=20.0, resolution=(32, 48))
     room = Capacity(4096, (32768, 8192, 4096, 2048, 1024), 4096, 32768, 16384)
     whole, rows = filled(mesh, edges, 6600, 13000, 19500)
-    visibility = Z_FAIL.visibility(whole, LAMP, camera, edges=rows, capacity=VolumeCapacity(room, room))
+    state = VolumeScene(whole, LAMP, camera, rows)
+    visibility = Z_FAIL.visibility(state, capacity=VolumeCapacity(room, room))
     expected = trace_visibility_exact(Scene(mesh, camera, LAMP), 1).visibility
     assert_right(np.asarray(visibility), expected, Truth(mesh, LAMP, camera), file)
 
@@ -286,7 +286,7 @@ def test_compiled_call_equals_the_plain_one():
 
     @eqx.filter_jit
     def compiled(mesh, light):
-        return Z_FAIL.visibility(mesh, light, PERSPECTIVE, edges=edges, capacity=ROOMS)
+        return Z_FAIL.visibility(VolumeScene(mesh, light, PERSPECTIVE, edges), capacity=CAPACITY)
 
     result = compiled(mesh, scene.light)
     assert result.dtype == jnp.float32
@@ -294,11 +294,11 @@ def test_compiled_call_equals_the_plain_one():
 
 
 @pytest.mark.exhaustive
-def test_left_out_edges_and_capacity_are_found():
+def test_a_capacity_that_is_left_out_is_planned():
     casters = merge([library_mesh("box"), GROUND])
-    visibility = Z_FAIL.visibility(casters, LAMP, PERSPECTIVE)
-    np.testing.assert_array_equal(visibility, found(casters, LAMP, PERSPECTIVE)[0])
-    needed = Z_FAIL.plan(casters, LAMP, PERSPECTIVE)
+    state = Z_FAIL.prepare(Scene(casters, PERSPECTIVE, LAMP))
+    np.testing.assert_array_equal(Z_FAIL.visibility(state), found(casters, LAMP, PERSPECTIVE)[0])
+    needed = Z_FAIL.plan(state)
     assert all(n == 0 or n & (n - 1) == 0 for n in jax.tree.leaves(needed))
 
 
@@ -307,13 +307,13 @@ def test_a_capacity_too_small_is_named():
     mesh, edges = filled(casters, Edges.of(casters), VERTICES, FACES, EDGES)
     short = VolumeCapacity(ROOM, Capacity())
     with pytest.raises(Exception, match=r"capacity\.(clipped|large) of 0 is too small"):
-        Z_FAIL.counts(mesh, LAMP, PERSPECTIVE, edges=edges, capacity=short).block_until_ready()
+        Z_FAIL.counts(VolumeScene(mesh, LAMP, PERSPECTIVE, edges), capacity=short).block_until_ready()
 
 
 def test_traced_call_without_capacity_is_refused():
-    mesh, edges = GROUND, Edges.of(GROUND)
+    at = lambda vertices: VolumeScene(Mesh(vertices, GROUND.faces), LAMP, PERSPECTIVE, Edges.of(GROUND))
     with pytest.raises(ValueError, match="without a capacity"):
-        jax.jit(lambda v: Z_FAIL.counts(Mesh(v, mesh.faces), LAMP, PERSPECTIVE, edges=edges))(mesh.vertices)
+        jax.jit(lambda vertices: Z_FAIL.counts(at(vertices)))(GROUND.vertices)
 
 
 def test_unknown_methods_are_refused():

@@ -1,10 +1,13 @@
 """Remarks on scenes: meshes that contribute nothing to the picture, and what was left out of mesh files."""
 
 import pytest
+from rich.console import Console
 
-from diffshadow.config import build_casting, parse_config
+from diffshadow.config import parse_config
 from diffshadow.raster import draw_surface
+from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._scene_remarks import scene_remarks
+from diffshadow.study.runs._setup import load
 
 SCENE = """
 scene:
@@ -20,8 +23,9 @@ COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
 
 def remarks(mesh, folder):
     config = parse_config(SCENE.format(mesh=mesh), folder=folder)
-    casting = build_casting(config)
-    return scene_remarks(config, [casting], draw_surface(casting.scene.mesh, casting.scene.camera))
+    with Stages(Console(quiet=True)) as stages:
+        scene, messages = load(config, stages)
+    return [*messages, *scene_remarks(config, [scene], draw_surface(scene.mesh, scene.camera))]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import pytest
 
-from diffshadow.config import build_casting, parse_config
+from diffshadow.config import build_scene, parse_config
 from diffshadow.raster import Surface
 from diffshadow.study.runs._sight import blind_camera, blind_light
 
@@ -18,7 +18,7 @@ scene:
 
 def scene_of(*overrides):
     config = parse_config(SCENE, overrides)
-    return config, build_casting(config)
+    return config, build_scene(config)
 
 
 def surface_at(*points, seen=True):

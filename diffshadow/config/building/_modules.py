@@ -1,15 +1,10 @@
 """A scene, a technique, a shading and a fit, each whole, from a configuration."""
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool
-
-from ... import fit, geometry, io, shading, shadow
+from ... import fit, geometry, shading, shadow
 from .._errors import ConfigError, KeyPath, Place, Problem, dotted
 from ..reading._dump import fit_units
 from ..reading._problems import problems_at
@@ -26,9 +21,6 @@ from ._technique import build_bias, build_compare, build_filter
 _MOST_TRIANGLES = 1 << 25
 # Of all lights together, where none is given.
 _INTENSITY = 0.7
-
-Technique = shadow.ShadowMapping | shadow.ShadowVolumes | shadow.ProjectiveShadow
-"""What a configuration's technique may be."""
 
 
 class FitPlan(NamedTuple):
@@ -48,72 +40,26 @@ class FitPlan(NamedTuple):
     truth: dict[str, float] = {}  # noqa: RUF012
 
 
-class Casting(NamedTuple):
-    """A scene, and what of it a technique lets cast shadows.
-
-    - `casters`: the meshes that cast.
-    - `receivers`: those that only receive, or none.
-    - `casts`: (f,), which faces of the scene's mesh are the casters'.
-    - `meshes`: those of the scene one by one, in the configuration's order.
-    - `remarks`: a sentence for each mesh file of which something was left out.
-    """
-
-    scene: geometry.Scene
-    casters: geometry.Mesh
-    receivers: geometry.Mesh | None
-    casts: Bool[Array, " f"]
-    meshes: tuple[geometry.Mesh, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-
 def build_scene(config: Config) -> geometry.Scene:
-    """The scene of `config`: its meshes as one, its camera and its lights.
+    """The scene of `config`: its meshes, its camera and its lights.
 
-    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with the key it comes from.
+    Warns with `io.MeshWarning` of what mesh files hold beside triangles.
+
+    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with the key it comes from, and for an
+    open mesh that casts where only faces that face away from the light cast.
     """
-    return build_casting(config).scene
-
-
-def build_casting(config: Config) -> Casting:
-    """The scene of `config`, and what of it casts shadows.
-
-    **Raises** `ConfigError` as `build_scene`, and for an open mesh that casts where the map holds back faces only.
-    """
-    with _mesh_warnings() as remarks:
-        meshes = _meshes_of(config)
-    whole = geometry.merge(meshes)
-    casts = [mesh.casts for mesh in config.scene.meshes]
+    meshes = _meshes_of(config)
+    casts = tuple(mesh.casts for mesh in config.scene.meshes)
     _check_closed(config, meshes)
     casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
-    stage = stage_of(whole, casters, meshes[0])
+    stage = stage_of(geometry.merge(meshes), casters, meshes[0])
     with _blame(config, ("scene", "camera")):
         camera = build_camera(config.scene.camera, stage)
     lights = []
     for key, light in config.scene.each_light.items():
         with _blame(config, ("scene", *key)):
             lights.append(build_light(light, stage))
-    receivers = [mesh for mesh, does in zip(meshes, casts, strict=True) if not does]
-    return Casting(
-        geometry.Scene(whole, camera, lights),
-        casters,
-        geometry.merge(receivers) if receivers else None,
-        jnp.asarray(np.repeat(casts, [mesh.faces.shape[0] for mesh in meshes])),
-        tuple(meshes),
-        tuple(remarks),
-    )
-
-
-@contextmanager
-def _mesh_warnings() -> Iterator[list[str]]:
-    """What `io.load_mesh` warns of inside, once the block has ended."""
-    messages: list[str] = []
-    with warnings.catch_warnings(record=True, category=io.MeshWarning, action="always") as caught:
-        yield messages
-    for each in caught:
-        if issubclass(each.category, io.MeshWarning):
-            messages.append(str(each.message))
-        else:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    return geometry.Scene(meshes, camera, lights, casts)
 
 
 def _meshes_of(config: Config) -> list[geometry.Mesh]:
@@ -142,7 +88,7 @@ def _meshes_of(config: Config) -> list[geometry.Mesh]:
     return meshes
 
 
-def build_technique(config: Config, *, fitting: bool = True) -> Technique:
+def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractTechnique:
     """The technique of `config`.
 
     **Arguments:**
@@ -155,8 +101,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> Technique:
     match config.technique:
         case ShadowVolumesConfig(method=method):
             return shadow.ShadowVolumes(method)
-        case ProjectiveTextureConfig():
-            return shadow.ProjectiveShadow()
+        case ProjectiveTextureConfig(resolution=resolution, blur=blur, kernel=kernel):
+            return shadow.ProjectiveShadow(resolution, blur, kernel=kernel)
     return build_shadow_mapping(config, fitting=fitting)
 
 
@@ -168,7 +114,7 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
         compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
         kernel = build_filter(config, fitting=fitting)
-    return shadow.ShadowMapping(bias=bias, filter=kernel, compare=compare)
+    return shadow.ShadowMapping(kernel, bias, compare, shadow.MapSettings(**config.shadow_map.model_dump()))
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
@@ -191,12 +137,12 @@ def build_shading(config: Config) -> shading.AbstractShading:
         return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedConfig) else phong
 
 
-def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
+def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
     """The parameters to fit, the solver and the annealing of `config`.
 
     **Arguments:**
 
-    - `casting`: the scene of `config`, if it is there already; only a fit that moves lights or meshes asks for it.
+    - `scene`: the scene of `config`, if it has been built; only a fit that moves lights or meshes needs it.
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
     """
@@ -211,8 +157,7 @@ def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
         built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
     arrangement = None
     if config.moves:
-        casting = build_casting(config) if casting is None else casting
-        arrangement = build_arrangement(config, casting)
+        arrangement = build_arrangement(config, build_scene(config) if scene is None else scene)
     parameters, truth, units = [], {}, fit_units(config)
     for name, bounds in config.fit.parameters.items():
         with _blame(config, ("fit", "parameters", name)):
@@ -225,13 +170,13 @@ def build_fit(config: Config, casting: Casting | None = None) -> FitPlan:
     return FitPlan(parameters, built_solver, built_anneal, arrangement, config.fit.levels, config.fit.multistart, truth)
 
 
-def build_arrangement(config: Config, casting: Casting) -> fit.Arrangement:
+def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
     """The technique of `config`, and its lights and meshes as they stand.
 
     **Raises** `ConfigError` for a vertex to fit that its mesh does not have.
     """
     poses = []
-    for i, (mesh, section) in enumerate(zip(casting.meshes, config.scene.meshes, strict=True)):
+    for i, (mesh, section) in enumerate(zip(scene.meshes, config.scene.meshes, strict=True)):
         named = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
         vertices = {
             pose.vertex[1]: name for name, pose in named.items() if pose and pose.vertex and pose.vertex[0] == i
@@ -240,7 +185,7 @@ def build_arrangement(config: Config, casting: Casting) -> fit.Arrangement:
             with _blame(config, ("fit", "parameters", name)):
                 fit.MeshPose.of(mesh, (vertex,))
         poses.append(fit.MeshPose.of(mesh, tuple(vertices), section.translate))
-    return fit.Arrangement.of(build_shadow_mapping(config), casting.scene.lights, poses)
+    return fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
 
 
 def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tuple[str, float]:

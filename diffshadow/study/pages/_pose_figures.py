@@ -13,8 +13,8 @@ from matplotlib.collections import PolyCollection
 
 from ... import fit
 from ..._types import HostArray
-from ...config import Casting, FitPlan
-from ...geometry import Mesh
+from ...config import FitPlan
+from ...geometry import Mesh, Scene
 from .. import style
 
 Track = Float[HostArray, "n 3"]
@@ -22,7 +22,7 @@ Track = Float[HostArray, "n 3"]
 _MARGIN = 0.06
 
 
-def write_paths(path: Path, plan: FitPlan, casting: Casting, result: fit.FitResult) -> None:
+def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) -> None:
     """The scene from above and from the side, with the way that each light and each mesh took, from start to end.
 
     A light at infinity is drawn on a dome over the scene, in the direction that it comes from.
@@ -33,16 +33,16 @@ def write_paths(path: Path, plan: FitPlan, casting: Casting, result: fit.FitResu
     values = np.stack([*steps, np.asarray([result.fitted[p.name] for p in plan.parameters])])
     names = tuple(p.where for p in plan.parameters)
     tracks = {
-        key: np.stack([np.asarray(at) for at in _places(arrangement, names, values, key, casting)])
+        key: np.stack([np.asarray(at) for at in _places(arrangement, names, values, key, scene)])
         for key in _movers(names)
     }
     truth = {}
     if plan.truth:
         known = [plan.truth.get(p.name, result.fitted[p.name]) for p in plan.parameters]
-        truth = {key: np.asarray(_places(arrangement, names, np.asarray([known]), key, casting)[0]) for key in tracks}
+        truth = {key: np.asarray(_places(arrangement, names, np.asarray([known]), key, scene)[0]) for key in tracks}
     figure, axes = style.figure(9.6, 4.6, 1, 2)
     for each, (across, up), title in zip(axes, ((0, 2), (0, 1)), ("From above", "From the side"), strict=True):
-        _scene(each, casting.meshes, across, up)
+        _scene(each, scene.meshes, across, up)
         for number, (key, track) in enumerate(tracks.items()):
             _track(each, track, truth.get(key), across, up, style.CYCLE[number % len(style.CYCLE)], key)
         if up == 2:
@@ -71,22 +71,22 @@ def _movers(names: Sequence[str]) -> list[str]:
 
 
 def _places(
-    arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, casting: Casting
+    arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, scene: Scene
 ) -> list[Float[Any, "3"]]:
     """Where the light or mesh `key` is with each of `values` (n, p)."""
     kind, index = key.split(".")
-    everything = casting.scene.mesh.bounds
+    everything = scene.mesh.bounds
     middle, reach = everything.mean(axis=0), jnp.linalg.norm(everything[1] - everything[0]) / 2
 
     @eqx.filter_jit
     def place(values: Any) -> Any:
         moved = fit.with_values(arrangement, names, values)
         if kind == "meshes":
-            mesh: Mesh = moved.meshes[int(index)].placed(casting.meshes[int(index)])
+            mesh: Mesh = moved.meshes[int(index)].placed(scene.meshes[int(index)])
             return mesh.bounds.mean(axis=0)
         pose = moved.lights[int(index)]
         if pose.position is None:
-            return middle + reach * casting.scene.lights[int(index)].at(pose).towards(middle[None])[0]
+            return middle + reach * scene.lights[int(index)].at(pose).towards(middle[None])[0]
         return pose.place
 
     return [place(jnp.asarray(each, jnp.float32)) for each in values]

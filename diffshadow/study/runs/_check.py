@@ -24,10 +24,10 @@ def check(config: Config, *, console: Console) -> int:
     for suffix in (SUFFIX, "") if fits else (SUFFIX,):
         folder_of(config, suffix)
     with Stages(console) as stages:
-        casting = load(config, stages)
+        scene, remarks = load(config, stages)
         technique = build_technique(config, fitting=False)
         if fits:
-            build_fit(config, casting)
-        seen = see(config, casting, technique, stages)
-    table.print_lines(console, scene_remarks(config, seen.lit, seen.surface), warn=True)
-    return casting.scene.mesh.faces.shape[0]
+            build_fit(config, scene)
+        seen = see(config, scene, technique, stages)
+    table.print_lines(console, [*remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
+    return scene.mesh.faces.shape[0]

@@ -12,12 +12,11 @@ from matplotlib.ticker import MaxNLocator
 
 from ... import geometry, raster, shadow
 from ..._types import HostArray
-from ...config import Config, Technique
+from ...config import Config
 from .. import style
 from ..pages import _figures as figures
-from ._setup import Drawn
+from ._setup import Drawn, visibility_of
 from ._shade import shade
-from ._techniques import visibility
 
 # How many neighbouring pixels' patterns are shown one by one.
 _FEW = 3
@@ -25,18 +24,17 @@ _FEW = 3
 _MOST_COLOURS = 12
 
 
-def write_debug(folder: Path, end: str, config: Config, technique: Technique, drawn: Drawn) -> None:
+def write_debug(folder: Path, end: str, config: Config, technique: shadow.AbstractTechnique, drawn: Drawn) -> None:
     """Writes all pictures that suit `technique` under one light; their names end in `end`."""
-    image = shade(config, [drawn], [visibility(technique, drawn.from_light, drawn.casting, drawn.surface)])
+    image = shade(config, [drawn], [visibility_of(technique, drawn)])
     _write_silhouettes(folder / f"debug_silhouettes{end}.png", image, drawn)
     if isinstance(technique, shadow.ShadowVolumes):
         _write_counts(folder / f"debug_volumes{end}.png", technique, drawn)
     if not isinstance(technique, shadow.ShadowMapping):
         return
-    assert isinstance(drawn.from_light, shadow.ShadowMap)
-    _write_depths(folder / f"debug_depth{end}.png", drawn.from_light)
+    _write_depths(folder / f"debug_depth{end}.png", drawn.state)
     if isinstance(technique.filter, shadow.PercentageCloserSoft):
-        _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.from_light, drawn)
+        _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.state, drawn)
     pattern = getattr(technique.filter, "pattern", None)
     if isinstance(pattern, shadow.Pattern):
         _write_pattern(folder / f"debug_pattern{end}.png", pattern)
@@ -54,7 +52,7 @@ def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
 def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Drawn) -> None:
     """The casters' silhouettes as the light sees them, over the picture that the camera sees."""
     height, width = image.shape[:2]
-    lines = _silhouettes(drawn.casting.casters, drawn.scene)
+    lines = _silhouettes(drawn.scene)
     figure, axes = figures.single(image[..., 0])
     style.picture(axes, image, extent=(0, width, 0, height))
     axes.add_collection(LineCollection(list(lines), colors=style.VERMILION, linewidths=0.9))
@@ -64,8 +62,9 @@ def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Draw
     style.save(figure, path)
 
 
-def _silhouettes(casters: geometry.Mesh, scene: geometry.Scene) -> Float[HostArray, "n 2 2"]:
+def _silhouettes(scene: geometry.Scene) -> Float[HostArray, "n 2 2"]:
     """The ends of every silhouette edge that is in front of the camera, in pixels."""
+    casters = scene.casters
     edges = geometry.Edges.of(casters)
     found = raster.silhouettes_by_adjacency(edges, raster.light_sides(casters, scene.light))
     ends = np.asarray(found.vertices)[np.asarray(found.multiplicity) != 0]
@@ -76,10 +75,7 @@ def _silhouettes(casters: geometry.Mesh, scene: geometry.Scene) -> Float[HostArr
 
 def _write_counts(path: Path, technique: shadow.ShadowVolumes, drawn: Drawn) -> None:
     """How many shadow volumes each surface point lies in."""
-    casting, scene = drawn.casting, drawn.scene
-    edges = drawn.from_light
-    assert isinstance(edges, geometry.Edges)
-    counts = np.asarray(technique.counts(casting.casters, scene.light, scene.camera, casting.receivers, edges=edges))
+    counts = np.asarray(technique.counts(drawn.state))
     shown = np.where(np.asarray(drawn.surface.mask), counts, np.nan).astype(np.float64)
     figure, axes = figures.single(shown)
     axes.set_facecolor(style.NO_SURFACE)

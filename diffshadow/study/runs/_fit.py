@@ -77,14 +77,14 @@ def write_fit(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
 
 def fit_technique(config: Config, stages: Stages) -> Fitted:
     """Fits the parameters of `config`, and measures the images before and after."""
-    casting = load(config, stages)
-    plan, technique = build_fit(config, casting), build_shadow_mapping(config)
-    drawn = draw(config, casting, technique, stages)
+    loaded = load(config, stages)
+    plan, technique = build_fit(config, loaded.scene), build_shadow_mapping(config)
+    drawn = draw(config, loaded, technique, stages)
     if plan.arrangement is None:
         problems = [_problem(technique, each) for each in drawn]
     else:
+        problems = poses.problems_of(plan, loaded.scene, drawn)
         drawn = poses.with_cones(config, drawn)
-        problems = poses.problems_of(config, plan, casting, drawn)
     stages.show("compiling")
     result = fit.fit(
         problems,
@@ -109,15 +109,18 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
             (before, *seen_before), (after, *seen_after) = (poses.images_at(moving, drawn, s) for s in subjects)
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
-    lit = [each.casting for each in drawn]
-    said = [*scene_remarks(config, lit, drawn[0].surface), *remarks(config, plan.parameters, result)]
-    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, said, seen)
+    lit = [each.scene for each in drawn]
+    messages = [
+        *loaded.remarks,
+        *scene_remarks(config, lit, drawn[0].surface),
+        *remarks(config, plan.parameters, result),
+    ]
+    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)
 
 
-def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.Problem:
-    assert isinstance(drawn.from_light, shadow.ShadowMap)
+def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.TechniqueProblem:
     truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
-    return fit.Problem(technique, drawn.from_light, drawn.surface, truth, mask)
+    return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask)
 
 
 def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
@@ -153,11 +156,11 @@ def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float])
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
     for i, each in enumerate(drawn):
-        figures.write_from_light(draft, record.suffix(i, drawn), each.from_light)
+        figures.write_from_light(draft, record.suffix(i, drawn), each.state)
     if fitted.plan.arrangement is not None:
         from ..pages._pose_figures import write_paths
 
-        write_paths(draft / "paths.png", fitted.plan, drawn[0].casting, fitted.result)
+        write_paths(draft / "paths.png", fitted.plan, drawn[0].scene, fitted.result)
     write_report(run)
     record.write_result(draft, result)
 

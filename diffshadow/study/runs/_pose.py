@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32
 from rich.console import Console
@@ -14,50 +13,43 @@ from rich.text import Text
 
 from ... import fit
 from ..._types import HostArray
-from ...config import Casting, Config, FitPlan, build_shadow_mapping
+from ...config import Config, FitPlan, build_shadow_mapping
+from ...geometry import Scene
 from ..pages._table import words
 from ._progress import Stages
-from ._setup import Drawn, draw
+from ._setup import Drawn, Loaded, draw
 
 
 def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
-    """With traced references times the share of light that a spot light's cone lets through.
-
-    Visibility does not obey the cone; where it ends is what tells the light's direction.
-    """
+    """With traced references times the cone's fraction of the light, as fits see them."""
     if config.reference.type != "traced":
         return list(drawn)
-    shares = [np.asarray(fit.cone_share(each.scene.light, each.surface)) for each in drawn]
-    coned = lambda each, share: dataclasses.replace(each.reference, visibility=each.reference.visibility * share)
-    return [each._replace(reference=coned(each, share)) for each, share in zip(drawn, shares, strict=True)]
+    fractions = [np.asarray(fit.cone_fraction(each.scene.light, each.surface)) for each in drawn]
+    coned = lambda each, by: dataclasses.replace(each.reference, visibility=each.reference.visibility * by)
+    return [each._replace(reference=coned(each, by)) for each, by in zip(drawn, fractions, strict=True)]
 
 
-def pose_problems(config: Config, plan: FitPlan, casting: Casting) -> list[fit.PoseProblem]:
+def pose_problems(config: Config, plan: FitPlan, scene: Scene) -> list[fit.PoseProblem]:
     """What a fit of `plan`, the lights and meshes of `config`, is given: a problem for each light.
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not suit the scene.
     """
     with Stages(Console(quiet=True)) as stages:
-        drawn = draw(config, casting, build_shadow_mapping(config), stages)
-    return problems_of(config, plan, casting, with_cones(config, drawn))
+        drawn = draw(config, Loaded(scene), build_shadow_mapping(config), stages)
+    return problems_of(plan, scene, drawn)
 
 
-def problems_of(config: Config, plan: FitPlan, casting: Casting, drawn: Sequence[Drawn]) -> list[fit.PoseProblem]:
+def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit.PoseProblem]:
     """A problem for each light."""
     assert plan.arrangement is not None
     moves = any(p.where.startswith("meshes.") for p in plan.parameters)
-    settings = fit.MapSettings(**{**config.shadow_map.model_dump(), "silhouettes": config.has_silhouettes})
     return [
-        fit.PoseProblem(
+        fit.PoseProblem.of(
+            scene,
+            plan.arrangement.technique,
+            each.reference,
+            light=i,
             arrangement=plan.arrangement,
-            meshes=casting.meshes,
-            casts=tuple(mesh.casts for mesh in config.scene.meshes),
-            light=each.scene.light,
-            index=i,
-            camera=casting.scene.camera,
-            reference=jnp.asarray(each.reference.visibility),
-            weight=jnp.asarray(each.reference.mask, jnp.float32),
-            settings=settings,
             surface=None if moves else each.surface,
         )
         for i, each in enumerate(drawn)
@@ -73,16 +65,14 @@ def images_at(
         image, shadow_map, surface = _drawn(problem, arrangement)
         images.append(np.asarray(image, np.float32))
         scene = dataclasses.replace(each.scene, lights=shadow_map.light)
-        casting = each.casting._replace(scene=scene)
-        seen.append(each._replace(casting=casting, from_light=shadow_map, surface=surface))
+        seen.append(each._replace(scene=scene, state=shadow_map, surface=surface))
     return images, seen
 
 
 @eqx.filter_jit
 def _drawn(problem: fit.PoseProblem, arrangement: fit.Arrangement) -> tuple[Any, Any, Any]:
     shadow_map, surface = problem.draw(arrangement)
-    image = arrangement.technique.visibility(shadow_map, surface) * fit.cone_share(shadow_map.light, surface)
-    return image, shadow_map, surface
+    return problem.image(shadow_map, surface, arrangement.technique), shadow_map, surface
 
 
 def errors_of(plan: FitPlan, result: fit.FitResult) -> dict[str, float]:

@@ -95,11 +95,11 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
         shadow.ShadowMap: ("shadow_map_depth", "depth"),
         shadow.ProjectiveTexture: ("texture_coverage", "coverage"),
     }
-    kind = type(drawn[0].from_light)
+    kind = type(drawn[0].state)
     if kind not in names:
         return {}
     name, field = names[kind]
-    return {f"{name}{suffix(i, drawn)}": getattr(each.from_light, field) for i, each in enumerate(drawn)}
+    return {f"{name}{suffix(i, drawn)}": getattr(each.state, field) for i, each in enumerate(drawn)}
 
 
 def write_config(folder: Path, config: Config) -> None:

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 from jaxtyping import Float32
 from rich.console import Console
 
+from ... import shadow
 from ..._types import HostArray
-from ...config import Config, Technique, build_technique
+from ...config import Config, build_technique
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
@@ -25,7 +26,7 @@ class Rendered(NamedTuple):
     """A finished render: what was drawn, visibility and errors of each light, and remarks on the scene."""
 
     config: Config
-    technique: Technique
+    technique: shadow.AbstractTechnique
     drawn: list[Drawn]
     visibility: list[Float32[HostArray, "h w"]]
     errors: list[dict[str, float]]
@@ -45,8 +46,8 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
     """
     folder = folder_of(config, SUFFIX)
     with Stages(console) as stages:
-        casting, technique = load(config, stages), build_technique(config, fitting=False)
-        rendered = render_drawn(config, technique, draw(config, casting, technique, stages), stages)
+        loaded, technique = load(config, stages), build_technique(config, fitting=False)
+        rendered = render_drawn(config, technique, draw(config, loaded, technique, stages), stages)
         with stages.stage("writing"):
             write_render(folder, rendered, stages.seconds, debug)
     named = zip(rendered.drawn, rendered.errors, strict=True)
@@ -56,13 +57,13 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
     return folder
 
 
-def render_drawn(config: Config, technique: Technique, drawn: list[Drawn], stages: Stages) -> Rendered:
+def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: list[Drawn], stages: Stages) -> Rendered:
     """The visibility that `technique` makes of a scene that is drawn already, and its errors."""
     with stages.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
-    said = scene_remarks(config, [each.casting for each in drawn], drawn[0].surface)
-    return Rendered(config, technique, drawn, visibility, errors, said)
+    remarks = [*drawn[0].remarks, *scene_remarks(config, [each.scene for each in drawn], drawn[0].surface)]
+    return Rendered(config, technique, drawn, visibility, errors, remarks)
 
 
 def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
@@ -93,7 +94,7 @@ def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, flo
     figures.write_figures(run, draft)
     for i, each in enumerate(drawn):
         end = record.suffix(i, drawn)
-        figures.write_from_light(draft, end, each.from_light)
+        figures.write_from_light(draft, end, each.state)
         if debug:
             debug_figures.write_debug(draft, end, config, rendered.technique, each)
     write_report(run)

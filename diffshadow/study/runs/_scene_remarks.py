@@ -1,12 +1,12 @@
-"""What a reader of a run's numbers should know of its scene: what was left out of files, and what shows nowhere."""
+"""What a reader of a run's numbers should know of its scene: meshes that contribute nothing to the picture."""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ... import reference
-from ...config import Casting, Config
-from ...geometry import AbstractCamera, Mesh
+from ...config import Config
+from ...geometry import AbstractCamera, Mesh, Scene
 from ...raster import Surface
 from ._sight import size_of
 
@@ -16,27 +16,22 @@ _ANOTHER_UNIT = 100.0
 _NO_AREA = 1e-6
 
 
-def scene_remarks(config: Config, lit: Sequence[Casting], surface: Surface) -> list[str]:
-    """A sentence for each mesh whose file holds more than its triangles, or that contributes nothing to the picture.
+def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[str]:
+    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture.
 
     **Arguments:**
 
     - `lit`: the scene under each light alone.
     - `surface`: the scene as its camera sees it.
     """
-    return [*lit[0].remarks, *_idle_meshes(config, lit, surface)]
-
-
-def _idle_meshes(config: Config, lit: Sequence[Casting], surface: Surface) -> Iterator[str]:
-    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture."""
-    casting = lit[0]
-    number = np.repeat(np.arange(len(casting.meshes)), [mesh.faces.shape[0] for mesh in casting.meshes])
+    meshes = lit[0].meshes
+    number = np.repeat(np.arange(len(meshes)), [mesh.faces.shape[0] for mesh in meshes])
     face, mask = np.asarray(surface.face), np.asarray(surface.mask)
     visible = set(number[face[mask]].tolist())
     for i, section in enumerate(config.scene.meshes):
-        if i not in visible and not any(reference.hides_light(each.scene, number == i) for each in lit):
-            others = [mesh for k, mesh in enumerate(casting.meshes) if k != i]
-            cause = _cause(casting.meshes[i], others, casting.scene.camera, is_sized=section.size is not None)
+        if i not in visible and not any(reference.hides_light(each, number == i) for each in lit):
+            others = [mesh for k, mesh in enumerate(meshes) if k != i]
+            cause = _cause(meshes[i], others, lit[0].camera, is_sized=section.size is not None)
             yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the picture: {cause}"
 
 

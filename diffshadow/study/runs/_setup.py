@@ -1,25 +1,23 @@
 """What fits and renders begin with: the scene drawn from both sides, and the truth."""
 
 import dataclasses
-from typing import NamedTuple
+import warnings
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from ... import geometry, io, raster, reference
+from ... import geometry, io, raster, reference, shadow
 from ..._types import HostArray
 from ...config import (
-    Casting,
     Config,
     ConfigError,
     ImageReferenceConfig,
     Problem,
-    Technique,
     TracedReferenceConfig,
-    build_casting,
+    build_scene,
     build_shading,
 )
-from . import _techniques as techniques
 from ._progress import Stages
 from ._sight import blind_camera, blind_light
 
@@ -28,22 +26,19 @@ class Drawn(NamedTuple):
     """A scene as one of its lights and the camera see it, and its truth.
 
     - `key`: of the light, such as `"scene.light"`.
-    - `casting`: the scene with that light alone.
-    - `from_light`: what the technique drew from the light.
+    - `scene`: the scene with that light alone.
+    - `state`: what the technique prepared for the light.
     - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.
+    - `remarks`: on what the scene's files hold.
     """
 
     key: str
-    casting: Casting
-    from_light: techniques.FromLight
+    scene: geometry.Scene
+    state: Any
     surface: raster.Surface
     reference: reference.Reference
     mask: Bool[HostArray, "h w"]
-
-    @property
-    def scene(self) -> geometry.Scene:
-        """The scene with that light alone."""
-        return self.casting.scene
+    remarks: tuple[str, ...] = ()
 
     @property
     def noise_floor(self) -> float | None:
@@ -60,20 +55,27 @@ class Seen(NamedTuple):
     """A scene as its lights and the camera see it, before any ray is traced.
 
     - `keys`: of the lights.
-    - `lit`: the scene under each light alone; `from_light`: what the technique drew from each.
+    - `lit`: the scene under each light alone; `states`: what the technique prepared for each.
     - `covered`: (h, w), for each light, the pixels that the technique can say something of.
     - `image`: (h, w), the reference, where it is read from a file.
     """
 
     keys: list[tuple[str | int, ...]]
-    lit: list[Casting]
+    lit: list[geometry.Scene]
     surface: raster.Surface
-    from_light: list[techniques.FromLight]
+    states: list[Any]
     covered: list[Bool[HostArray, "h w"]]
     image: Float32[HostArray, "h w"] | None
 
 
-def see(config: Config, casting: Casting, technique: Technique, stages: Stages) -> Seen:
+class Loaded(NamedTuple):
+    """The scene of a configuration, and a sentence for each mesh file of which something was left out."""
+
+    scene: geometry.Scene
+    remarks: tuple[str, ...] = ()
+
+
+def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechnique, stages: Stages) -> Seen:
     """Reads the reference's image, if there is one, and draws the scene as camera and lights see it.
 
     **Raises** `ConfigError` if the image does not suit the camera, or no pixel counts.
@@ -81,48 +83,54 @@ def see(config: Config, casting: Casting, technique: Technique, stages: Stages) 
     image = _image(config)
     # For its errors: pictures are shaded last.
     build_shading(config)
-    lit = [casting._replace(scene=casting.scene.lit_by(i)) for i in range(len(casting.scene.lights))]
+    lit = [scene.lit_by(i) for i in range(len(scene.lights))]
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
     with stages.stage("drawing"):
-        surface = raster.draw_surface(casting.scene.mesh, casting.scene.camera)
-        from_light = [techniques.draw_from_light(config, technique, each) for each in lit]
-        covered = [techniques.covered(technique, *pair, surface) for pair in zip(from_light, lit, strict=True)]
-    blind = blind_camera(config, casting, surface)
+        surface = raster.draw_surface(scene.mesh, scene.camera)
+        states = [technique.prepare(each, surface) for each in lit]
+        covered = [np.asarray(technique.covered(state, surface)) for state in states]
+    blind = blind_camera(config, scene, surface)
     if blind is not None:
         raise _error(config, ("scene", "camera"), blind)
     for key, each, pixels in zip(keys, lit, covered, strict=True):
         if not pixels.any():
             raise _error(config, key, blind_light(config, each, surface))
-    return Seen(keys, lit, surface, from_light, covered, image)
+    return Seen(keys, lit, surface, states, covered, image)
 
 
-def draw(config: Config, casting: Casting, technique: Technique, stages: Stages) -> list[Drawn]:
+def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> list[Drawn]:
     """Draws the scene and finds its reference, for each light. What can go wrong goes wrong before rays are traced.
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not suit the scene.
     """
-    seen = see(config, casting, technique, stages)
+    seen = see(config, loaded.scene, technique, stages)
     with stages.stage("tracing reference"):
-        truths = [_reference(config, each.scene, seen.image, stages) for each in seen.lit]
+        truths = [_reference(config, each, seen.image, stages) for each in seen.lit]
     if not any((pixels & truth.mask).any() for pixels, truth in zip(seen.covered, truths, strict=True)):
         raise _error(config, ("scene", "camera"), "sees a surface at no pixel's centre; expected some; move it nearer")
     return [
-        Drawn(".".join(map(str, key)), each, from_light, seen.surface, truth, pixels & truth.mask)
-        for key, each, from_light, truth, pixels in zip(
-            seen.keys, seen.lit, seen.from_light, truths, seen.covered, strict=True
-        )
+        Drawn(".".join(map(str, key)), each, state, seen.surface, truth, pixels & truth.mask, loaded.remarks)
+        for key, each, state, truth, pixels in zip(seen.keys, seen.lit, seen.states, truths, seen.covered, strict=True)
     ]
 
 
-def load(config: Config, stages: Stages) -> Casting:
-    """The scene of `config`, and what of it casts shadows."""
-    with stages.stage("loading"):
-        return build_casting(config)
+def load(config: Config, stages: Stages) -> Loaded:
+    """The scene of `config`, and remarks in place of `io.MeshWarning`."""
+    messages: list[str] = []
+    with stages.stage("loading"), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", io.MeshWarning)
+        scene = build_scene(config)
+    for each in caught:
+        if issubclass(each.category, io.MeshWarning):
+            messages.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    return Loaded(scene, tuple(messages))
 
 
-def visibility_of(technique: Technique, drawn: Drawn) -> Float32[HostArray, "h w"]:
+def visibility_of(technique: shadow.AbstractTechnique, drawn: Drawn) -> Float32[HostArray, "h w"]:
     """The technique's visibility, in the host's memory."""
-    return techniques.visibility(technique, drawn.from_light, drawn.casting, drawn.surface)
+    return np.asarray(technique.visibility(drawn.state, drawn.surface), dtype=np.float32)
 
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ... import geometry, raster
 from ..._types import HostArray
-from ...config import Casting, Config
+from ...config import Config
 
 # Seen from inside a closed mesh, its triangles cover the whole sphere of directions; from beside one, or an open one,
 # no more than half of it.
@@ -18,14 +18,14 @@ _NO_DEPTHS = "single precision tells no depths apart between its near and far"
 _SOME = 1 << 18
 
 
-def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> str | None:
+def blind_camera(config: Config, scene: geometry.Scene, surface: raster.Surface) -> str | None:
     """What is wrong with a camera that sees no surface at any pixel's centre; `None` if it sees one."""
     if np.asarray(surface.mask).any():
         return None
-    camera = casting.scene.camera
+    camera = scene.camera
     eye, target = np.asarray(camera.eye, np.float64), np.asarray(camera.target, np.float64)
     near, far, looks = float(camera.near), float(camera.far), float(np.linalg.norm(target - eye))
-    inside = _mesh_round(config, casting, eye)
+    inside = _mesh_round(config, scene, eye)
     if inside is not None:
         cause, mend = f"its eye lies inside {inside}", "move the eye out of it"
     elif _tells_no_depths(camera.view()):
@@ -38,22 +38,22 @@ def blind_camera(config: Config, casting: Casting, surface: raster.Surface) -> s
         mend = "turn it by its target, narrow its view, move it nearer, or raise the resolution"
     return (
         f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
-        f"size {size_of(casting.scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
+        f"size {size_of(scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
     )
 
 
-def blind_light(config: Config, casting: Casting, surface: raster.Surface) -> str:
-    """What is wrong with a light, the only one of `casting`, whose frustum has nothing in it that the camera sees."""
-    light, points = casting.scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
+def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) -> str:
+    """What is wrong with a light, the only one of `scene`, whose frustum has nothing in it that the camera sees."""
+    light, points = scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
     cause, mend = _most_are(config, light, points)
     position = getattr(light, "position", None)
-    inside = None if position is None else _mesh_round(config, casting, np.asarray(position, np.float64))
+    inside = None if position is None else _mesh_round(config, scene, np.asarray(position, np.float64))
     if inside is not None:
         cause, mend = f"{cause}, and it stands inside {inside}", f"move it out of that mesh, {mend}"
     view = light.view()
     return (
         f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; its near is "
-        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {size_of(casting.scene.mesh):.3g} "
+        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {size_of(scene.mesh):.3g} "
         f"world units; expected a surface that both see; {mend}, or turn the camera"
     )
 
@@ -88,9 +88,9 @@ def _tells_no_depths(view: geometry.View) -> bool:
     return far - near < _LEAST_SHARE * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_SHARE * far)
 
 
-def _mesh_round(config: Config, casting: Casting, point: Float[HostArray, "3"]) -> str | None:
+def _mesh_round(config: Config, scene: geometry.Scene, point: Float[HostArray, "3"]) -> str | None:
     """The key of the first mesh that `point` lies inside of."""
-    for i, mesh in enumerate(casting.meshes):
+    for i, mesh in enumerate(scene.meshes):
         if abs(_turns_round(mesh, point)) > _INSIDE:
             return f"scene.meshes.{i} ({config.scene.meshes[i].path})"
     return None

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .._misc import as_float, as_int
+from ..._misc import as_float, as_int
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.9, 0.99
 _LEAST = 1e-8
@@ -41,11 +41,11 @@ class _Descent(optx.AbstractDescent):
         return _State(mean, square, state.count + 1)
 
     def step(self, step_size: Array, state: _State) -> tuple[Array, optx.RESULTS]:
-        # Both means start from 0, and are scaled by the weight they hold.
-        held = lambda decay: 1 - decay ** state.count.astype(state.mean.dtype)
-        root = jnp.sqrt(state.square / held(_SQUARE_DECAY)) + _LEAST
+        # Both means start from 0; dividing by the sum of their weights corrects for it.
+        weight = lambda decay: 1 - decay ** state.count.astype(state.mean.dtype)
+        root = jnp.sqrt(state.square / weight(_SQUARE_DECAY)) + _LEAST
         shrunk = step_size * (1 + jnp.cos(jnp.pi * jnp.minimum(state.count / self.steps, 1))) / 2
-        return -shrunk * state.mean / held(_MEAN_DECAY) / root, optx.RESULTS.successful
+        return -shrunk * state.mean / weight(_MEAN_DECAY) / root, optx.RESULTS.successful
 
 
 class Adam(optx.AbstractGradientDescent):

@@ -1,0 +1,123 @@
+"""Fitting to a reference by least squares."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from .._misc import as_float
+from ..shadow import ShadowMapping
+from ._anneal import Anneal, check_anneal
+from ._arrangement import Arrangement
+from ._history import Step
+from ._parameters import Parameter, Parameters
+from ._phases import phases_of, prepared
+from ._precision import Precision
+from ._run import Outcome, Run, Start
+from ._starts import starts_within
+from .problems import AbstractProblem, Joint, check_problem
+from .solvers import Solver, check_solver
+
+
+class FitResult(NamedTuple):
+    """What a fit found.
+
+    - `technique`: the fitted technique, with the hard compare.
+    - `initial`, `fitted`: values by name.
+    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best. Of
+        phases whose losses differ by less than the solver's `noise`, the last.
+    - `history`: every evaluation, in order.
+    - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
+    - `seconds_compiling`, `seconds_running`: of the whole fit.
+    - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
+    - `precision`: how well the values are determined; none if the start was best.
+    - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
+    - `enlargements`: how often a phase was repeated with a larger capacity to draw.
+    - `problems`: those that were fitted, with the capacity to draw what the bounds allow.
+    """
+
+    technique: ShadowMapping
+    initial: dict[str, float]
+    fitted: dict[str, float]
+    phases: list[Outcome]
+    chosen: int
+    history: list[Step]
+    flat: list[str]
+    seconds_compiling: float
+    seconds_running: float
+    arrangement: Arrangement | None = None
+    precision: Precision | None = None
+    starts: list[Start] = []  # noqa: RUF012
+    enlargements: int = 0
+    problems: tuple[AbstractProblem, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Solver steps of all phases."""
+        return sum(phase.steps for phase in self.phases)
+
+
+def fit(
+    problem: AbstractProblem | Sequence[AbstractProblem],
+    parameters: Sequence[Parameter],
+    *,
+    solver: Solver | None = None,
+    anneal: Anneal | None = None,
+    levels: Sequence[int] | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    on_step: Callable[[Step], None] | None = None,
+) -> FitResult:
+    """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
+
+    The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each, and
+    the best of these is the result: a fit never ends worse than it began.
+
+    **Arguments:**
+
+    - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
+    - `parameters`: what is fitted, and within which bounds.
+    - `solver`, `anneal`: defaults if left out. A fit of poses anneals in its last phases if it also fits a bias.
+    - `levels`: the downsampling factors of a fit of poses, phase by phase, down to 1. Phases before the last level move
+        poses only. If left out, 8, 4 or 2, the first that divides the resolutions, and 1.
+    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The last level
+        continues the best of them by the hard compare.
+    - `seed`: of the starts.
+    - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
+        repeated with a larger capacity.
+
+    **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
+    technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
+    or the visibility is not finite at the start.
+    """
+    solver, anneal = solver or Solver(), anneal or Anneal()
+    fitted, joint = Parameters.of(parameters), Joint.of(problem)
+    check_solver(solver)
+    check_anneal(anneal)
+    check_problem(joint, fitted)
+    solver = solver.for_problem(joint.moves)
+    initial = as_float([p.initial for p in parameters])
+    spread = starts_within(fitted, initial, starts, seed)
+    began = time.perf_counter()
+    joint = prepared(joint, fitted, initial)
+    phases = phases_of(joint, fitted.paths, anneal, levels)
+    run = Run(parameters, phases[-1].joint.hard(), phases, solver, on_step)
+    with run.reporter:
+        path, tried = run.through(spread)
+    best = path.chosen(solver.noise or 0.0)
+    end = run.judge.put(fitted, as_float(path.values[best]))
+    return FitResult(
+        technique=end.technique,
+        initial=dict(zip(run.names, path.values[0], strict=True)),
+        fitted=dict(zip(run.names, path.values[best], strict=True)),
+        phases=path.outcomes,
+        chosen=best - 1,
+        history=run.history,
+        flat=run.flat(path),
+        seconds_compiling=run.seconds_compiling,
+        seconds_running=time.perf_counter() - began - run.seconds_compiling,
+        arrangement=end.subject if end.moves else None,
+        precision=run.precision(path, best - 1),
+        starts=tried,
+        enlargements=run.enlargements,
+        problems=run.judge.problems,
+    )

@@ -1,0 +1,105 @@
+"""The compiled program of a phase: least squares from the free values of its parameters to their best."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ..raster import Overflow
+from ._history import Report, report_overflow
+from ._parameters import Parameters
+from .problems import Images, Joint, any_of
+from .solvers import Solver, optimistix_options, optimistix_solver
+
+
+class Solution(NamedTuple):
+    """The end of a phase.
+
+    Derivatives are with respect to each parameter's fraction of the distance between its bounds: comparable, and free
+    of the change of variables.
+
+    - `value`: (a,), the free values of the active parameters.
+    - `gradient`: (a,), of the mean square of the compared differences.
+    - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
+    - `differences`, `slopes`: of each problem, (h, w) and (a, h, w), before the blur.
+    """
+
+    value: Float[Array, " a"]
+    gradient: Float[Array, " a"]
+    slope: Float[Array, " a"]
+    differences: Images
+    slopes: Images
+    steps: Array
+    result: optx.RESULTS
+
+
+def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array) -> Solution:
+    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Images]]:
+        # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
+        # once for each; here it is a matrix, found once together with the residuals.
+        joint, parameters, scale = args
+        fraction = parameters.fraction(y)
+        fixed = jax.lax.stop_gradient(fraction)
+        differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
+        if joint.moves:
+            report_overflow(token, overflow, y)
+        change = jnp.matmul(_columns(jax.vmap(joint.compared)(slopes)), fraction - fixed, precision="highest")
+        return scale * (_flat(joint.compared(differences)) + change), (differences, slopes)
+
+    solution = optx.least_squares(
+        residual,
+        optimistix_solver(solver, Report(token)),
+        y,
+        (joint, parameters, scale),
+        optimistix_options(solver),
+        has_aux=True,
+        max_steps=solver.max_steps,
+        throw=False,
+    )
+    differences, slopes = solution.state.aux
+    end, jacobian = _flat(joint.compared(differences)), _columns(jax.vmap(joint.compared)(slopes))
+    return Solution(
+        value=solution.value,
+        gradient=2 * jnp.matmul(end, jacobian, precision="highest"),
+        slope=jnp.sqrt(jnp.sum(jacobian**2, axis=0)),
+        differences=differences,
+        slopes=slopes,
+        steps=solution.stats["num_steps"],
+        result=solution.result,
+    )
+
+
+def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Images, Overflow]:
+    """All differences at a `fraction` (p,) of the distance between the bounds, and their derivatives by each.
+
+    **Returns:** images (h, w), stacks of them (p, h, w), and whether a capacity was too small to draw them.
+    """
+
+    def differences(fraction: Array) -> tuple[Images, Overflow]:
+        overflows: list[Overflow] = []
+        found = joint.differences(parameters.put(joint.subject, parameters.at(fraction)), overflows)
+        return found, any_of(overflows)
+
+    # Few parameters, many pixels: forward.
+    pushed = jax.vmap(lambda way: jax.jvp(differences, (fraction,), (way,), has_aux=True), out_axes=(None, 0, None))
+    return pushed(jnp.eye(fraction.shape[0], dtype=fraction.dtype))
+
+
+def _flat(images: Images) -> Float[Array, " n"]:
+    return jnp.concatenate([image.ravel() for image in images])
+
+
+def _columns(stacks: Images) -> Float[Array, "n p"]:
+    return jnp.concatenate([stack.reshape(stack.shape[0], -1) for stack in stacks], axis=1).T
+
+
+solve: Any = eqx.filter_jit(_solve)
+"""`solve(joint, parameters, y, solver, token, scale)`: a phase from the free values `y`.
+
+`token` names the reporter of its steps, and `scale` multiplies the residuals.
+"""
+losses: Any = eqx.filter_jit(lambda joint, parameters, values: joint.losses(parameters.put(joint.subject, values)))
+"""`losses(joint, parameters, values)`: as `Joint.losses`."""

@@ -1,0 +1,241 @@
+"""The course of a fit: its starts, its phases, and the capacity that they need."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from .._misc import as_float
+from ._history import Reporter, Step
+from ._parameters import Parameter, Parameters
+from ._phases import Phase, enlarged
+from ._precision import Precision, precision_of
+from ._program import Solution, losses, solve
+from ._programs import compiled
+from .problems import Joint
+from .solvers import Solver
+
+# How often a phase may be given a larger capacity to draw.
+_ENLARGEMENTS = 6
+_NEVER_ENOUGH = (
+    f"the capacity to draw is too small after {_ENLARGEMENTS} enlargements; expected it to settle: narrow the bounds "
+    "of what moves"
+)
+# Mean square errors below this count as 0.
+_LEAST_LOSS = 1e-10
+
+
+class Outcome(NamedTuple):
+    """How a phase ended.
+
+    - `width`: of its soft compare, in texels; 0 for the hard one.
+    - `steps`: number of solver steps.
+    - `result`: `"successful"`, `"max_steps reached"`, or what the solver reports as wrong.
+    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
+    - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
+        parameters there.
+    - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels; `blur`: the standard
+        deviation, in such pixels, of the Gaussian under which images were compared, 0 where nothing moves.
+    """
+
+    width: float
+    steps: int
+    result: str
+    gradient_norm: float
+    hard_loss: float
+    values: tuple[float, ...]
+    level: int = 1
+    blur: float = 0.0
+
+
+class Start(NamedTuple):
+    """One of several starts.
+
+    - `initial`: its values; `end`: those after the phases that all starts run.
+    - `loss`: at `end`, the mean square of the compared differences under the hard compare at full resolution.
+    """
+
+    initial: tuple[float, ...]
+    end: tuple[float, ...]
+    loss: float
+
+
+class Path(NamedTuple):
+    """The course of one start: free values, values and the judge's losses at the start and after each phase.
+
+    `ends` holds the phases so far and their solutions.
+    """
+
+    free: list[Float[Array, " p"]]
+    values: list[tuple[float, ...]]
+    losses: list[float]
+    outcomes: list[Outcome]
+    ends: list[tuple[Phase, Solution]]
+
+    def chosen(self, noise: float) -> int:
+        """The index of the best values: the last whose loss exceeds the least by no more than this fraction of it.
+
+        Differences within the noise carry no information; of such values, the later phase's have the smaller gradient.
+        """
+        if not noise:
+            return int(np.argmin(self.losses))
+        return int(np.flatnonzero(np.asarray(self.losses) <= (1 + noise) * min(self.losses))[-1])
+
+
+class Run:
+    """A fit in progress.
+
+    - `judge`: the problems at full resolution under the hard compare. It sees the start and the end of every phase, and
+        the best of these is the result.
+    - `phases`: whose capacity may grow.
+    - `history`: every evaluation so far, in order.
+    """
+
+    def __init__(
+        self,
+        parameters: Sequence[Parameter],
+        judge: Joint,
+        phases: list[Phase],
+        solver: Solver,
+        on_step: Callable[[Step], None] | None,
+    ):
+        self.names, self.parameters = tuple(p.name for p in parameters), Parameters.of(parameters)
+        self.judge, self.phases, self.solver = judge, phases, solver
+        self.history: list[Step] = []
+        self.reporter = Reporter(self.parameters, self.history, on_step)
+        self.slopes = np.zeros(len(parameters))
+        self.enlargements = 0
+        self.seconds_compiling = 0.0
+        self._programs: dict[Any, Any] = {}
+
+    def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
+        """The best path from `spread` (s, p), and the course of each start where there are several."""
+        last = [i for i, phase in enumerate(self.phases) if phase.level == 1]
+        first = [i for i in range(len(self.phases)) if i not in last]
+        # Without coarse phases, all starts run all of them.
+        shared, rest = (first, last) if first and len(spread) > 1 else ([*first, *last], [])
+        paths = []
+        for number, initial in enumerate(spread):
+            self.reporter.start = number
+            paths.append(self._along(shared, self._start(initial)))
+        tried = [Start(p.values[0], p.values[int(np.argmin(p.losses))], min(p.losses)) for p in paths]
+        best = int(np.argmin([start.loss for start in tried]))
+        self.reporter.start = best
+        return self._along(rest, paths[best]), tried if len(spread) > 1 else []
+
+    def precision(self, path: Path, chosen: int) -> Precision | None:
+        """How well the chosen phase determines what it fitted; none if the start was better than all phases."""
+        if chosen < 0:
+            return None
+        phase, solution = path.ends[chosen]
+        span = np.asarray(self.parameters.upper - self.parameters.lower)[np.asarray(phase.active)]
+        names = [self.names[i] for i in phase.active]
+        on_host = lambda images: [np.asarray(image) for image in images]
+        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), phase.blurs, span)
+
+    def flat(self, path: Path) -> list[str]:
+        """Names of the parameters that had no slope, and never moved."""
+        rests = np.all(np.asarray(path.free) == np.asarray(path.free[0]), axis=0)
+        return [name for name, slope, rest in zip(self.names, self.slopes, rests, strict=True) if slope == 0 and rest]
+
+    def _start(self, initial: Float[Array, " p"]) -> Path:
+        loss, _ = self._judged(initial)
+        if not np.isfinite(loss):
+            raise ValueError(
+                "the visibility or the reference is not finite at the initial values; expected numbers: check "
+                "the mesh, the light and the reference"
+            )
+        return Path([self.parameters.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
+
+    def _along(self, numbers: Sequence[int], path: Path) -> Path:
+        for number in numbers:
+            path = self._continued(number, path)
+        return path
+
+    def _continued(self, number: int, path: Path) -> Path:
+        """`path`, and one phase more from its end."""
+        phase, free = self.phases[number], path.free[-1]
+        active = np.asarray(phase.active)
+        # Relative residuals, so that the solver's tolerances mean the same whatever the size of the errors.
+        scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
+        self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
+        solution = self._solution(number, free, scale)
+        if bool(jnp.all(jnp.isfinite(solution.value))):
+            free = free.at[active].set(solution.value)
+        self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
+        values = self.parameters.to_bounded(free)
+        loss, hard_loss = self._judged(values)
+        outcome = _outcome(solution, phase, hard_loss, values)
+        return Path(
+            [*path.free, free],
+            [*path.values, outcome.values],
+            [*path.losses, loss],
+            [*path.outcomes, outcome],
+            [*path.ends, (self.phases[number], solution)],
+        )
+
+    def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
+        joint = phase.joint.put(self.parameters, self.parameters.to_bounded(free))
+        y = free[np.asarray(phase.active)]
+        return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
+
+    def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
+        """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
+        for _ in range(_ENLARGEMENTS + 1):
+            *found, overflow = self._returned(None, losses, (self.judge, self.parameters, values))
+            if not overflow:
+                loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found)
+                return loss, hard_loss
+            self._forget(None)
+            self.judge = enlarged(self.judge, self.parameters, values[None])
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _solution(self, number: int, free: Float[Array, " p"], scale: float) -> Solution:
+        """What the program of a phase returns, repeated with a larger capacity until nothing is missing."""
+        for _ in range(_ENLARGEMENTS + 1):
+            phase = self.phases[number]
+            found = self._returned(phase.program, solve, self._arguments(phase, free, scale))
+            if not self.reporter.overflowed:
+                return found
+            places = list(dict.fromkeys(self.reporter.overflowed))
+            self._forget(phase.program)
+            self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.parameters, as_float(places)))
+            self.reporter.again()
+        raise RuntimeError(_NEVER_ENOUGH)
+
+    def _returned(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
+        found = self._program(key, function, arguments)(*arguments)
+        jax.effects_barrier()
+        return jax.block_until_ready(found)
+
+    def _forget(self, key: Any) -> None:
+        """Drops a program whose capacity is too small."""
+        self.enlargements += 1
+        self._programs.pop(key, None)
+
+    def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
+        """The compiled program of the phases with this key; `None` is the judge's."""
+        if key not in self._programs:
+            started = time.perf_counter()
+            self._programs[key] = compiled(function, arguments)
+            self.seconds_compiling += time.perf_counter() - started
+        return self._programs[key]
+
+
+def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) -> Outcome:
+    if solution.result == optx.RESULTS.successful:
+        result = "successful"
+    elif solution.result == optx.RESULTS.nonlinear_max_steps_reached:
+        result = "max_steps reached"
+    else:
+        result = optx.RESULTS[solution.result]
+    gradient_norm = float(jnp.linalg.norm(solution.gradient))
+    if not np.isfinite(gradient_norm):
+        result = "the loss is not finite near the solution"
+    steps, at = int(solution.steps), tuple(values.tolist())
+    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, phase.level, max(phase.blurs))

@@ -1,0 +1,14 @@
+"""What can be fitted: a technique, or an arrangement of lights and meshes as well."""
+
+from ._abstract import AbstractProblem as AbstractProblem
+from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
+from ._capacity import PoseCapacity as PoseCapacity
+from ._capacity import coarser as coarser
+from ._joint import Images as Images
+from ._joint import Joint as Joint
+from ._joint import any_of as any_of
+from ._joint import check_problem as check_problem
+from ._levels import levels_of as levels_of
+from ._pose import PoseProblem as PoseProblem
+from ._pose import cone_fraction as cone_fraction
+from ._technique import TechniqueProblem as TechniqueProblem

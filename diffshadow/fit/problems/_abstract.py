@@ -1,0 +1,59 @@
+"""What a fit needs to know of a problem."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from ..._types import Scalar
+from ...raster import Overflow
+from ...shadow import ShadowMapping
+
+
+class AbstractProblem(eqx.Module):
+    """A subject, and how far an image that it draws is from a reference.
+
+    The subject is the tree of modules whose numbers are fitted: a technique, or an `Arrangement` of a technique, lights
+    and meshes. Methods take the subject as an argument, so that a solver may change its numbers.
+    """
+
+    @property
+    @abc.abstractmethod
+    def moves(self) -> bool:
+        """Whether lights or meshes may move, so that images are drawn again at every step."""
+
+    @property
+    @abc.abstractmethod
+    def subject(self) -> Any:
+        """What is fitted, as it stands."""
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> Scalar:
+        """How many pixels count."""
+
+    @property
+    @abc.abstractmethod
+    def blur_in_pixels(self) -> float:
+        """Standard deviation of the Gaussian under which images are compared, in pixels; 0 for none."""
+
+    @abc.abstractmethod
+    def technique_of(self, subject: Any) -> ShadowMapping:
+        """The technique of a subject."""
+
+    @abc.abstractmethod
+    def difference(self, subject: Any, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
+
+    @abc.abstractmethod
+    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """The part of a difference that the fit makes small, such as its blur. Linear."""
+
+    @abc.abstractmethod
+    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "AbstractProblem":
+        """With the capacity to draw every subject that has one row of `values` (k, p) at `paths`."""

@@ -1,0 +1,279 @@
+"""Fits of lights and meshes: the map, and if need be the surface, are drawn again at every step."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._types import Resolution, Scalar, Visibility
+from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge, transform_points
+from ...raster import Overflow, Surface, draw_surface, plan
+from ...reference import Reference
+from ...shadow import MapCapacity, MapSettings, ShadowMap, ShadowMapping, plan_shadow_map
+from .._arrangement import Arrangement
+from .._parameters import with_values
+from ._abstract import AbstractProblem
+from ._blur import blurred
+from ._capacity import PoseCapacity, with_headroom
+
+# The standard deviation, in pixels of any level, of the Gaussian under which images are compared. Without it, a shadow
+# that is further off than its outline is wide has no derivative towards its place; and outlines here are as soft as the
+# map's texels, but sharp in a reference, which sharp differences would mistake for a light in another place.
+_BLUR = 3.0
+# The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
+# meshes, an image under it tells best where they are (`docs/experiments.md`).
+_LAST_BLUR = 0.7
+_LEAST_BLUR = 1.0
+# By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
+_FINER_MAP = 2
+# The number of silhouettes varies less over the bounds than triangles' sizes do; it is planned at one place alone.
+_MORE_SILHOUETTES = 4
+
+
+class PoseProblem(AbstractProblem):
+    """An arrangement, what it is fitted to under one of its lights, and what stays as it is.
+
+    - `arrangement`: whose numbers are fitted.
+    - `scene`: the meshes and the camera, and one light, as they stand before the arrangement moves them.
+    - `index`: which of the arrangement's lights that is.
+    - `reference`: (h, w), visibility in [0, 1], times `cone_fraction`.
+    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `settings`: how the map is drawn. Only with silhouettes do derivatives see the shadow's outline move.
+    - `surface`: what the camera sees; none to draw it again at every step, which is needed where meshes in sight move.
+    - `capacity`: to draw map and surface, see `planned`; needed under a trace.
+    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
+        cover a texel of the map as the camera sees it.
+    - `sharpness`: the factor by which the Gaussian is narrower than `blur`, 1 or more.
+    """
+
+    arrangement: Arrangement
+    scene: Scene
+    index: int = eqx.field(static=True)
+    reference: Visibility
+    weight: Float[Array, "h w"]
+    settings: MapSettings = eqx.field(static=True, default=MapSettings(silhouettes=True))
+    surface: Surface | None = None
+    capacity: PoseCapacity | None = eqx.field(static=True, default=None)
+    edges: Edges | None = None
+    blur: float = eqx.field(static=True, default=_BLUR)
+    # A number of the program, so that one program serves phases of any sharpness.
+    sharpness: Scalar | float = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        technique: ShadowMapping,
+        truth: Reference,
+        *,
+        light: int = 0,
+        arrangement: Arrangement | None = None,
+        surface: Surface | None = None,
+    ) -> "PoseProblem":
+        """A scene under one of its lights, against that light's reference.
+
+        **Arguments:**
+
+        - `technique`: its `map` says how the map is drawn; with silhouettes unless it sets them to `False`.
+        - `truth`: the reference of `scene.lit_by(light)`. A traced one is multiplied by `cone_fraction`, since rays do
+            not see the cone of a spot light.
+        - `light`: which of the scene's lights.
+        - `arrangement`: what is fitted, if not `technique`, lights and meshes as they stand in the scene.
+        - `surface`: what the camera sees, if no mesh in its sight moves. Left out, it is drawn again at every step.
+        """
+        lit = scene.lit_by(light)
+        reference = jnp.asarray(truth.visibility)
+        if truth.samples:
+            seen = draw_surface(scene.mesh, scene.camera) if surface is None else surface
+            reference = reference * cone_fraction(lit.light, seen)
+        return cls(
+            arrangement=Arrangement.of(technique, scene.lights, scene.meshes) if arrangement is None else arrangement,
+            scene=lit,
+            index=light,
+            reference=reference,
+            weight=jnp.asarray(truth.mask, reference.dtype),
+            settings=technique.map._replace(silhouettes=technique.map.silhouettes is not False),
+            surface=surface,
+        )
+
+    @property
+    def moves(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def subject(self) -> Arrangement:
+        """What is fitted."""
+        return self.arrangement
+
+    def technique_of(self, subject: Arrangement) -> ShadowMapping:
+        """The arrangement's technique."""
+        return subject.technique
+
+    @property
+    def count(self) -> Scalar:
+        """How many pixels count."""
+        return jnp.sum(self.weight)
+
+    @property
+    def blur_in_pixels(self) -> float:
+        """Standard deviation of the Gaussian under which differences are compared, in pixels."""
+        return float(self.blur / self.sharpness)
+
+    def image(self, shadow_map: ShadowMap, surface: Surface, technique: ShadowMapping) -> Visibility:
+        """What is compared with the reference, (h, w): visibility times the cone's fraction."""
+        return technique.visibility(shadow_map, surface) * cone_fraction(shadow_map.light, surface)
+
+    def difference(self, subject: Arrangement, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+        """Visibility less reference, times the square root of the pixel's weight.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
+        image = self.image(*self.draw(subject, overflows), subject.technique)
+        counts = self.weight > 0
+        root = jnp.sqrt(jnp.where(counts, self.weight, 1))
+        return jnp.where(counts, (image - self.reference) * root, 0)
+
+    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """The blur of a difference."""
+        return blurred(difference, self.blur, self.sharpness)
+
+    def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
+        """The map and the surface of an arrangement.
+
+        **Arguments:** `overflows` as for `draw_shadow_map`.
+        """
+        meshes = self._placed(arrangement)
+        to_map, to_surface = (None, None) if self.capacity is None else self.capacity
+        shadow_map = self.settings.draw(
+            self._casters(meshes),
+            self._light(arrangement, meshes),
+            edges=self._edges(),
+            capacity=to_map,
+            overflows=overflows,
+        )
+        if self.surface is not None:
+            return shadow_map, self.surface
+        return shadow_map, draw_surface(merge(meshes), self.scene.camera, capacity=to_surface, overflows=overflows)
+
+    @property
+    def sharpest(self) -> float:
+        """The sharpness at which differences locate lights and meshes best, once these are nearly in place.
+
+        A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
+        differently.
+        """
+        scene = self.scene
+        texel = float(_texel_in_pixels(scene.light, scene.camera, _points(scene.meshes), self.settings.resolution))
+        return self.blur / min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur) if self.blur else 1.0
+
+    def at_level(self, level: int) -> "PoseProblem":
+        """The problem at a coarser resolution: each pixel averages `level` x `level` pixels that count.
+
+        The map is coarsened by half as much. A filter's radius stays the same number of texels, and so spans more of
+        the scene; the blur stays the same number of pixels.
+        """
+        if level == 1:
+            return self
+        smaller = lambda size, by=level: (size[0] // by, size[1] // by)
+        blocks = lambda image: image.reshape(image.shape[0] // level, level, image.shape[1] // level, level)
+        mean = lambda image: blocks(image).mean(axis=(1, 3))
+        weight = mean(self.weight)
+        counted = jnp.where(weight > 0, weight, 1)
+        reference = jnp.where(weight > 0, mean(self.weight * self.reference) / counted, 1)
+        camera = self.scene.camera
+        scene = dataclasses.replace(
+            self.scene, camera=dataclasses.replace(camera, resolution=smaller(camera.resolution))
+        )
+        return dataclasses.replace(
+            self,
+            scene=scene,
+            reference=reference,
+            weight=weight,
+            settings=self.settings._replace(resolution=smaller(self.settings.resolution, max(1, level // _FINER_MAP))),
+            surface=None if self.surface is None else draw_surface(scene.mesh, scene.camera),
+            capacity=None if self.capacity is None else self.capacity.coarser(),
+        )
+
+    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "PoseProblem":
+        """With twice the capacity to draw every arrangement that has one row of `values` (k, p) at `paths`."""
+        from_light, from_camera = _clips(self, tuple(paths), values)
+        casters, edges, resolution = self._casters(self.scene.meshes), self._edges(), self.settings.resolution
+        triangles = plan(from_light, casters.faces, resolution, cull=self.settings.cull)
+        capacity = with_headroom(PoseCapacity(MapCapacity(triangles)))
+        if edges is not None:
+            meshes = self._placed(self.arrangement)
+            light = self._light(self.arrangement, meshes)
+            here = plan_shadow_map(self._casters(meshes), light, resolution, edges=edges)
+            more = MapCapacity(with_headroom(here.triangles), _MORE_SILHOUETTES * here.silhouettes)
+            capacity = capacity.grown_to(PoseCapacity(more))
+        if from_camera is not None:
+            seen = plan(from_camera, self.scene.mesh.faces, self.scene.camera.resolution)
+            capacity = capacity._replace(surface=with_headroom(seen))
+        capacity = capacity if self.capacity is None else self.capacity.grown_to(capacity)
+        return dataclasses.replace(self, capacity=capacity, edges=edges)
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """The sides of image and map, in pixels and texels."""
+        return (*self.reference.shape, *self.settings.resolution)
+
+    def _casters(self, meshes: Sequence[Mesh]) -> Mesh:
+        return dataclasses.replace(self.scene, meshes=meshes).casters
+
+    def _edges(self) -> Edges | None:
+        if not self.settings.silhouettes:
+            return None
+        return Edges.of(self.scene.casters) if self.edges is None else self.edges
+
+    def _light(self, arrangement: Arrangement, meshes: Sequence[Mesh]) -> AbstractLight:
+        return self.scene.light.at(arrangement.lights[self.index]).refitted(_points(meshes))
+
+    def _placed(self, arrangement: Arrangement) -> list[Mesh]:
+        return [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, self.scene.meshes, strict=True)]
+
+
+def cone_fraction(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
+    """The fraction of the light that its cone lets through to each pixel, (h, w); 1 where there is no surface."""
+    return jnp.where(surface.mask, light.cone_fraction(surface.position), 1)
+
+
+@eqx.filter_jit
+def _texel_in_pixels(
+    light: AbstractLight, camera: AbstractCamera, points: Float[Array, "n 3"], resolution: Resolution
+) -> Scalar:
+    """How many pixels wide a map's texel is at half of the points, or more."""
+
+    def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
+        distance = -transform_points(view.world_to_eye, points)[..., 2]
+        return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
+
+    layer = light.layer(points)
+    from_light = light.view() if layer is None else light.view().facing(layer)
+    return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))
+
+
+@eqx.filter_jit
+def _clips(problem: PoseProblem, paths: tuple[str, ...], values: Float[Array, "k p"]) -> tuple[Array, Array | None]:
+    """Clip coordinates of what casts, as the light sees it, and of everything as a camera does that sees it move."""
+
+    def of(values: Array) -> tuple[Array, Array | None]:
+        arrangement = with_values(problem.arrangement, paths, values)
+        meshes = problem._placed(arrangement)
+        view = problem._light(arrangement, meshes).view()
+        casters = problem._casters(meshes)
+        views = view.world_to_eye.reshape(-1, 4, 4)
+        one = lambda matrix: eqx.tree_at(lambda v: v.world_to_eye, view, matrix).clip(casters.vertices)
+        from_camera = None if problem.surface is not None else problem.scene.camera.view().clip(merge(meshes).vertices)
+        return jax.vmap(one)(views), from_camera
+
+    from_light, from_camera = jax.vmap(of)(values)
+    return from_light.reshape(-1, *from_light.shape[-2:]), from_camera
+
+
+def _points(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
+    return jnp.concatenate([mesh.vertices for mesh in meshes])

@@ -1,0 +1,88 @@
+"""Fits of a technique alone: the map and the surface are drawn once."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..._types import Mask, Scalar, Visibility
+from ...geometry import Scene
+from ...raster import Overflow, Surface, draw_surface
+from ...reference import Reference
+from ...shadow import ShadowMap, ShadowMapping
+from ._abstract import AbstractProblem
+
+
+class TechniqueProblem(AbstractProblem):
+    """A technique, what it is fitted to, and what stays as it is.
+
+    - `technique`: the shadow mapping whose numbers are fitted.
+    - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter, so neither is drawn again.
+    - `reference`: (h, w), visibility in [0, 1].
+    - `mask`: (h, w), the pixels that count.
+    """
+
+    technique: ShadowMapping
+    shadow_map: ShadowMap
+    surface: Surface
+    reference: Visibility
+    mask: Mask
+
+    @classmethod
+    def of(cls, scene: Scene, technique: ShadowMapping, truth: Reference) -> "TechniqueProblem":
+        """`technique`, and its map and surface of a scene with one light, against that scene's reference.
+
+        The pixels that count are those where the reference has a surface that lies within the light's frustum.
+        """
+        surface = draw_surface(scene.mesh, scene.camera)
+        shadow_map = technique.prepare(scene, surface)
+        mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
+        return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+
+    def residual(self, technique: ShadowMapping) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere.
+
+        Scaled so that the sum of its squares is the mean square error.
+        """
+        return self.difference(technique) / jnp.sqrt(jnp.maximum(self.count, 1))
+
+    def mean_square_error(self, technique: ShadowMapping) -> Scalar:
+        """The mean square error over the pixels that count."""
+        return jnp.sum(self.residual(technique) ** 2)
+
+    def difference(self, subject: ShadowMapping, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere. Nothing is drawn that could overflow."""
+        visibility = subject.visibility(self.shadow_map, self.surface)
+        return jnp.where(self.mask, visibility - self.reference, 0)
+
+    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """All of a difference."""
+        return difference
+
+    def technique_of(self, subject: ShadowMapping) -> ShadowMapping:
+        """The subject itself."""
+        return subject
+
+    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "TechniqueProblem":
+        """The problem itself: nothing is drawn again."""
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """False: map and surface stay."""
+        return False
+
+    @property
+    def subject(self) -> ShadowMapping:
+        """What is fitted."""
+        return self.technique
+
+    @property
+    def count(self) -> Int[Array, ""]:
+        """How many pixels count."""
+        return jnp.sum(self.mask)
+
+    @property
+    def blur_in_pixels(self) -> float:
+        """None: images are compared as they are."""
+        return 0.0

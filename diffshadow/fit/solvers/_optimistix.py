@@ -1,0 +1,39 @@
+"""The solvers as optimistix's."""
+
+from collections.abc import Callable
+from typing import Any
+
+import lineax as lx
+import optimistix as optx
+
+from ._adam import Adam
+from ._levenberg_marquardt import LevenbergMarquardt
+from ._settings import Solver
+
+# Singular values of the Jacobian below this fraction of the largest count as zero, at the precision of float32.
+_LEAST_SINGULAR = 1e-6
+_LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
+
+
+def optimistix_solver(
+    solver: Solver, report: Callable[..., None]
+) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
+    """The solver of optimistix that calls `report` at every step."""
+    tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
+    match solver.name:
+        case "levenberg_marquardt":
+            return LevenbergMarquardt(**tolerances, noise=solver.noise or 0.0)
+        case "dogleg":
+            # It solves undamped: a parameter without a gradient must not spoil the others' steps.
+            return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))
+        case "bfgs":
+            return optx.BFGS(**tolerances)
+        case "lbfgs":
+            return optx.LBFGS(**tolerances)
+        case "adam":
+            return Adam(solver.learning_rate, solver.max_steps, solver.rtol, solver.atol, report)
+
+
+def optimistix_options(solver: Solver) -> dict[str, Any]:
+    """The options with which `optimistix.least_squares` runs it, for forward mode."""
+    return {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"}
