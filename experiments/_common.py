@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import fit, io, raster, reference, use_all_cores
+from diffshadow import fit, geometry, io, raster, reference, use_all_cores
 from diffshadow.config import (
     Config,
     ConfigError,

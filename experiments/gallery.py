@@ -28,7 +28,7 @@ from matplotlib import colormaps
 from rich.console import Console
 from rich.progress import track
 
-from diffshadow import io, metrics, raster
+from diffshadow import geometry, io, metrics, raster
 from diffshadow.config import Config, build_scene, build_shading, build_technique, load_config
 from diffshadow.reference import Reference
 

@@ -30,14 +30,14 @@ scene = config.build_scene(
         "../configs/bias_landscape.yaml", [f"scene.camera.resolution=[{PIXELS}, {PIXELS}]", "scene.light.angular_radius=2"]
     )
 )
-shadow_map = shadow.draw_shadow_map(scene.mesh, scene.light, (TEXELS, TEXELS))
-surface = raster.draw_surface(scene.mesh, scene.camera)
 truth = reference.trace_visibility(scene, samples=RAYS)
 technique = shadow.ShadowMapping(
-    shadow.RandomDisk(1.0, shadow.stratified((4, 4))), shadow.Bias(constant=0.3, slope=0.5, normal_offset=0.0)
+    shadow.RandomDisk(1.0, shadow.stratified((4, 4))),
+    shadow.Bias(constant=0.3, slope=0.5, normal_offset=0.0),
+    map=shadow.MapSettings((TEXELS, TEXELS)),
 )
-mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-problem = fit.TechniqueProblem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+problem = fit.TechniqueProblem.of(scene, technique, truth)
+shadow_map, surface, mask = problem.shadow_map, problem.surface, problem.mask
 
 # %% [markdown]
 # **Fit**, from almost no bias and a wide disk. Every evaluation of the loss is kept in `result.history`.

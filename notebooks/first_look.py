@@ -24,8 +24,8 @@ pixels, texels, rays = (48, 96, 16) if SMALL else (192, 512, 128)
 # %%
 knot = geometry.fit_to_size(geometry.library_mesh("torus_knot"), 1.0)  # longest side, world units
 floor = geometry.library_mesh("plane", size=3.0)
-mesh = geometry.merge([geometry.drop_to_ground(knot), floor])
-print(f"{len(mesh.faces):,} triangles, {len(mesh.vertices):,} vertices")
+meshes = [geometry.drop_to_ground(knot), floor]
+print(f"{sum(len(mesh.faces) for mesh in meshes):,} triangles")
 
 # %% [markdown]
 # **Camera and light.** The sun is a disk of 2° radius here, some seven times its true size, so that its shadows are soft.
@@ -34,17 +34,9 @@ print(f"{len(mesh.faces):,} triangles, {len(mesh.vertices):,} vertices")
 camera = geometry.PinholeCamera(
     eye=(1.3, 1.4, 1.8), target=(0.1, 0.35, 0.0), fov_y=38.0, resolution=(pixels, pixels)
 )
-light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), mesh.vertices, angular_radius=2.0)
-scene = geometry.Scene(mesh, camera, light)
-
-# %% [markdown]
-# **Two views.** What the light sees is the shadow map; what the camera sees are the receivers. Neither depends on bias or
-# filter, so each is drawn once.
-
-# %%
-shadow_map = shadow.draw_shadow_map(mesh, light, (texels, texels))
-surface = raster.draw_surface(mesh, camera)
-print(f"{float(jnp.mean(shadow_map.depth < 1)):.0%} of the texels hold a surface")
+points = geometry.merge(meshes).vertices
+light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), points, angular_radius=2.0)
+scene = geometry.Scene(meshes, camera, light)
 
 # %% [markdown]
 # **Technique.** A bias that is too small, and a disk of 16 taps that is too narrow.
@@ -53,8 +45,18 @@ print(f"{float(jnp.mean(shadow_map.depth < 1)):.0%} of the texels hold a surface
 technique = shadow.ShadowMapping(
     filter=shadow.RandomDisk(radius=1.0, pattern=shadow.stratified((4, 4))),
     bias=shadow.Bias(constant=0.2, slope=0.3, normal_offset=0.0),  # texels
+    map=shadow.MapSettings(resolution=(texels, texels)),
 )
+
+# %% [markdown]
+# **Two views.** What the light sees is the shadow map; what the camera sees are the receivers. Neither depends on bias or
+# filter, so each is drawn once.
+
+# %%
+shadow_map = technique.prepare(scene)
+surface = raster.draw_surface(scene.mesh, camera)
 before = technique.visibility(shadow_map, surface)
+print(f"{float(jnp.mean(shadow_map.depth < 1)):.0%} of the texels hold a surface")
 
 # %% [markdown]
 # **Truth.** Rays to the whole of the sun's disk, by another path through other code.

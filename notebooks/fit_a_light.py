@@ -72,7 +72,7 @@ def at(problem, values):
     return arrangement.technique.visibility(shadow_map, surface), problem.difference(arrangement)
 
 
-seen = np.asarray(problem.mask)
+seen = np.asarray(problem.weight > 0)
 values = lambda chosen: jnp.array(list(chosen.values()), jnp.float32)
 start, end = at(problem, values(result.initial)), at(problem, values(result.fitted))
 figure, axes = plt.subplots(1, 4, figsize=(12.4, 3.2), sharey=True)

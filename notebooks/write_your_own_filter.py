@@ -95,12 +95,11 @@ assert errors[-1][0] < 0.01 and errors[-1][1] < 0.02
 
 # %%
 knot = geometry.fit_to_size(geometry.library_mesh("torus_knot"), 1.0)
-mesh = geometry.merge([geometry.drop_to_ground(knot), geometry.library_mesh("plane", size=3.0)])
+meshes = [geometry.drop_to_ground(knot), geometry.library_mesh("plane", size=3.0)]
 camera = geometry.PinholeCamera((1.3, 1.6, 2.0), (0.3, 0.2, 0.0), fov_y=38.0, resolution=(pixels, pixels))
-light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), mesh.vertices, angular_radius=2.0)
-shadow_map = shadow.draw_shadow_map(mesh, light, (texels, texels))
-surface = raster.draw_surface(mesh, camera)
-truth = reference.trace_visibility(geometry.Scene(mesh, camera, light), samples=rays)
+light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), geometry.merge(meshes).vertices, angular_radius=2.0)
+scene = geometry.Scene(meshes, camera, light)
+truth = reference.trace_visibility(scene, samples=rays)
 
 # %% [markdown]
 # **Fit.** Any number in the filter can be fitted by its name, here `filter.sigma`, with the bias alongside. The uniform
@@ -114,9 +113,9 @@ filters = {
 }
 pictures = {"ray traced": truth.visibility}
 for name, (kernel, width) in filters.items():
-    technique = shadow.ShadowMapping(kernel, bias)
-    mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-    problem = fit.TechniqueProblem(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+    technique = shadow.ShadowMapping(kernel, bias, map=shadow.MapSettings((texels, texels)))
+    problem = fit.TechniqueProblem.of(scene, technique, truth)
+    shadow_map, surface, mask = problem.shadow_map, problem.surface, problem.mask
     result = fit.fit(
         problem,
         [fit.Parameter("bias.constant", 0.5, 0.0, 16.0), width],

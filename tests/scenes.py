@@ -120,12 +120,10 @@ def problem(
     return TechniqueProblem(technique, shadow_map, surface, reference, covered(technique, shadow_map, surface))
 
 
-@eqx.filter_jit
 def shadows(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -> Any:
     return technique.visibility(shadow_map, surface)
 
 
-@eqx.filter_jit
 def covered(technique: ShadowMapping, shadow_map: ShadowMap, surface: Surface) -> Any:
     return technique.covered(shadow_map, surface)
 

@@ -1,18 +1,33 @@
 """Fits: that they find what is known, keep bounds, never end worse, report truly, compile once, and refuse nonsense."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import problem, technique
+from scenes import floor_and_card, problem, side_camera, sun, technique
 
-from diffshadow.fit import Anneal, Parameter, Parameters, Solver, fit, parameter_names, resolve, with_values
+from diffshadow.fit import (
+    Anneal,
+    Parameter,
+    Parameters,
+    Solver,
+    TechniqueProblem,
+    fit,
+    parameter_names,
+    resolve,
+    with_values,
+)
 from diffshadow.fit.problems import Joint
+from diffshadow.geometry import Scene
+from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bias,
     FourTap,
     HardCompare,
+    MapSettings,
     Nearest,
     PercentageCloser,
     RandomDisk,
@@ -193,6 +208,30 @@ def test_several_lights_are_fitted_together(two_lights):
     assert min(float(joint.mean_square_error(r.technique)) for r in (first, second)) > float(
         joint.mean_square_error(both.technique)
     )
+
+
+def test_a_problem_of_a_scene_is_the_one_of_its_parts():
+    mesh = floor_and_card()
+    scene = Scene(mesh, side_camera((64, 64)), sun(mesh))
+    truth = trace_visibility(scene, samples=1)
+    mapping = dataclasses.replace(disk(), map=MapSettings((64, 64)))
+    one = TechniqueProblem.of(scene, mapping, truth)
+    expected = problem(mapping)
+    np.testing.assert_array_equal(one.shadow_map.depth, expected.shadow_map.depth)
+    np.testing.assert_array_equal(one.surface.face, expected.surface.face)
+    np.testing.assert_array_equal(one.mask, np.asarray(expected.mask) & truth.mask)
+    np.testing.assert_array_equal(one.reference, truth.visibility)
+
+
+def test_parameters_put_what_they_take():
+    mapping = disk(2.5, 0.3)
+    parameters = Parameters.of([BIAS, RADIUS])
+    assert parameters.take(mapping).tolist() == pytest.approx([0.3, 2.5])
+    moved = parameters.put(mapping, jnp.array([0.7, 1.5]))
+    assert parameters.take(moved).tolist() == pytest.approx([0.7, 1.5])
+    radius = parameters[(1,)]
+    assert radius.take(moved).tolist() == [1.5]
+    assert (float(radius.lower[0]), float(radius.upper[0])) == (RADIUS.lower, RADIUS.upper)
 
 
 def test_no_problem_is_no_fit():

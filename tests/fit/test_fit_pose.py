@@ -44,6 +44,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.raster import draw_surface
+from diffshadow.reference import reference_from_image, trace_visibility
 from diffshadow.shadow import Bias, Bilinear, MapSettings, ShadowMapping
 
 FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
@@ -182,6 +183,39 @@ def test_every_number_of_an_arrangement_has_a_path():
         ValueError, match=r"no parameter 'lights.1.azimuth' in a Arrangement; expected one of technique"
     ):
         resolve(arrangement, "lights.1.azimuth")
+
+
+def test_a_problem_of_a_scene_is_the_one_of_its_parts():
+    scene = Scene([FLOOR, CARD], floor_camera(1.5, (64, 64)), LIGHTS["point"], casts=(False, True))
+    truth = trace_visibility(scene, samples=1)
+    technique = dataclasses.replace(TECHNIQUE, map=MapSettings((64, 64)))
+    one = PoseProblem.of(scene, technique, truth)
+    assert one.arrangement.technique is technique
+    assert [len(poses) for poses in (one.arrangement.lights, one.arrangement.meshes)] == [1, 2]
+    assert (one.settings.resolution, one.settings.silhouettes, one.surface) == ((64, 64), True, None)
+    np.testing.assert_array_equal(one.reference, truth.visibility)
+    np.testing.assert_array_equal(one.weight, truth.mask)
+    without = dataclasses.replace(technique, map=MapSettings((64, 64), silhouettes=False))
+    assert PoseProblem.of(scene, without, truth).settings.silhouettes is False
+
+
+def test_traced_references_are_dark_outside_the_cone_and_images_are_left_alone():
+    light = SpotLight((0, 2, 0), (0, -1, 0), 30.0, 0.1, 9, inner_angle=15.0)
+    scene = Scene([FLOOR, CARD], floor_camera(1.5, (64, 64)), light)
+    traced = trace_visibility(scene, samples=1)
+    surface = draw_surface(scene.mesh, scene.camera)
+    expected = traced.visibility * np.asarray(cone_fraction(light, surface))
+    assert expected.mean() < 0.9 * traced.visibility.mean()
+    of = lambda truth: np.asarray(PoseProblem.of(scene, TECHNIQUE, truth, surface=surface).reference)
+    np.testing.assert_allclose(of(traced), expected, atol=1e-6)
+    np.testing.assert_array_equal(of(reference_from_image(expected, scene)), expected)
+
+
+def test_the_noise_of_a_solver_is_that_of_the_problem_unless_it_is_given():
+    assert [Solver().for_problem(moves).noise for moves in (False, True)] == [0.0, 0.25]
+    assert Solver(noise=0.1).for_problem(True).noise == 0.1
+    with pytest.raises(ValueError, match=r"the solver's noise is 1\.5; expected a fraction of the loss"):
+        fit(problem(LIGHTS["point"]), [Parameter("lights.0.position.x", 0.0, -1.0, 1.0)], solver=Solver(noise=1.5))
 
 
 def test_levels_fall_to_one_and_divide_the_sides():

@@ -1,0 +1,80 @@
+"""The interface that all techniques share."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import quad, side_camera, sun
+
+from diffshadow.geometry import Edges, Scene, merge
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility_exact
+from diffshadow.shadow import (
+    AbstractTechnique,
+    Bias,
+    Bilinear,
+    MapSettings,
+    ProjectiveShadow,
+    ShadowMapping,
+    ShadowVolumes,
+    draw_shadow_map,
+)
+
+FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
+SCENE = Scene([FLOOR, CARD], side_camera((64, 64)), sun(merge([FLOOR, CARD])), casts=(False, True))
+SIZE = (64, 64)
+TECHNIQUES = {
+    "shadow_map": ShadowMapping(Bilinear(), Bias(1.0), map=MapSettings(SIZE)),
+    "shadow_volumes": ShadowVolumes(),
+    "projective_texture": ProjectiveShadow(SIZE),
+}
+
+
+class Unshadowed(AbstractTechnique):
+    """Lit everywhere: what is written without knowing more than the interface."""
+
+    def prepare(self, scene, surface=None):
+        return scene.light
+
+    def visibility(self, state, surface):
+        return jnp.ones(surface.mask.shape)
+
+    def covered(self, state, surface):
+        return surface.mask
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return draw_surface(SCENE.mesh, SCENE.camera), trace_visibility_exact(SCENE)
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_every_technique_draws_the_shadow_of_a_card(name, seen):
+    (surface, truth), technique = seen, TECHNIQUES[name]
+    state = technique.prepare(SCENE, surface)
+    visibility = np.asarray(technique.visibility(state, surface))
+    counted = np.asarray(technique.covered(state, surface)) & truth.mask
+    on_floor = counted & (np.asarray(surface.face) < 2)
+    assert counted.sum() > 0.95 * truth.mask.sum()
+    assert 0.03 < np.mean(truth.visibility[on_floor] < 0.5) < 0.5
+    # An outline is wrong by a texel at most, and a texel is some pixels wide.
+    assert np.mean(np.abs(visibility - truth.visibility)[on_floor]) < (1e-3 if name == "shadow_volumes" else 0.03)
+    assert (visibility[~np.asarray(surface.mask)] == 1).all()
+
+
+def test_a_technique_of_ones_own_is_one(seen):
+    surface, _ = seen
+    technique = Unshadowed()
+    assert np.asarray(technique.visibility(technique.prepare(SCENE, surface), surface)).min() == 1
+    with pytest.raises(TypeError, match="abstract"):
+        AbstractTechnique()
+
+
+@pytest.mark.parametrize("silhouettes", [None, False, True])
+def test_the_prepared_map_is_that_of_the_settings(silhouettes):
+    settings = MapSettings(SIZE, cull="none", depth_format="unorm16", silhouettes=silhouettes)
+    prepared = ShadowMapping(Bilinear(), Bias(), map=settings).prepare(SCENE)
+    edges = Edges.of(CARD) if silhouettes else None
+    drawn = draw_shadow_map(CARD, SCENE.light, SIZE, depth_format="unorm16", edges=edges)
+    np.testing.assert_array_equal(prepared.depth, drawn.depth)
+    assert prepared.depth_format == "unorm16"
+    assert (prepared.silhouettes is None) == (not silhouettes)
