@@ -289,7 +289,7 @@ def test_mistakes_of_a_comparison_are_told(tmp_path, capsys):
         ([run, run], "expected two or more, each once"),
         ([run, sweep], "radii-sweep holds a sweep; expected the folder of a fit or a render"),
         ([run, tmp_path / "none"], "none does not exist"),
-        ([run, tmp_path / "file", "--output", tmp_path / "file" / "page.html"], "is in the way and is no folder"),
+        ([run, tmp_path / "file", "--output", tmp_path / "file" / "page.html"], "exists and is not a folder"),
     ):
         with pytest.raises(SystemExit) as caught:
             main(["compare", *map(str, arguments)])

@@ -266,7 +266,7 @@ def before_work(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("output=tiny.yaml/runs", "is in the way and is no folder"),
+        ("output=tiny.yaml/runs", "exists and is not a folder"),
         ("scene.meshes.0={path: nowhere.obj}", "scene.meshes.0.path: there is no file"),
         ("reference={type: image, path: nowhere.png}", "reference.path: there is no file"),
         ("reference={type: image, path: tiny.yaml}", "reference.path: the suffix of"),
