@@ -1723,8 +1723,8 @@ _CONFIG = (
     _fault(
         "sweep: logarithmic axes are even",
         "config/reading/_sweep_choices.py",
-        "axis.lower * (axis.upper / axis.lower) ** share",
-        "axis.lower + (axis.upper - axis.lower) * share",
+        "axis.lower * (axis.upper / axis.lower) ** fraction",
+        "axis.lower + (axis.upper - axis.lower) * fraction",
         "test_sweep.py",
     ),
     _fault(

@@ -260,7 +260,7 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         ),
         (
             damage("result.json", '{"kind": "sweep", "name": "s", "settings": {}}'),
-            "settings: names nothing that changes",
+            "settings: sweeps no key",
         ),
         (damage("arrays.npz", None), "holds only a part of a run: it has no arrays.npz"),
         (damage("arrays.npz", b"PK\x03\x04 and no more"), "arrays.npz is damaged (File is not a zip file)"),

@@ -148,7 +148,7 @@ def test_ids_are_of_what_a_run_computes_and_of_nothing_else(tmp_path):
 FAULTS = {
     "typo": (
         "{grid: {filter.sampels: [1]}}",
-        "t.yaml:12: filter.sampels: is no key of filter (type: random_disk)",
+        "t.yaml:12: filter.sampels: is not a key of filter (type: random_disk)",
         "did you mean 'samples'?",
     ),
     "value that does not fit": (
@@ -173,9 +173,9 @@ FAULTS = {
     ),
     "seed twice": ("{grid: {seed: [1]}, repeats: 2}", "sweep.repeats: sets seed", "sweep.grid.seed sets seed"),
     "same value": ("{grid: {filter.radius: [1, 1]}}", "sweep.grid.filter.radius: holds 1 twice", "remove one"),
-    "name": ("{grid: {output: [a, b]}}", "sweep.grid.output: is one for all runs", "set it outside of sweep"),
-    "nothing": ("{figures: true}", "t.yaml:12: sweep: names nothing that changes", "add 'grid:"),
-    "key of the section": ("{gird: {}, repeats: 2}", "sweep.gird: is no key of sweep", "did you mean 'grid'?"),
+    "name": ("{grid: {output: [a, b]}}", "sweep.grid.output: is the same for all runs", "set it outside of sweep"),
+    "nothing": ("{figures: true}", "t.yaml:12: sweep: sweeps no key", "add 'grid:"),
+    "key of the section": ("{gird: {}, repeats: 2}", "sweep.gird: is not a key of sweep", "did you mean 'grid'?"),
     "range": (
         "{qmc: {count: 4, axes: {bias.slope: {lower: 0, upper: 1, log: true}}}}",
         "sweep.qmc.axes.bias.slope.lower: is 0 on a logarithmic scale",
@@ -243,11 +243,14 @@ def test_bounds_of_a_parameter_can_be_swept():
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("sweep.grid.filter.sampels=[4, 8]", "filter.sampels: is no key of filter (type: random_disk)"),
-        ("sweep.gird.filter.samples=[4, 8]", "sweep.gird: is no key of sweep"),
+        ("sweep.grid.filter.sampels=[4, 8]", "filter.sampels: is not a key of filter (type: random_disk)"),
+        ("sweep.gird.filter.samples=[4, 8]", "sweep.gird: is not a key of sweep"),
         ("sweep.grid.filter.samples=4", "sweep.grid.filter.samples: is 4; expected a list of values"),
         ("sweep.grid.filter.radius.9=4", "sweep.grid.filter.radius.9: index 9 is out of range"),
-        ("sweep.qmc.axes.bias.slope.uper=3", "sweep.qmc.axes.bias.slope.uper: is no key of sweep.qmc.axes.bias.slope"),
+        (
+            "sweep.qmc.axes.bias.slope.uper=3",
+            "sweep.qmc.axes.bias.slope.uper: is not a key of sweep.qmc.axes.bias.slope",
+        ),
     ],
 )
 def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
@@ -324,7 +327,9 @@ def test_axes_without_a_choice_may_be_many():
 
 
 def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
-    with pytest.raises(ConfigError, match=r"s\.yaml:\d+: sweep: makes many runs.*diffshadow sweep.*sweep=null"):
+    with pytest.raises(
+        ConfigError, match=r"s\.yaml:\d+: sweep: makes this file a sweep of many runs.*diffshadow sweep.*sweep=null"
+    ):
         load_config(Path("s.yaml"))
     assert isinstance(load_config(Path("s.yaml"), ["sweep=null"]), Config)
     with pytest.raises(ConfigError, match=r"sweep: is missing; .*diffshadow render"):
