@@ -247,7 +247,7 @@ def test_folder_that_is_no_run_is_never_replaced(tmp_path):
     precious = tmp_path / "runs" / "tiny"
     precious.mkdir(parents=True)
     (precious / "thesis.tex").write_text("x")
-    with pytest.raises(ConfigError, match="no run's folder"):
+    with pytest.raises(ConfigError, match="not a run's folder"):
         run()
     assert [entry.name for entry in precious.iterdir()] == ["thesis.tex"]
 

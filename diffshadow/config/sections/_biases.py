@@ -53,7 +53,7 @@ PlaneConfig = Annotated[
 
 
 class BiasConfig(Section):
-    """How far receivers move towards the light before the compare."""
+    """Biases, which move receivers towards the light before the compare."""
 
     constant: Annotated[Texels, Fitted("constant.value")] = Field(
         default=_TEXELS, ge=0, description="constant bias, in texels; default: 0.5, or 0 with a plane"

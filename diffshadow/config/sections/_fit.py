@@ -73,7 +73,7 @@ def _default_parameters() -> dict[str, FitParameterConfig]:
 
 
 class FitConfig(Section):
-    """What is fitted, and how."""
+    """The parameters of a fit, and its settings."""
 
     parameters: dict[str, FitParameterConfig] = Field(
         default_factory=_default_parameters, description="numbers to fit, by the key that sets them"
