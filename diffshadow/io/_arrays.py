@@ -63,10 +63,10 @@ def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, Layout]) -> 
     """
     try:
         with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
-            there = [
+            names = [
                 name for name, each in layouts.items() if each.required or f"{name}{_SUFFIX}" in archive.namelist()
             ]
-            return {name: _array(archive, name, layouts[name]) for name in there}
+            return {name: _array(archive, name, layouts[name]) for name in names}
     except FileError as error:
         raise FileError(f"{path} is damaged: {error}") from None
     except Exception as error:  # zipfile and NumPy's header parser raise many types
@@ -111,9 +111,9 @@ def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) ->
             raise FileError(f"the array {name} {fault}")
         if dtype.hasobject or min(shape, default=0) < 0:
             raise FileError(f"the array {name} holds {dtype} of the shape {shape}; expected numbers")
-        size, there = math.prod(shape) * dtype.itemsize, info.file_size - member.tell()
-        if size != there:
-            raise FileError(f"the array {name} has {there:,} bytes; expected the {size:,} of its shape {shape}")
+        size, actual = math.prod(shape) * dtype.itemsize, info.file_size - member.tell()
+        if size != actual:
+            raise FileError(f"the array {name} has {actual:,} bytes; expected the {size:,} of its shape {shape}")
         content = member.read(size)
         # The member's size in the archive may be wrong too. Reading to the end also verifies the checksum.
         if len(content) != size or member.read(1):

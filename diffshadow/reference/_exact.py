@@ -21,7 +21,7 @@ _TINY = 1e-12
 
 
 class ExactTracer(AbstractTracer):
-    """All rays against all of `triangles`, in float64; a shadow ray ignores the face it leaves.
+    """Tests all rays against all `triangles` in float64. A shadow ray ignores the face it starts on.
 
     Möller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics Tools 2(1), 1997.
     """

@@ -1572,8 +1572,8 @@ _IO = (
     _fault(
         "archives: an array's length is not checked",
         "io/_arrays.py",
-        "        if size != there:",
-        "        if size > 2 * there:",
+        "        if size != actual:",
+        "        if size > 2 * actual:",
         "test_damaged_runs.py",
     ),
 )

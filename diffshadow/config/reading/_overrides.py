@@ -68,19 +68,19 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
     match words:
         case ["fit", "parameters", _, *_]:
             start, keys = 2, FitParameterConfig.model_fields
-            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in there
+            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in existing
         case ["sweep", "qmc", "axes", _, *_]:
             start, keys = 3, QuasiRandomAxisConfig.model_fields
-            known = lambda name, rest: name in there
+            known = lambda name, rest: name in existing
         case ["sweep", "grid" | "zip", _, *_]:
             start, keys = 2, ()
-            known = lambda name, rest: name in there and (not rest or is_index(rest[0]))
+            known = lambda name, rest: name in existing and (not rest or is_index(rest[0]))
         case ["sweep", "list", _, _, *_]:
             return [*words[:3], ".".join(words[3:])]
         case _:
             return words
-    there = look(data, *words[:start])
-    there = there if isinstance(there, Mapping) else {}
+    existing = look(data, *words[:start])
+    existing = existing if isinstance(existing, Mapping) else {}
     end = start + _length_of_name(words[start:], known, () if isinstance(value, dict) else keys)
     return [*words[:start], ".".join(words[start:end]), *words[end:]]
 

@@ -60,7 +60,7 @@ class FourTapConfig(_FilterConfig):
 
 
 class PercentageCloserConfig(_FilterConfig):
-    """A box of texels with fractional edges."""
+    """A box filter with fractional edges."""
 
     type: Literal["pcf"] = "pcf"
     radius: UnrolledRadius = Field(default=2.0, ge=0, description="half the box's width, in texels")

@@ -19,7 +19,7 @@ DEFAULT_FILTER = "random_disk"
 
 
 def fit_paths(data: Any) -> dict[str, str]:
-    """The numbers that the technique of a configuration can fit.
+    """The numbers of a configuration's technique that can be fitted.
 
     **Arguments:**
 

@@ -50,18 +50,18 @@ class Parts(Section):
     """All sections of a run, each valid on its own."""
 
     name: Annotated[str, AfterValidator(_file_name)] = Field(
-        default="unnamed", description="names the run's folder; default: the file's name without its ending"
+        default="unnamed", description="name of the run's folder; default: the file's name without its suffix"
     )
     seed: int = Field(default=0, ge=0, lt=2**32, description="seed of everything random")
     scene: SceneConfig = Field(description="meshes, camera and lights")
     technique: TechniqueConfig = Field(default_factory=ShadowMappingConfig, description="how shadows are drawn")
     shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
-    bias: BiasConfig = Field(default_factory=BiasConfig, description="how far receivers move towards the light")
+    bias: BiasConfig = Field(default_factory=BiasConfig, description="bias of receivers towards the light")
     compare: CompareConfig = Field(default_factory=HardCompareConfig, description="how depths are compared")
     filter: FilterConfig = Field(default_factory=RandomDiskConfig, description="how compares are averaged")
     shading: ShadingConfig = Field(default_factory=PhongConfig, description="how images are shaded")
     reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="visibility to fit to")
-    fit: FitConfig = Field(default_factory=FitConfig, description="what is fitted, and how")
+    fit: FitConfig = Field(default_factory=FitConfig, description="parameters and settings of the fit")
     sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
     output: Annotated[str, AfterValidator(_folder)] = Field(
         default="runs", min_length=1, description="folder of the runs' folders, relative to the current folder"
@@ -75,7 +75,7 @@ class Parts(Section):
         return self._origin
 
     def initial(self, name: str) -> float:
-        """Where the fit of the parameter `name` starts."""
+        """The start of the fit of the parameter `name`."""
         initial = self.fit.parameters[name].initial
         return float(start_of(self, name) if initial is None else initial)
 
