@@ -1,7 +1,7 @@
 """The command `diffshadow`.
 
-It imports as little as it can: a mistake in a configuration is reported in a fraction of a second, before JAX is
-loaded.
+It imports as little as possible, so that mistakes in a configuration are reported in a fraction of a second, before
+JAX is loaded.
 """
 
 import contextlib
@@ -27,27 +27,27 @@ from ._xla import use_all_cores
 from .config import ConfigError, describe, load_config, load_sweep, printable
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
-"""Exit codes: done; a mistake in what was asked for; stopped by Ctrl-C."""
+"""Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
 
-# More only wait for each other, and each takes a gigabyte.
-_WORKERS_A_CORE = 4
-# From the coarsest figure that can be read to the finest that a page can show.
+# More workers would only wait for each other, and each takes a gigabyte.
+_MOST_WORKERS_PER_CORE = 4
+# From the coarsest readable figure to the finest that a page can show.
 _DPI = (10, 2400)
-# Seconds after which Ctrl-C that had no effect is repeated.
-_INSISTENCE = 0.2
-# Runs that are checked in a tenth of a second.
-_RUNS_A_MOMENT = 100
+# Seconds until a Ctrl-C without effect is repeated.
+_INTERRUPT_INTERVAL = 0.2
+# Runs between updates of the progress bar: about a tenth of a second.
+_RUNS_PER_UPDATE = 100
 
 _NO_MEMORY = (
-    "there is not enough memory; expected enough for all images, maps and rays; lower scene.camera.resolution, "
+    "ran out of memory; expected enough for all images, maps and rays; lower scene.camera.resolution, "
     "shadow_map.resolution or reference.supersampling"
 )
 
 _HELP = """
-Fits the settings of shadow maps to ray-traced truth, by gradient.
+Fits the settings of shadow maps to a ray-traced reference, using gradients.
 
-CONFIG is a YAML file. Each KEY=VALUE after it replaces one of the file's values: the key is dotted, list entries are
-numbered from 0, and the value is YAML.
+CONFIG is a YAML file. Each KEY=VALUE after it replaces a value of the file. Keys are dotted, list entries are numbered
+from 0, and values are YAML.
 
 For example:
 
@@ -83,7 +83,7 @@ def fit(config: Path, /, *overrides: str) -> None:
     Parameters
     ----------
     config
-        YAML file that says what to fit.
+        YAML file of the fit.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
@@ -96,7 +96,7 @@ def fit(config: Path, /, *overrides: str) -> None:
 
 @app.command
 def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
-    """Draws the scene of CONFIG with its technique as it stands, and writes the images.
+    """Renders the scene of CONFIG without fitting, and writes the images.
 
     The path of the run's folder is the last line printed.
 
@@ -105,11 +105,11 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     Parameters
     ----------
     config
-        YAML file that says what to draw.
+        YAML file of the render.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     debug
-        Also write pictures of what the technique works with: depths, silhouettes, blockers, patterns, volume counts.
+        Also write images of intermediate results: depths, silhouettes, blockers, patterns, volume counts.
     """
     settings = load_config(config, overrides)
     _keep_compiled_programs()
@@ -120,9 +120,9 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
 
 @app.command
 def validate(config: Path, /, *overrides: str) -> None:
-    """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes nothing.
+    """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes no files.
 
-    It finds all that a render or a fit can refuse before it traces rays.
+    Finds every mistake that a render or a fit would report before it traces rays.
 
     Example: `diffshadow validate configs/quickstart.yaml filter.type=random_disk`
 
@@ -143,8 +143,8 @@ def validate(config: Path, /, *overrides: str) -> None:
     for row in describe(settings):
         table.add_row(*(Text(printable(cell)) for cell in row))
     console.print(table)
-    said = printable(f"{config} is valid; its scene has {triangles:,} triangles")
-    console.print(Text(said), soft_wrap=True)
+    message = printable(f"{config} is valid; its scene has {triangles:,} triangles")
+    console.print(Text(message), soft_wrap=True)
 
 
 @app.command
@@ -157,9 +157,10 @@ def sweep(
     limit: int | None = None,
     dry_run: bool = False,
 ) -> None:
-    """Does the many runs that the section `sweep` of CONFIG describes, and gathers their results in one table.
+    """Does the runs of the section `sweep` of CONFIG, and collects their results in one table.
 
-    Started again, it does what is missing or has failed. The path of the sweep's folder is the last line printed.
+    If started again, it does the runs that are missing or have failed. The path of the sweep's folder is the last line
+    printed.
 
     Example: `diffshadow sweep configs/sweep_small.yaml --dry-run`
 
@@ -172,13 +173,13 @@ def sweep(
     scheduler
         Address of a Dask scheduler, such as tcp://host:8786, whose workers have this package and see the same files.
     workers
-        Local worker processes, by default one for each core; 0 does the runs in this process.
+        Number of local worker processes, by default one per core; 0 does the runs in this process.
     limit
-        Runs to do at most.
+        Most runs to do.
     dry_run
-        Only list what would be done.
+        Only list the runs that would be done.
     """
-    _check_count("--workers", workers, 0, _WORKERS_A_CORE * (os.cpu_count() or 1))
+    _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
     with _checking() as progress:
         plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
@@ -194,7 +195,7 @@ def sweep(
 
 @app.command
 def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = None, dpi: int = 150) -> None:
-    """Writes the page of a finished run or sweep again, from the files in FOLDER alone.
+    """Rewrites the page of a finished run or sweep from the files in FOLDER.
 
     The path of the page is the last line printed.
 
@@ -205,9 +206,9 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     folder
         Folder of a fit, a render or a sweep.
     figures
-        Also write the run's figures again, in this format; the shadow map and debug views stay as they are.
+        Also rewrite the run's figures, in this format; the shadow map and debug views are kept.
     dpi
-        Pixels an inch in these figures.
+        Pixels per inch in these figures.
     """
     _check_count("--dpi", dpi, *_DPI)
     from . import study
@@ -217,7 +218,7 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
 
 @app.command
 def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("compare.html")) -> None:
-    """Prints what differs between finished runs, and writes a page with their images side by side.
+    """Prints the differences between finished runs, and writes a page with their images side by side.
 
     The path of the page is the last line printed.
 
@@ -228,11 +229,11 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
     first
         Folder of a fit or a render.
     second
-        Another one.
+        Folder of another one.
     more
-        Further ones.
+        Folders of further ones.
     output
-        Where the page is written; what is there is replaced.
+        Path of the page. An existing file is replaced.
     """
     if output.is_dir():
         raise ValueError(
@@ -244,19 +245,19 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Runs the command with `arguments`, by default the process's, and exits.
+    """Runs the command with `arguments`, by default those of the process, and exits.
 
     The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
-    after an interrupt. Any other error is a fault of the program, and keeps its traceback.
+    after an interrupt. Any other error is a bug, and keeps its traceback.
     """
     use_all_cores()
     errors = _Console(stderr=True, highlight=False)
     for stream in (sys.stdout, sys.stderr):
-        # An encoding may lack letters of names.
+        # The stream's encoding may lack characters of names.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        with _insistent_interrupts():
+        with _repeated_interrupts():
             app(
                 sys.argv[1:] if arguments is None else list(arguments),
                 exit_on_error=False,
@@ -264,39 +265,39 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
                 error_console=errors,
             )
     except CycloptsError as error:
-        _tell(errors, [f"{_sentence(error)}; see diffshadow --help"])
+        _print_error(errors, [f"{_sentence(error)}; see diffshadow --help"])
         sys.exit(USER_ERROR)
     except KeyboardInterrupt:
-        _tell(errors, ["interrupted"])
+        _print_error(errors, ["interrupted"])
         sys.exit(INTERRUPTED)
     except (ValueError, OSError) as error:
         if not _is_mistake(error):
             raise
-        _tell(errors, map(str, error.problems) if isinstance(error, ConfigError) else [str(error)])
+        _print_error(errors, map(str, error.problems) if isinstance(error, ConfigError) else [str(error)])
         sys.exit(USER_ERROR)
     except (MemoryError, RuntimeError) as error:
-        # XLA's own error is a `RuntimeError`, which names its cause in its text alone.
+        # XLA raises a `RuntimeError` whose text alone names the cause.
         if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        _tell(errors, [_NO_MEMORY])
+        _print_error(errors, [_NO_MEMORY])
         sys.exit(USER_ERROR)
     sys.exit(SUCCESS)
 
 
 @contextlib.contextmanager
-def _insistent_interrupts() -> Iterator[None]:
+def _repeated_interrupts() -> Iterator[None]:
     """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
 
-    Python raises it wherever the main thread is. In a callback of the garbage collector it is dropped with a message,
-    and by a library's native code that has called Python, such as Pydantic's, without one.
+    Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
+    message. Native code that calls Python, such as Pydantic's, may drop it silently.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield
         return
 
     def interrupt(*_: Any) -> None:
-        signal.setitimer(signal.ITIMER_REAL, _INSISTENCE)
-        # What is done because of the first must come to its end.
+        signal.setitimer(signal.ITIMER_REAL, _INTERRUPT_INTERVAL)
+        # Do not interrupt the handling of the first one.
         error = sys.exception()
         while error is not None:
             if isinstance(error, KeyboardInterrupt):
@@ -322,12 +323,12 @@ def _insistent_interrupts() -> Iterator[None]:
 def _check_count(option: str, value: int | None, least: int, most: int | None = None) -> None:
     if value is not None and (value < least or (most is not None and value > most)):
         limits = f"at least {least}" + ("" if most is None else f" and at most {most}")
-        raise ValueError(f"{option} is {value}; expected a whole number {limits}, or nothing: leave it out")
+        raise ValueError(f"{option} is {value}; expected a whole number {limits}; change it, or leave it out")
 
 
 @contextlib.contextmanager
 def _checking() -> Iterator[Callable[[int, int], None]]:
-    """A bar for the runs of a sweep that have been checked. It shows only if they are many, and somebody watches."""
+    """A progress bar for the check of a sweep's runs. It shows only for many runs, and only on a terminal."""
     console = _console()
     bar = Progress(
         TextColumn("checking runs"),
@@ -341,7 +342,7 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
     task = bar.add_task("")
 
     def progress(done: int, total: int) -> None:
-        if done % _RUNS_A_MOMENT == 0:
+        if done % _RUNS_PER_UPDATE == 0:
             bar.start()
             bar.update(task, completed=done, total=total)
 
@@ -352,9 +353,9 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep compiled programs in the cache folder, where that can be: the next run starts sooner.
+    """Lets JAX cache compiled programs in the cache folder, if possible, so that the next run starts sooner.
 
-    A folder that the user gave to JAX (`JAX_COMPILATION_CACHE_DIR`) stays.
+    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is kept.
     """
     import jax
 
@@ -370,9 +371,9 @@ def _keep_compiled_programs() -> None:
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:
-    """Whether `error` tells of what the user gave, rather than of a fault in this program.
+    """Whether `error` is a mistake of the user's rather than a bug in this program.
 
-    This package raises `ValueError` for the former alone; a `ValueError` from inside a library slipped past its checks.
+    This package raises `ValueError` only for mistakes of the user's. A `ValueError` raised inside a library is a bug.
     """
     if isinstance(error, ConfigError | OSError):
         return True
@@ -385,9 +386,9 @@ def _sentence(error: CycloptsError) -> str:
     return " ".join(str(error).split()).rstrip(".")
 
 
-def _tell(console: Console, messages: Iterable[str]) -> None:
-    """Prints an error, whose `messages` have a line each."""
-    # Without wrapping, so that FILE:LINE stays in one piece for editors and for grep.
+def _print_error(console: Console, messages: Iterable[str]) -> None:
+    """Prints an error, with one line per message."""
+    # Without wrapping, so that editors and grep find FILE:LINE in one piece.
     lines = "\n".join(map(printable, messages))
     console.print(Text.assemble(("error: ", "bold red"), lines), soft_wrap=True)
 
@@ -397,10 +398,10 @@ def _print_path(path: Path) -> None:
 
 
 class _Console(Console):
-    """A console that writes characters which are not printable as Python escapes them, wherever text comes from."""
+    """A console that writes unprintable characters as Python's escapes."""
 
     def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:
-        """As rich's, with the text of every segment printable."""
+        """Like `rich.console.Console.render`, with the text of every segment made printable."""
         for segment in super().render(*args, **kwargs):
             plain = "\n".join(map(printable, segment.text.split("\n")))
             yield segment if segment.control else segment._replace(text=plain)

@@ -64,7 +64,7 @@ def test_mistakes_are_told_on_stderr_before_any_work(command, runner, capsys):
     assert run(command, QUICKSTART, "filter.sampels=64") == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("error: override 'filter.sampels=64': filter.sampels: is no key of filter")
+    assert err.startswith("error: override 'filter.sampels=64': filter.sampels: is not a key of filter")
     assert len(err.splitlines()) == 1
     assert runner == []
 
@@ -189,7 +189,7 @@ def test_lack_of_memory_is_told_without_a_traceback(error, monkeypatch, capsys):
 
     monkeypatch.setattr(diffshadow.study, "run_fit", large, raising=False)
     assert run("fit", QUICKSTART) == 2
-    assert capsys.readouterr().err.startswith("error: there is not enough memory; expected enough for all images")
+    assert capsys.readouterr().err.startswith("error: ran out of memory; expected enough for all images")
 
 
 def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsys):

@@ -1,6 +1,7 @@
-"""Which room of the package may know which other.
+"""Which subpackage may import which other.
 
-A room imports only rooms to its left, and only through their public `__init__`; up to `fit`, rooms are pure.
+A subpackage imports only subpackages to its left in `ORDER`, and only through their public `__init__`. The subpackages
+up to `fit` are pure.
 """
 
 import ast
@@ -13,35 +14,35 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "study", "cli")
-EVERYBODY = {"_types", "_misc"}
-# Beside the order: what each may know, and who may know it.
-ASIDE_KNOWS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set()}
-KNOWN_BY = {
+COMMON = {"_types", "_misc"}
+# Outside the order: what each may import, and which may import it.
+ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set()}
+IMPORTED_BY = {
     "reference": {"fit", "config", "study", "cli"},
     "metrics": {"fit", "config", "study", "cli"},
     "io": {"config", "study", "cli"},
     "_xla": {"study", "cli"},
 }
-PURE = {*EVERYBODY, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
+PURE = {*COMMON, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {
     *("pathlib", "os", "shutil", "tempfile", "logging", "yaml", "pydantic", "matplotlib", "rich"),
     *("cyclopts", "imageio", "OpenEXR", "jinja2"),
 }
-# The reference shares its rays among the machine's cores, which it has to ask the system for.
-EXCUSED = {("reference", "os")}
+# The reference traces on all cores, and asks the system for their number.
+EXCEPTIONS = {("reference", "os")}
 IMPURE_CALLS = {"open", "print", "input"}
 
 
-def may_know(room: str) -> set[str]:
-    """The rooms that `room` may import, itself apart."""
-    if room in EVERYBODY:
-        return EVERYBODY
-    if room in ASIDE_KNOWS:
-        return EVERYBODY | ASIDE_KNOWS[room]
-    if room == "":  # the package's own face
-        return EVERYBODY | set(ORDER) | set(ASIDE_KNOWS)
-    left = set(ORDER[: ORDER.index(room)])
-    return EVERYBODY | left | {aside for aside, known_by in KNOWN_BY.items() if room in known_by}
+def may_import(subpackage: str) -> set[str]:
+    """The other subpackages that `subpackage` may import."""
+    if subpackage in COMMON:
+        return COMMON
+    if subpackage in ASIDE_IMPORTS:
+        return COMMON | ASIDE_IMPORTS[subpackage]
+    if subpackage == "":  # the package itself
+        return COMMON | set(ORDER) | set(ASIDE_IMPORTS)
+    left = set(ORDER[: ORDER.index(subpackage)])
+    return COMMON | left | {aside for aside, imported_by in IMPORTED_BY.items() if subpackage in imported_by}
 
 
 def imports(tree: ast.AST, module: str, is_package: bool, modules: set[str]) -> Iterator[tuple[int, str, str | None]]:
@@ -60,25 +61,25 @@ def imports(tree: ast.AST, module: str, is_package: bool, modules: set[str]) -> 
                 yield (node.lineno, inner, None) if inner in modules else (node.lineno, source, alias.name)
 
 
-def room_of(module: str) -> str:
+def subpackage_of(module: str) -> str:
     return module.split(".")[1] if "." in module else ""
 
 
 def import_breach(module: str, target: str, name: str | None) -> str | None:
     """What is wrong with `module` importing `target`, or `name` from it."""
-    room, top = room_of(module), target.split(".")[0]
+    subpackage, top = subpackage_of(module), target.split(".")[0]
     if top != PACKAGE:
-        impure = room in PURE and top in IMPURE_MODULES and (room, top) not in EXCUSED
-        return f"imports {top}, but {room} is pure" if impure else None
-    known = room_of(target)
-    if known == room:
+        impure = subpackage in PURE and top in IMPURE_MODULES and (subpackage, top) not in EXCEPTIONS
+        return f"imports {top}, but {subpackage} is pure" if impure else None
+    imported = subpackage_of(target)
+    if imported == subpackage:
         return None
-    if known == "":
-        return f"imports {PACKAGE} itself; import the room that is meant"
-    if known not in may_know(room):
-        return f"imports {known}, which {room or PACKAGE} must not know"
+    if imported == "":
+        return f"imports {PACKAGE} itself; import the subpackage that is meant"
+    if imported not in may_import(subpackage):
+        return f"imports {imported}, which {subpackage or PACKAGE} must not import"
     if target.count(".") > 1 or (name is not None and name.startswith("_")):
-        return f"imports {'.'.join(filter(None, [target, name]))}; import from the public {PACKAGE}.{known} instead"
+        return f"imports {'.'.join(filter(None, [target, name]))}; import from the public {PACKAGE}.{imported} instead"
     return None
 
 
@@ -114,11 +115,11 @@ def breaches(sources: Mapping[str, str]) -> list[str]:
     found, graph = [], {}
     for path, text in sources.items():
         module, is_package, tree = names[path], path.endswith("__init__.py"), ast.parse(text, path)
-        room = room_of(module)
-        if room not in {"", "__main__", *EVERYBODY, *ORDER, *ASIDE_KNOWS}:
-            found.append(f"{path}: {room} is no room of the design")
+        subpackage = subpackage_of(module)
+        if subpackage not in {"", "__main__", *COMMON, *ORDER, *ASIDE_IMPORTS}:
+            found.append(f"{path}: {subpackage} is not a subpackage of the design")
             continue
-        if room == "__main__":
+        if subpackage == "__main__":
             continue
         graph[module] = set()
         for line, target, name in imports(tree, module, is_package, modules):
@@ -127,9 +128,9 @@ def breaches(sources: Mapping[str, str]) -> list[str]:
                 found.append(f"{path}:{line}: {what}")
             if target in modules:
                 graph[module].add(target)
-        if room in PURE:
-            found += [f"{path}:{line}: calls {call}(), but {room} is pure" for line, call in impure_calls(tree)]
-    return found + ["imports go in a circle: " + " -> ".join(cycle) for cycle in cycles(graph)]
+        if subpackage in PURE:
+            found += [f"{path}:{line}: calls {call}(), but {subpackage} is pure" for line, call in impure_calls(tree)]
+    return found + ["circular import: " + " -> ".join(cycle) for cycle in cycles(graph)]
 
 
 def module_name(path: str) -> str:
@@ -137,7 +138,7 @@ def module_name(path: str) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def test_package_keeps_to_the_order_of_its_rooms():
+def test_package_keeps_to_the_order_of_its_subpackages():
     sources = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in sorted(ROOT.rglob("*.py"))}
     assert {"_types.py", "_misc.py", "geometry/__init__.py"} <= sources.keys()
     assert breaches(sources) == []
@@ -166,19 +167,19 @@ SOUND = {
 @pytest.mark.parametrize(
     ("path", "text", "message"),
     [
-        ("geometry/_mesh.py", "from ..raster import draw", "imports raster, which geometry must not know"),
-        ("geometry/_mesh.py", "from .. import raster", "imports raster, which geometry must not know"),
-        ("geometry/_mesh.py", "import diffshadow.raster", "imports raster, which geometry must not know"),
-        ("geometry/_mesh.py", "def f():\n    from diffshadow.raster import draw", "which geometry must not know"),
-        ("shadow/filters/_pcf.py", "from ...fit import fit", "imports fit, which shadow must not know"),
-        ("raster/__init__.py", "from ..shadow import Bias", "imports shadow, which raster must not know"),
+        ("geometry/_mesh.py", "from ..raster import draw", "imports raster, which geometry must not import"),
+        ("geometry/_mesh.py", "from .. import raster", "imports raster, which geometry must not import"),
+        ("geometry/_mesh.py", "import diffshadow.raster", "imports raster, which geometry must not import"),
+        ("geometry/_mesh.py", "def f():\n    from diffshadow.raster import draw", "which geometry must not import"),
+        ("shadow/filters/_pcf.py", "from ...fit import fit", "imports fit, which shadow must not import"),
+        ("raster/__init__.py", "from ..shadow import Bias", "imports shadow, which raster must not import"),
         ("raster/__init__.py", "from .. import draw", "imports diffshadow itself"),
-        ("reference/__init__.py", "from ..raster import draw", "imports raster, which reference must not know"),
-        ("reference/__init__.py", "from ..shadow import Bias", "imports shadow, which reference must not know"),
-        ("metrics/__init__.py", "from ..geometry import Mesh", "imports geometry, which metrics must not know"),
-        ("io/__init__.py", "from ..fit import fit", "imports fit, which io must not know"),
-        ("fit/__init__.py", "from ..io import read", "imports io, which fit must not know"),
-        ("_types.py", "from .geometry import Mesh", "imports geometry, which _types must not know"),
+        ("reference/__init__.py", "from ..raster import draw", "imports raster, which reference must not import"),
+        ("reference/__init__.py", "from ..shadow import Bias", "imports shadow, which reference must not import"),
+        ("metrics/__init__.py", "from ..geometry import Mesh", "imports geometry, which metrics must not import"),
+        ("io/__init__.py", "from ..fit import fit", "imports fit, which io must not import"),
+        ("fit/__init__.py", "from ..io import read", "imports io, which fit must not import"),
+        ("_types.py", "from .geometry import Mesh", "imports geometry, which _types must not import"),
         ("raster/__init__.py", "from ..geometry._mesh import Mesh", "import from the public diffshadow.geometry"),
         ("raster/__init__.py", "from ..geometry import _mesh", "import from the public diffshadow.geometry"),
         ("study/__init__.py", "from ..shadow.filters import Pcf", "import from the public diffshadow.shadow"),
@@ -187,9 +188,13 @@ SOUND = {
         ("raster/__init__.py", "open('x')", "calls open(), but raster is pure"),
         ("raster/__init__.py", "import jax\njax.debug.print('x')", "calls print(), but raster is pure"),
         ("shadow/_bias.py", "from .filters import Pcf", "_pcf -> diffshadow.shadow._bias -> diffshadow.shadow.filters"),
-        ("geometry/_mesh.py", "from . import Mesh", "circle: diffshadow.geometry -> diffshadow.geometry._mesh"),
-        ("_types.py", "from ._misc import dot", "circle: diffshadow._misc -> diffshadow._types"),
-        ("helpers/__init__.py", "", "helpers is no room of the design"),
+        (
+            "geometry/_mesh.py",
+            "from . import Mesh",
+            "circular import: diffshadow.geometry -> diffshadow.geometry._mesh",
+        ),
+        ("_types.py", "from ._misc import dot", "circular import: diffshadow._misc -> diffshadow._types"),
+        ("helpers/__init__.py", "", "helpers is not a subpackage of the design"),
     ],
 )
 def test_a_planted_breach_is_found(path, text, message):

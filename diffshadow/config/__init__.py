@@ -1,6 +1,6 @@
-"""Configurations: strict YAML files, and the modules they stand for.
+"""Configurations: strict YAML files, and the modules built from them.
 
-`load_config` needs no JAX; the `build_…` functions do, and load it when they are first asked for.
+`load_config` does not need JAX. The `build_…` functions do, and import it when they are first accessed.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the one who wrote it."""
+"""Errors of a configuration, worded for its author."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 KeyPath = tuple[str | int, ...]
-"""The way to a value from the root of a configuration: keys of sections, indices of lists."""
+"""The path to a value from the root of a configuration: keys of sections and indices of lists."""
 
 _LONGEST_SHOWN = 60
 
@@ -27,14 +27,14 @@ class Place:
 class Origin:
     """Where the keys of a configuration were written.
 
-    All origins are equal: where a configuration was written is no part of what it says.
+    All origins compare equal, so that two configurations with the same content are equal wherever they were written.
     """
 
     source: str = "configuration"
     places: Mapping[KeyPath, Place] = field(default_factory=dict)
 
     def place(self, path: KeyPath) -> Place:
-        """Where `path` was written, or else the nearest section round it."""
+        """Where `path` was written; otherwise, where its nearest enclosing section was."""
         for length in range(len(path), -1, -1):
             if path[:length] in self.places:
                 return self.places[path[:length]]
@@ -49,10 +49,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault of a configuration.
+    """One error of a configuration.
 
     - `place`: where it was written.
-    - `key`: the dotted key it concerns; empty where it concerns none.
+    - `key`: the dotted key it concerns; empty if it concerns none.
     - `message`: what was given; what was expected; how to mend it.
     """
 
@@ -61,7 +61,7 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        # On one line, whatever is quoted in it.
+        # Escaped to stay on one line, whatever it quotes.
         return ": ".join(printable(part) for part in (str(self.place), self.key, self.message) if part)
 
 
@@ -71,7 +71,7 @@ class ConfigError(ValueError):
     problems: tuple[Problem, ...]
 
     def __init__(self, problems: Iterable[Problem]):
-        # An override has no line, and comes after the file. Two checks may find the same.
+        # Overrides have no line and come after the file. Two checks may find the same problem.
         order = lambda problem: (problem.place.line is None, problem.place.line or 0)
         self.problems = tuple(sorted(dict.fromkeys(problems), key=order))
         super().__init__("\n".join(str(problem) for problem in self.problems))
@@ -83,10 +83,9 @@ def dotted(path: Sequence[str | int]) -> str:
 
 
 def printable(text: str) -> str:
-    """`text` on one line, with Python's escapes for all that a terminal would obey, hide or turn round.
+    """`text` on one line, with Python's escapes for characters that Unicode does not count as printable.
 
-    These are control characters, line breaks, marks of direction and lone surrogates: what Unicode does not count as
-    printable.
+    These are control characters, line breaks, direction marks and lone surrogates.
     """
     if text.isprintable():
         return text
@@ -103,7 +102,7 @@ def show(value: Any) -> str:
         case dict():
             text = f"a section with the keys {', '.join(map(str, value))}" if value else "an empty section {}"
         case list() | tuple():
-            # More entries than characters are shown need not be spelt out.
+            # There are never more entries shown than characters.
             text = f"[{', '.join(show(item) for item in value[:_LONGEST_SHOWN])}]"
         case str():
             text = repr(value)
@@ -120,13 +119,13 @@ def listing(choices: Iterable[Any]) -> str:
 
 
 def nearest(word: Any, choices: Iterable[str]) -> str | None:
-    """The one of `choices` that `word` may be a misspelling of, or `None`."""
+    """The entry of `choices` that `word` may be a misspelling of, or `None`."""
     by_lower_case = {choice.lower(): choice for choice in choices}
     found = difflib.get_close_matches(str(word).lower(), list(by_lower_case), n=1, cutoff=0.6)
     return by_lower_case[found[0]] if found else None
 
 
 def did_you_mean(word: Any, choices: Iterable[str], otherwise: str) -> str:
-    """A question that names the nearest of `choices`, or `otherwise` where none is near."""
+    """A question that suggests the nearest of `choices`; `otherwise` if none is near."""
     suggestion = nearest(word, choices)
     return otherwise if suggestion is None else f"did you mean {suggestion!r}?"

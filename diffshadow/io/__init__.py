@@ -1,4 +1,4 @@
-"""Files: meshes and images in, images and cached results out."""
+"""Reads meshes and images; writes images and cached results."""
 
 from ._arrays import Layout as Layout
 from ._arrays import read_arrays as read_arrays

@@ -1,6 +1,6 @@
-"""Arrays from `.npz` archives that somebody may have damaged: what an archive claims is checked before memory is taken.
+"""Reads arrays from `.npz` archives that may be damaged. Headers are checked before memory is allocated.
 
-`np.load` takes as much memory as a member's header asks for, whether the archive holds that much or not.
+`np.load` allocates whatever a member's header asks for, even if the archive holds less.
 """
 
 import math
@@ -19,17 +19,17 @@ from ._errors import FileError
 _SUFFIX = ".npy"
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _KINDS = {"f": "real numbers", "i": "whole numbers", "u": "whole numbers", "b": "booleans"}
-# Of an axis whose length the layout leaves open.
+# The longest axis accepted where the layout gives no length.
 _LONGEST = 1 << 24
 
 
 class Layout(NamedTuple):
     """What an array must look like.
 
-    - `kinds`: the `kind` of its NumPy type, one of these letters: `f` real, `i` and `u` whole, `b` boolean.
-    - `shape`: its lengths along each axis; `None` for any length from 1 to 2²⁴.
-    - `required`: whether it must be there.
-    - `bytes`: of each number, if only that size will do.
+    - `kinds`: the accepted `kind` letters of its dtype: `f` real, `i` and `u` whole, `b` boolean.
+    - `shape`: its length along each axis; `None` for any length from 1 to 2²⁴.
+    - `required`: whether the archive must hold it.
+    - `bytes`: bytes per number; `None` accepts any size.
     """
 
     kinds: str
@@ -38,7 +38,7 @@ class Layout(NamedTuple):
     bytes: int | None = None
 
     def fault(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> str | None:
-        """What is wrong with an array of this shape and type, with what is expected; `None` if it is right."""
+        """What is wrong with an array of this shape and type, and what was expected; `None` if it fits."""
         if dtype.kind not in self.kinds or dtype.itemsize != (self.bytes or dtype.itemsize):
             size = "" if self.bytes is None else f" of {8 * self.bytes} bits"
             return f"holds {dtype}; expected {_KINDS[self.kinds[0]]}{size}"
@@ -53,30 +53,31 @@ class Layout(NamedTuple):
 
 
 def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, Layout]) -> dict[str, HostArray]:
-    """The arrays of the `.npz` archive `path` that `layouts` names; others are not looked at.
+    """Reads the arrays named in `layouts` from the `.npz` archive `path` and ignores all others.
 
-    Types and shapes are checked, and compared with the sizes of the archive's members, before memory is taken.
+    Types and shapes are checked against `layouts` and against the sizes of the archive's members before memory is
+    allocated.
 
-    **Raises** `FileError` if the archive cannot be read or is damaged, lacks a required array, or holds one that does
-    not suit its layout.
+    **Raises** `FileError` if the archive cannot be read, is damaged, lacks a required array, or holds one that does
+    not match its layout.
     """
     try:
         with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
-            there = [
+            names = [
                 name for name, each in layouts.items() if each.required or f"{name}{_SUFFIX}" in archive.namelist()
             ]
-            return {name: _array(archive, name, layouts[name]) for name in there}
+            return {name: _array(archive, name, layouts[name]) for name in names}
     except FileError as error:
         raise FileError(f"{path} is damaged: {error}") from None
-    except Exception as error:  # zip files and NumPy's headers raise what they like
+    except Exception as error:  # zipfile and NumPy's header parser raise many types
         reason = str(error).strip() or type(error).__name__
         raise FileError(f"{path} is damaged ({reason}); expected an archive of arrays") from error
 
 
 def read_all_arrays(stream: IO[bytes]) -> dict[str, HostArray]:
-    """All arrays of an `.npz` archive, whose members hold what their headers say.
+    """Reads all arrays of an `.npz` archive, and checks that each member is as long as its header says.
 
-    **Raises** whatever `zipfile` and NumPy raise, and `FileError`, if it is damaged.
+    **Raises** `FileError`, or whatever `zipfile` and NumPy raise, if the archive is damaged.
     """
     with zipfile.ZipFile(stream) as archive:
         names = [name.removesuffix(_SUFFIX) for name in archive.namelist()]
@@ -84,10 +85,11 @@ def read_all_arrays(stream: IO[bytes]) -> dict[str, HostArray]:
 
 
 def read_header(stream: IO[bytes] | BufferedIOBase, what: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether it is in Fortran's order, and type of the `.npy` array that `stream` begins with.
+    """Reads the `.npy` header at the start of `stream`: shape, whether the order is Fortran's, and dtype.
 
-    **Raises** `FileError`, which calls it `what`, for a version that is not read; and what NumPy raises for a header
-    that is damaged.
+    `what` names the array in messages.
+
+    **Raises** `FileError` for an unsupported format version, and whatever NumPy raises for a damaged header.
     """
     version = np.lib.format.read_magic(stream)
     if version not in _READ_HEADER:
@@ -101,7 +103,7 @@ def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) ->
     except KeyError:
         raise FileError(f"it has no array {name}; expected one") from None
     with archive.open(info) as member, warnings.catch_warnings():
-        # Of a header that Python 2 wrote.
+        # NumPy warns about headers written by Python 2.
         warnings.simplefilter("ignore")
         shape, is_fortran, dtype = read_header(member, f"the array {name}")
         fault = None if layout is None else layout.fault(shape, dtype)
@@ -109,12 +111,12 @@ def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) ->
             raise FileError(f"the array {name} {fault}")
         if dtype.hasobject or min(shape, default=0) < 0:
             raise FileError(f"the array {name} holds {dtype} of the shape {shape}; expected numbers")
-        size, there = math.prod(shape) * dtype.itemsize, info.file_size - member.tell()
-        if size != there:
-            raise FileError(f"the array {name} has {there:,} bytes; expected the {size:,} of its shape {shape}")
+        size, actual = math.prod(shape) * dtype.itemsize, info.file_size - member.tell()
+        if size != actual:
+            raise FileError(f"the array {name} has {actual:,} bytes; expected the {size:,} of its shape {shape}")
         content = member.read(size)
-        # What the archive says of a member's size may be wrong, too; at its end, its checksum is looked at.
+        # The member's size in the archive may be wrong too. Reading to the end also verifies the checksum.
         if len(content) != size or member.read(1):
             raise FileError(f"the array {name} has {len(content):,} bytes; expected {size:,}")
-    # A bytearray, since an array on top of bytes cannot be written to.
+    # A bytearray: an array backed by bytes is read-only.
     return np.ndarray(shape, dtype, bytearray(content), order="F" if is_fortran else "C")

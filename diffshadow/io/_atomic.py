@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writes: a file is written completely or not at all."""
 
 import contextlib
 import os
@@ -11,11 +11,11 @@ from ._errors import FileError
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path to write to, which becomes `path` when the block ends.
+    """Yields a temporary path, which is renamed to `path` when the block ends.
 
-    The temporary file lies in the same folder and has the same suffix; its name begins with a dot. Where the block
-    raises, it is removed and whatever was at `path` before stays. A process killed inside the block leaves the
-    temporary file, never half of `path`.
+    The temporary file is in the same folder and has the same suffix; its name begins with a dot. If the block raises,
+    the temporary file is removed and `path` is left as it was. A process killed inside the block leaves the temporary
+    file behind, but never a partial `path`.
 
     **Raises** `FileError` if the folder is missing, the block wrote nothing, or `path` is a folder.
     """
@@ -28,24 +28,24 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         if not temporary.exists():
-            raise FileError(f"nothing was written to the temporary file of {target}; write to the path that is given")
+            raise FileError(f"nothing was written to the temporary file of {target}; write to the path that is yielded")
         os.replace(temporary, target)
     finally:
-        # After the rename there is nothing left to remove.
+        # After the rename the temporary file is gone.
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
 def check_writable(folder: str | os.PathLike[str]) -> None:
-    """Finds out whether files can be written to `folder`, which need not exist yet, and leaves nothing behind.
+    """Checks that files can be written to `folder`, which need not exist yet. Leaves nothing behind.
 
-    **Raises** `FileError` if the folder cannot be created or written to; the message says what is in the way.
+    **Raises** `FileError` if the folder cannot be created or written to; the message says why.
     """
     target = Path(os.path.abspath(folder))
     for ancestor in (target, *target.parents):
         if os.path.lexists(ancestor) and not ancestor.is_dir():
             raise FileError(
-                f"cannot write to the folder {target}: {ancestor} is in the way and is no folder; "
+                f"cannot write to the folder {target}: {ancestor} exists and is not a folder; "
                 "rename it, or write elsewhere"
             )
     made: list[Path] = []
@@ -54,7 +54,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
         for level in reversed([level for level in (target, *target.parents) if not level.is_dir()]):
             level.mkdir(exist_ok=True)
             made.append(level)
-        # A file system may be full though names can be made: write a byte.
+        # A full file system may still accept new names, so write a byte.
         probe.write_bytes(b"\n")
     except OSError as error:
         raise FileError(
@@ -64,7 +64,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
     finally:
         with contextlib.suppress(OSError):
             probe.unlink()
-        # A folder that somebody else has begun to use meanwhile is not empty, and stays.
+        # A folder that another process has written to in the meantime is not empty, and stays.
         with contextlib.suppress(OSError):
             for level in reversed(made):
                 level.rmdir()

@@ -1,7 +1,7 @@
-"""Results on disk, found again by what they were computed from.
+"""A cache of results on disk, keyed by their inputs.
 
-A key is a hash of everything that the result depends on, so an entry is never out of date; what changed has another
-key. Entries that were not used for longest go first when the folder grows too large.
+A key is a hash of everything the result depends on, so an entry is never out of date: changed inputs have another
+key. The least recently used entries are removed when the folder grows too large.
 """
 
 import contextlib
@@ -22,11 +22,11 @@ from ._arrays import read_all_arrays
 from ._atomic import atomic_path
 from ._errors import FileError
 
-# Part of every key: to be raised when entries of older versions must no longer be read.
+# Part of every key. Increase it when entries of older versions must no longer be read.
 _FORMAT = 1
 CACHE_LIMIT = 2 << 30
 """Bytes beyond which the least recently used entries are removed."""
-# Entries, and the temporary files of writers that were killed. Nothing else in the folder is ours to remove.
+# Entries, and temporary files of writers that were killed. No other file in the folder is ever removed.
 _ENTRY = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
 
 
@@ -39,14 +39,14 @@ def cached_arrays(
 
     **Arguments:**
 
-    - `key_parts`: all that the result depends on: numbers, strings, `None`, arrays, and lists, tuples and mappings of
-        these. Include a version of the algorithm.
+    - `key_parts`: everything the result depends on: numbers, strings, `None`, arrays, and lists, tuples and mappings
+        of these. Include a version of the algorithm.
     - `compute`: called without arguments if there is no entry; returns arrays by name.
-    - `folder`: where entries lie; by default `$DIFFSHADOW_CACHE`, or `diffshadow` in the user's cache folder
+    - `folder`: the cache folder; by default `$DIFFSHADOW_CACHE`, or `diffshadow` in the user's cache folder
         (`$XDG_CACHE_HOME` or `~/.cache`).
 
-    **Returns:** the arrays by name, in the host's memory. An entry that cannot be read is computed anew; where the
-    folder cannot be written to, a warning says so and the result is returned all the same.
+    **Returns:** the arrays by name, in host memory. An entry that cannot be read is recomputed. If the folder cannot
+    be written to, a warning says so and the result is still returned.
 
     **Raises** `ValueError` if `key_parts` holds something that cannot be hashed by its content.
     """
@@ -74,7 +74,7 @@ def cache_folder() -> Path:
     """The folder for cached results, from the environment; it may not exist yet."""
     chosen = os.environ.get("DIFFSHADOW_CACHE")
     if chosen:
-        # Of nobody else's home folder, which may be the root of the file system.
+        # Expand only the user's own home folder: another user's may be the root of the file system.
         home = chosen == "~" or chosen.startswith("~/")
         return Path(chosen).expanduser() if home else Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
@@ -82,9 +82,9 @@ def cache_folder() -> Path:
 
 
 def cache_key(key_parts: Any) -> str:
-    """64 hexadecimal digits that stand for the content of `key_parts`, as `cached_arrays` takes them.
+    """A hash of `key_parts`, as `cached_arrays` takes them: 64 hexadecimal digits.
 
-    **Raises** `ValueError` if a part is of a kind whose content is not known.
+    **Raises** `ValueError` if a part cannot be hashed by its content.
     """
     digest = hashlib.sha256()
     _feed(digest.update, ["diffshadow", _FORMAT, key_parts])
@@ -92,9 +92,9 @@ def cache_key(key_parts: Any) -> str:
 
 
 def prune_cache(folder: str | os.PathLike[str], limit: int = CACHE_LIMIT) -> None:
-    """Removes the least recently used entries of `folder` until the rest holds at most `limit` bytes.
+    """Removes the least recently used entries of `folder` until the others take at most `limit` bytes.
 
-    The newest entry always stays, and so does every file that is no cache entry.
+    The newest entry is always kept, and so is every file that is not a cache entry.
     """
     entries = []
     for path in Path(folder).iterdir():
@@ -112,9 +112,9 @@ def prune_cache(folder: str | os.PathLike[str], limit: int = CACHE_LIMIT) -> Non
 
 
 def _feed(update: Callable[[bytes], None], part: Any) -> None:
-    """Hashes one part; a tag and a length before each keep different parts from having the same bytes."""
+    """Hashes one part. A tag and a length before each part keep different parts from producing the same bytes."""
     match part:
-        # First, for some of NumPy's scalars are also Python's.
+        # Arrays first, since some of NumPy's scalars are also Python scalars.
         case np.ndarray() | np.generic() | jax.Array():
             _feed_array(update, np.asarray(part))
         case None | bool() | str():
@@ -163,9 +163,9 @@ def _read(entry: Path) -> dict[str, HostArray] | None:
     try:
         with entry.open("rb") as file:
             arrays = {name.removeprefix("_"): array for name, array in read_all_arrays(file).items()}
-    except Exception:  # zip files and NumPy's headers raise what they like
+    except Exception:  # zipfile and NumPy's header parser raise many types
         return None
-    # The time of change is the time of last use, which pruning goes by. It may belong to somebody else.
+    # Pruning takes the modification time as the time of last use. The file may belong to another user.
     with contextlib.suppress(OSError):
         os.utime(entry)
     return arrays
@@ -173,14 +173,14 @@ def _read(entry: Path) -> dict[str, HostArray] | None:
 
 def _write(entry: Path, arrays: dict[str, HostArray]) -> None:
     with atomic_path(entry) as temporary:
-        # The underscore keeps the names apart from those of `savez`'s own arguments.
+        # The underscore keeps the names from clashing with `savez`'s own arguments.
         np.savez(temporary, allow_pickle=False, **{f"_{name}": array for name, array in arrays.items()})
 
 
 def _warn_of_no_cache(folder: Any, error: Exception) -> None:
     where = "the cache folder" if folder is None else f"the cache folder {folder}"
     warnings.warn(
-        f"{where} cannot be used ({error}); results are computed anew each time: set DIFFSHADOW_CACHE to a folder "
+        f"{where} cannot be used ({error}); results are recomputed each time: set DIFFSHADOW_CACHE to a folder "
         "that can be written to",
         stacklevel=3,
     )

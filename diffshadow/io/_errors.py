@@ -1,18 +1,18 @@
-"""The errors and warnings that reading and writing files ends in."""
+"""Errors and warnings of file input and output."""
 
 
 class FileError(ValueError):
-    """A file or folder cannot be read or written, or holds something else than was expected of it."""
+    """A file or folder cannot be read or written, or does not hold what was expected."""
 
 
 class MeshWarning(UserWarning):
-    """A mesh file holds something beside triangles, which was left out."""
+    """A mesh file holds something besides triangles, which was left out."""
 
 
 class MeshError(Exception):
-    """What is wrong with a mesh file and what to do about it, as the end of a sentence that begins with its name.
+    """What is wrong with a mesh file and how to mend it, phrased to follow the file's name.
 
-    Readers of one format raise it; `load_mesh` adds the name.
+    The readers of the formats raise it; `load_mesh` puts the name in front.
     """
 
 

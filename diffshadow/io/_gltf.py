@@ -1,4 +1,4 @@
-"""glTF 2.0 files, as JSON and as GLB.
+"""glTF 2.0 files, as JSON or GLB.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 3.
 """
@@ -20,7 +20,7 @@ from ._polygons import Polygons, strip_triangles
 
 _Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"]]
 
-# Modes of primitives that are no triangles: what to call them, and how many n vertices make.
+# Primitive modes other than triangles: their names, and how many primitives n vertices make.
 _OTHERS = {
     0: ("point", lambda n: n),
     1: ("line", lambda n: n // 2),
@@ -32,14 +32,14 @@ _INSTANCES = "EXT_mesh_gpu_instancing"
 
 
 def read_gltf(data: bytes, folder: Path) -> Polygons:
-    """The triangles of a file's scene, each mesh where its nodes put it, morphed by its weights; skins are not applied.
+    """Reads the triangles of a file's scene, with node transforms and morph weights applied. Skins are not applied.
 
     **Arguments:**
 
-    - `data`: what the file holds.
-    - `folder`: where it lies, with the files that it needs.
+    - `data`: the file's bytes.
+    - `folder`: the file's folder, where the files it refers to are looked up.
 
-    **Raises** `MeshError` if the file is damaged, or its triangles are kept in a way that cannot be read.
+    **Raises** `MeshError` if the file is damaged, or stores its triangles in a way that is not supported.
     """
     text, binary = chunks(data)
     document = parse(text)
@@ -59,7 +59,7 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
                 continue
             weights = mesh.weights if node.weights is None else node.weights
             points, triangles = _triangles(primitive, weights, buffers)
-            # A mirroring node turns the triangles inside out.
+            # A mirroring node reverses the winding.
             mirrored = np.linalg.det(to_world[:3, :3]) < 0
             vertices.append(points @ to_world[:3, :3].T + to_world[:3, 3])
             faces.append((triangles[:, ::-1] if mirrored else triangles) + start)
@@ -71,7 +71,7 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
 def _nodes(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
     """The nodes of the scene, each with its matrix to world space.
 
-    That is the scene which the file names, or its first one, or all of a file without scenes.
+    The scene is the file's default one, otherwise its first one. In a file without scenes, all nodes are used.
     """
     if document.scene is not None or document.scenes:
         roots = item(document.scenes, document.scene or 0, "scene").nodes
@@ -92,14 +92,14 @@ def _nodes(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]
 
 
 def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
-    """From the node's space to its parent's: section 3.5.3."""
+    """The matrix from the node's space to its parent's: section 3.5.3."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
     matrix = np.eye(4)
     try:
         matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
     except ValueError as error:
-        raise damaged(f"its node {index} is rotated by {list(node.rotation)}, which is no rotation") from error
+        raise damaged(f"its node {index} is rotated by {list(node.rotation)}, which is not a rotation") from error
     matrix[:3, 3] = node.translation
     return matrix
 
@@ -114,7 +114,7 @@ def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers)
     except NoDataError:
         points, triangles = _decompressed(primitive, buffers)
     if triangles.max(initial=-1) >= len(points):
-        raise damaged(f"a primitive names vertex {triangles.max()}, but has {len(points)}")
+        raise damaged(f"a primitive refers to vertex {triangles.max()}, but has {len(points)}")
     for weight, target in zip(weights, primitive.targets, strict=False):
         if weight and "POSITION" in target:
             points += weight * _moved(target["POSITION"], len(points), primitive, buffers)
@@ -128,12 +128,12 @@ def _ordered(indices: Int[HostArray, "n"], mode: int) -> Int[HostArray, "t 3"]:
         middle = np.broadcast_to(indices[:1], indices[2:].shape)
         return np.stack([indices[1:-1], indices[2:], middle], axis=-1)
     if len(indices) % 3:
-        raise damaged(f"a primitive of triangles has {len(indices)} corners; expected three for each")
+        raise damaged(f"a primitive of triangles has {len(indices)} corners; expected a multiple of three")
     return indices.reshape(-1, 3)
 
 
 def _decompressed(primitive: Primitive, buffers: Buffers) -> _Triangles:
-    """What KHR_draco_mesh_compression has in place of accessors."""
+    """The vertices and triangles that KHR_draco_mesh_compression stores instead of accessors."""
     compressed = primitive.extensions.get(DRACO)
     if compressed is None:
         raise unread(primitive.extensions) or damaged("a primitive has an accessor without data")
@@ -145,12 +145,12 @@ def _decompressed(primitive: Primitive, buffers: Buffers) -> _Triangles:
         return np.array(mesh.points, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
     except MeshError:
         raise
-    except Exception as error:  # point clouds have no faces, and DracoPy's exceptions no base of their own
+    except Exception as error:  # point clouds have no faces, and DracoPy's exceptions have no common base
         raise damaged(f"its compressed triangles cannot be decoded ({error})") from error
 
 
 def _moved(accessor: int, count: int, primitive: Primitive, buffers: Buffers) -> Float[HostArray, "v 3"]:
-    """Where a morph target moves the vertices."""
+    """The displacements of a morph target."""
     try:
         moved = buffers.values(accessor, "VEC3")
     except NoDataError:
@@ -170,6 +170,6 @@ def _indices(primitive: Primitive, buffers: Buffers) -> Int[HostArray, "n"]:
 
 
 def _count(primitive: Primitive, buffers: Buffers) -> int:
-    """The number of a primitive's corners."""
+    """The number of corners of a primitive."""
     accessor = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices
     return 0 if accessor is None else buffers.count(accessor)

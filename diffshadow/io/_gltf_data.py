@@ -1,4 +1,4 @@
-"""The numbers in a glTF file's buffers.
+"""The data in a glTF file's buffers.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.6 and 4.4.
 """
@@ -22,14 +22,14 @@ _MAGIC = b"glTF"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
-# A sparse accessor may stand for any number of zeros; none that is in use has as many.
+# A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
 _MOST_ZEROS = 2**24
 
 
 def chunks(data: bytes) -> tuple[bytes, bytes | None]:
-    """The JSON of a glTF or GLB file, and the buffer that a GLB file may hold.
+    """The JSON of a glTF or GLB file, and the binary buffer of a GLB file if it has one.
 
-    **Raises** `MeshError` if a GLB file is damaged or of another version.
+    **Raises** `MeshError` if a GLB file is damaged or has another version.
     """
     if not data.startswith(_MAGIC):
         return data, None
@@ -54,18 +54,18 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
 
 
 def item[T](items: Sequence[T], index: int, what: str) -> T:
-    """**Raises** `MeshError` if there is no such item."""
+    """`items[index]`. **Raises** `MeshError` if there is no such item."""
     if index >= len(items):
-        raise damaged(f"it names {what} {index}, but has {len(items)}")
+        raise damaged(f"it refers to {what} {index}, but has {len(items)}")
     return items[index]
 
 
 class NoDataError(Exception):
-    """An accessor's numbers are left to an extension."""
+    """An accessor has no data of its own because an extension provides it."""
 
 
 class Buffers:
-    """What a file's accessors stand for. Only buffers that are needed are loaded."""
+    """Reads a file's accessors. A buffer is loaded when it is first needed."""
 
     def __init__(self, document: Document, binary: bytes | None, folder: Path):
         self._document = document
@@ -74,9 +74,9 @@ class Buffers:
         self._loaded: dict[int, bytes] = {}
 
     def values(self, index: int, form: Literal["SCALAR", "VEC3"]) -> Shaped[HostArray, "n width"]:
-        """The accessor's n rows; integers that are normalized are mapped to [-1, 1] or [0, 1].
+        """The accessor's n rows. Normalized integers are mapped to [-1, 1] or [0, 1].
 
-        **Raises** `MeshError` if they cannot be had, and `NoDataError` if an extension has them.
+        **Raises** `MeshError` if they cannot be read, and `NoDataError` if an extension provides them.
         """
         accessor = item(self._document.accessors, index, "accessor")
         if accessor.type != form:
@@ -88,7 +88,7 @@ class Buffers:
         elif sparse is None:
             raise NoDataError
         elif accessor.count > _MOST_ZEROS:
-            raise damaged(f"its accessor {index} stands for {accessor.count} zeros")
+            raise damaged(f"its accessor {index} declares {accessor.count} zeros; expected at most {_MOST_ZEROS}")
         else:
             rows = np.zeros((accessor.count, width), kind)
         if sparse is not None:
@@ -107,7 +107,7 @@ class Buffers:
     def view(self, index: int) -> memoryview:
         """The bytes of a buffer view.
 
-        **Raises** `MeshError` if they cannot be had.
+        **Raises** `MeshError` if they cannot be read.
         """
         view = item(self._document.buffer_views, index, "buffer view")
         buffer = self._buffer(view.buffer, view.extensions)
@@ -117,7 +117,7 @@ class Buffers:
         return memoryview(buffer)[view.byte_offset : end]
 
     def count(self, index: int) -> int:
-        """The number of the accessor's rows."""
+        """The number of rows of the accessor."""
         return item(self._document.accessors, index, "accessor").count
 
     def _rows(
@@ -132,7 +132,7 @@ class Buffers:
         return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
 
     def _buffer(self, index: int, extensions: Iterable[str]) -> bytes:
-        """The buffer's bytes; `extensions` are those of the view on it, which explain why it may have none."""
+        """The buffer's bytes. `extensions` are those of its view; a message names them if the buffer has no data."""
         if index not in self._loaded:
             buffer = item(self._document.buffers, index, "buffer")
             if buffer.uri is None:
@@ -147,10 +147,10 @@ class Buffers:
         return self._loaded[index]
 
     def _beside(self, uri: str) -> bytes:
-        """The content of another file."""
+        """The content of a file that the glTF file refers to."""
         if "://" in uri:
-            raise MeshError(f"keeps its data at {excerpt(uri)}; download them, and name that file instead")
-        # Some writers forget to quote special characters.
+            raise MeshError(f"keeps its data at {excerpt(uri)}; download that file, and set the uri to its local path")
+        # Some writers do not percent-encode special characters.
         for name in (unquote(uri), uri):
             try:
                 return (self._folder / name).read_bytes()
@@ -163,9 +163,9 @@ class Buffers:
 
 
 def unread(extensions: Iterable[str]) -> MeshError | None:
-    """The message that data are given by `extensions` alone; `None` if none of these gives any."""
+    """The error for data that only unsupported `extensions` provide; `None` if all of these are supported."""
     names = listed(unknown(extensions))
-    return MeshError(f"keeps triangles by {names}, which cannot be read; export it without") if names else None
+    return MeshError(f"stores triangles with {names}, which cannot be read; export it without") if names else None
 
 
 def _embedded(uri: str) -> bytes:

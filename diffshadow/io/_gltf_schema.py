@@ -1,4 +1,4 @@
-"""The part of a glTF 2.0 file's JSON that says where its triangles are.
+"""The part of a glTF 2.0 file's JSON that describes its triangles.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 5. Defaults are the specification's.
 """
@@ -15,11 +15,11 @@ from ._text import decode, excerpt, listed
 
 _Index = Annotated[int, Field(ge=0)]
 _Extensions = Mapping[str, Any]
-# Extensions that change how triangles look, but not where they are.
+# Extensions that affect appearance only, not geometry.
 _OF_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp")
 _OF_LOOKS += ("EXT_texture_", "EXT_lights_", "MSFT_texture_", "MSFT_packing_")
 DRACO = "KHR_draco_mesh_compression"
-# Extensions that are read: positions may be integers, and triangles compressed.
+# Supported extensions: integer positions, and compressed triangles.
 _READ = ("KHR_mesh_quantization", DRACO)
 
 
@@ -32,7 +32,7 @@ class Asset(_Part):
 
 
 class Header(_Part):
-    """What tells a file's version, since all else differs between versions."""
+    """The file's version. It is read first, since everything else may differ between versions."""
 
     asset: Asset
 
@@ -107,7 +107,7 @@ class Scene(_Part):
 
 
 class Document(_Part):
-    """All of these, which refer to one another by their indices."""
+    """A whole file. Its parts refer to one another by index."""
 
     accessors: list[Accessor] = []
     buffer_views: list[BufferView] = []
@@ -120,11 +120,14 @@ class Document(_Part):
 
 
 def parse(text: bytes) -> Document:
-    """**Raises** `MeshError` if this is no JSON, breaks the specification, or needs an extension that is not read."""
+    """Parses a file's JSON.
+
+    **Raises** `MeshError` if this is not JSON, breaks the specification, or requires an unsupported extension.
+    """
     try:
         content = json.loads(decode(text))
     except (ValueError, RecursionError) as error:
-        raise damaged(f"it is no JSON ({error})") from error
+        raise damaged(f"it is not JSON ({error})") from error
     try:
         version = Header.model_validate(content).asset.version
         if version.partition(".")[0] != "2":
@@ -136,10 +139,10 @@ def parse(text: bytes) -> Document:
         raise damaged(f"{listed([where])}: {first['msg']}") from error
     needed = unknown(document.extensions_required)
     if needed:
-        raise MeshError(f"needs {listed(needed)}, which cannot be read; export it without")
+        raise MeshError(f"requires {listed(needed)}, which cannot be read; export it without")
     return document
 
 
 def unknown(extensions: Iterable[str]) -> list[str]:
-    """Those of `extensions` that may say where triangles are, and are not read."""
+    """Those of `extensions` that may affect geometry and are not supported."""
     return [name for name in extensions if not name.startswith(_OF_LOOKS) and name not in _READ]

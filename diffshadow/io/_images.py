@@ -1,7 +1,7 @@
-"""Images from and to files.
+"""Reads and writes images.
 
-In memory row 0 is the bottom row; image files (PNG, EXR) begin with the top row, and are flipped here and nowhere
-else. A `.npy` file holds the array as it is in memory. Values are linear: nothing here applies a gamma curve.
+In memory row 0 is the bottom row. Image files (PNG, EXR) begin with the top row; they are flipped here and nowhere
+else. A `.npy` file holds the array as it is in memory. Values are linear: no gamma curve is applied.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from ._atomic import atomic_path
 from ._errors import FileError
 from ._paths import existing_file
 
-# What files of each kind begin with, by their usual suffix.
+# The first bytes of each file format, and its usual suffix.
 _SIGNATURES = {
     b"\x93NUMPY": ".npy",
     b"\x89PNG\r\n\x1a\n": ".png",
@@ -38,14 +38,19 @@ _SIGNATURES = {
     b"#?RADIANCE": ".hdr",
     b"PK\x03\x04": ".npz or .zip",
 }
-# 8192 squared: a picture larger by far than those that are compared, in a few hundred megabytes.
+# 8192 squared: far more pixels than any image that is compared, in a few hundred megabytes.
 _MOST_PIXELS = 1 << 26
-# Rounding may carry a mean of values in [0, 1] this far outside.
+# A mean of values in [0, 1] may leave the interval by this much through rounding.
 _ROUNDING = 1e-5
 
 
 def write_png(path: str | os.PathLike[str], image: Any) -> None:
-    """Writes `image` with 8 bits a channel: (h, w) grey or (h, w, 3) colour, floats in [0, 1], row 0 the bottom row.
+    """Writes `image` as a PNG file with 8 bits per channel.
+
+    **Arguments:**
+
+    - `path`: the file to write.
+    - `image`: (h, w) grey or (h, w, 3) colour, floats in [0, 1]; row 0 is the bottom row.
 
     **Raises** `FileError` if the folder is missing or cannot be written to, and `ValueError` if the image has another
     shape, or values that are NaN or outside [0, 1].
@@ -58,17 +63,17 @@ def write_png(path: str | os.PathLike[str], image: Any) -> None:
 
 
 def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
-    """A visibility image, 1 lit and 0 shadowed, from a `.npy`, `.png` or `.exr` file.
+    """Reads a visibility image (1 lit, 0 shadowed) from a `.npy`, `.png` or `.exr` file.
 
     - `.npy`: an (h, w) array whose row 0 is the bottom row.
-    - `.png`: grey or colour of 1, 8 or 16 bits (colour of 16 is read as 8), taken as linear from 0 to 1; colour
-        channels are averaged, alpha is left aside.
-    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or whatever is the only channel.
+    - `.png`: grey or colour with 1, 8 or 16 bits per channel (16-bit colour is read as 8-bit), linear from 0 to 1;
+        colour channels are averaged and alpha is ignored.
+    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel.
 
     **Returns:** (h, w), float32, row 0 the bottom row.
 
-    **Raises** `FileError` if the file is missing, of another format or damaged, if it holds anything but one image, or
-    values that are NaN or outside [0, 1].
+    **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image,
+    or values that are NaN or outside [0, 1].
     """
     file = existing_file(path, "visibility")
     read = _for_suffix(file, _READERS)
@@ -77,10 +82,10 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
         pixels = read(file)
     except FileError:
         raise
-    except Exception as error:  # each format's reader raises what it likes
+    except Exception as error:  # each format's reader raises types of its own
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FileError(
-            f"the visibility file {file} is damaged or not of the format that its suffix says ({reason}); "
+            f"the visibility file {file} is damaged or does not have the format of its suffix ({reason}); "
             "write it again"
         ) from error
     if pixels.ndim != 2 or pixels.size == 0:
@@ -91,9 +96,9 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
 def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
     """Writes a visibility image (h, w) in [0, 1], row 0 the bottom row, as `read_visibility` reads it.
 
-    The suffix of `path` says how: `.npy` and `.exr` keep float32 to the bit, `.png` has 16 bits.
+    The suffix of `path` selects the format: `.npy` and `.exr` store float32 exactly, `.png` stores 16 bits.
 
-    **Raises** `FileError` if the suffix is another, or the folder is missing or cannot be written to, and `ValueError`
+    **Raises** `FileError` for any other suffix, or if the folder is missing or cannot be written to, and `ValueError`
     if the image has another shape, or values that are NaN or outside [0, 1].
     """
     write = _for_suffix(Path(path), _WRITERS)
@@ -106,17 +111,17 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
 
 def _read_png(file: Path) -> HostArray:
     data = file.read_bytes()
-    # A file begins with its signature and the header's length and name, and then its width and height.
+    # The signature, and the header's length and name, come before the width and height.
     if len(data) < 24:
         raise ValueError("its header is cut short")
     columns, rows = struct.unpack_from(">II", data, 16)
     _check_size(file, rows, columns)
-    # By name, since imageio would otherwise try all that it has, and speak of what it lacks.
+    # Named explicitly: otherwise imageio tries every plugin, and its error lists those that are not installed.
     stored = iio.imread(data, plugin="pillow")
     scale = 1 if stored.dtype == bool else np.iinfo(stored.dtype).max
     pixels = stored.astype(np.float32) / scale
     if pixels.ndim == 3 and 2 <= pixels.shape[-1] <= 4:
-        # Two channels are grey and alpha, four are colour and alpha.
+        # Two channels are grey and alpha; four are colour and alpha.
         pixels = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1].mean(axis=-1)
     return pixels[::-1]
 
@@ -149,30 +154,31 @@ def _read_exr(file: Path) -> HostArray:
 
 
 def _read_npy(file: Path) -> HostArray:
-    # Opened here, for `np.load` leaves a damaged file open.
+    # Opened here, since `np.load` leaves a damaged file open.
     with file.open("rb") as stream:
         shape, _, dtype = read_header(stream, f"the visibility file {file}")
         if dtype.kind not in "bfiu":
             raise FileError(f"the visibility file {file} holds values of type {dtype}; expected real numbers")
-        # `np.load` takes the memory that the header asks for before it looks at what there is.
-        promised, there = math.prod(shape) * dtype.itemsize, file.stat().st_size - stream.tell()
-        if promised != there:
-            raise ValueError(f"it has {there} bytes of numbers; expected the {promised} of its shape {shape}")
+        # `np.load` allocates what the header asks for before it looks at the file's size.
+        expected, actual = math.prod(shape) * dtype.itemsize, file.stat().st_size - stream.tell()
+        if expected != actual:
+            raise ValueError(f"it has {actual} bytes of numbers; expected the {expected} of its shape {shape}")
         stream.seek(0)
         return np.load(stream, allow_pickle=False)
 
 
 def _check_size(file: Path, rows: int, columns: int) -> None:
-    """**Raises** `FileError` if there are no pixels, or more than are read."""
+    """**Raises** `FileError` if there are no pixels, or more than `_MOST_PIXELS`."""
     if not 0 < rows * columns <= _MOST_PIXELS:
         raise FileError(
-            f"the visibility file {file} has {rows} x {columns} pixels; expected 1 to {_MOST_PIXELS:,} in all: scale it"
+            f"the visibility file {file} has {rows} x {columns} pixels; "
+            f"expected 1 to {_MOST_PIXELS:,} in total: scale it down"
         )
 
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Keeps OpenEXR, which tells of a damaged file where nobody can catch it, from writing to the terminal."""
+    """Silences OpenEXR, which prints errors of a damaged file straight to the terminal."""
     sys.stderr.flush()
     errors = os.dup(2)
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
@@ -195,7 +201,7 @@ def _write_exr(file: Path, pixels: HostArray) -> None:
 
 
 def _write_npy(file: Path, pixels: HostArray) -> None:
-    # To a stream, for given a path `np.save` adds a suffix where it finds none that it knows.
+    # To a stream: given a path, `np.save` appends `.npy` to a suffix that it does not know.
     with file.open("wb") as stream:
         np.save(stream, pixels, allow_pickle=False)
 
@@ -215,7 +221,7 @@ def _for_suffix[T](path: Path, table: Mapping[str, T]) -> T:
 
 
 def _check_signature(file: Path) -> None:
-    """**Raises** `ValueError` if the file does not begin as its suffix says, and `FileError` if it cannot be read."""
+    """**Raises** `ValueError` if the file's first bytes do not match its suffix, `FileError` if it cannot be read."""
     try:
         with file.open("rb") as stream:
             start = stream.read(max(map(len, _SIGNATURES)))
@@ -228,8 +234,8 @@ def _check_signature(file: Path) -> None:
 
 
 def _in_unit_range(pixels: HostArray, name: str, error: type[ValueError]) -> HostArray:
-    """`pixels` in float32, what rounding carried outside [0, 1] put back."""
-    with np.errstate(over="ignore"):  # what single precision cannot hold is refused as infinite
+    """`pixels` in float32, clipped to [0, 1] where rounding left it."""
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite, which is checked below
         values = pixels.astype(np.float32)
     if not np.isfinite(values).all():
         raise error(f"{name} has {np.count_nonzero(~np.isfinite(values))} pixels that are NaN or infinite")

@@ -1,4 +1,4 @@
-"""Meshes from files."""
+"""Reads meshes."""
 
 import os
 import warnings
@@ -19,7 +19,7 @@ from ._ply import read_ply
 from ._polygons import Polygons, triangulate
 from ._stl import read_stl
 
-# Readers of what a file holds, given its folder too.
+# Readers take the file's bytes and its folder.
 _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     ".glb": read_gltf,
     ".gltf": read_gltf,
@@ -28,28 +28,28 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
 }
-# Coordinates beyond this are infinite in single precision.
+# Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
 
 
 def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) -> Mesh:
-    """The triangles of a mesh file: OBJ, PLY, STL, OFF, GLB or glTF 2.0.
+    """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB or glTF 2.0.
 
-    A file with several objects gives one mesh of all of them, each where its node puts it. Vertices at the same
-    place are welded (files split them at texture seams), and polygons are cut into triangles, concave ones too.
-    Colours, materials and skins are left aside.
+    The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
+    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Colours,
+    materials and skins are ignored.
 
     **Arguments:**
 
-    - `path`: the file; its suffix names the format. Text may be of any encoding.
-    - `crease_angle`: degrees; an edge bent by more is shaded sharp. The file's own normals are not used.
+    - `path`: the file; its suffix names the format. Text may be in any encoding.
+    - `crease_angle`: degrees; edges bent by more are shaded sharp. The file's own normals are not used.
 
-    **Returns:** the mesh in the file's own units and axes; `fit_to_size` and `drop_to_ground` bring it to a scene's.
+    **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
 
-    **Warns** with `MeshWarning` if the file holds something else beside its triangles, such as lines.
+    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines.
 
-    **Raises** `FileError` if the file is missing, of an unknown format or damaged, needs an extension of its format
-    that is not read, has a polygon that crosses itself, or holds no triangles or vertices that are not finite.
+    **Raises** `FileError` if the file is missing, damaged or in an unknown format, requires an unsupported extension
+    of its format, has a polygon that crosses itself, holds no triangles, or holds vertices that are not finite.
     """
     file = existing_file(path, "mesh")
     if file.suffix.lower() not in _READERS:
@@ -58,7 +58,7 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
             f"expected one of {', '.join(_READERS)}: convert it"
         )
     try:
-        # Infinite and missing numbers are refused once all are read.
+        # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
             polygons = _READERS[file.suffix.lower()](file.read_bytes(), file.parent)
         _check(polygons)
@@ -69,7 +69,10 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
     except OSError as error:
         raise FileError(f"cannot read the mesh file {file}: {error.strerror or error}") from error
     if len(faces) == 0:
-        raise FileError(f"every triangle of the mesh file {file} has two corners in one place; check its export")
+        raise FileError(
+            f"every triangle of the mesh file {file} has two corners at the same position; "
+            "expected triangles with an area: check its export"
+        )
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
@@ -77,7 +80,7 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
 
 
 def _check(polygons: Polygons) -> None:
-    """**Raises** `MeshError` if there are no faces, or one of them has a vertex that cannot be."""
+    """**Raises** `MeshError` if there are no faces, or a face refers to a missing or non-finite vertex."""
     vertices, corners, sizes, _ = polygons
     if not (sizes >= 3).any():
         found = _left_out(polygons) or (f"{len(vertices)} points" if len(vertices) else "")
@@ -87,7 +90,7 @@ def _check(polygons: Polygons) -> None:
     unknown = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
     if len(unknown):
         face = int(np.searchsorted(np.cumsum(sizes), unknown[0], side="right"))
-        raise damaged(f"face {face + 1} names vertex {corners[unknown[0]]}; expected 0 to {len(vertices) - 1}")
+        raise damaged(f"face {face + 1} refers to vertex {corners[unknown[0]]}; expected 0 to {len(vertices) - 1}")
     bad = np.unique(corners[~(np.abs(vertices) <= _MOST).all(axis=-1)[corners]])
     if len(bad):
         raise damaged(
@@ -97,13 +100,13 @@ def _check(polygons: Polygons) -> None:
 
 
 def _tiny(triangles: Float[HostArray, "t 3 3"], left: int) -> int:
-    """How many triangles with three corners apart the weld has dropped, which has `left` so many."""
+    """How many triangles with three distinct corners the weld dropped; `left` is the number it kept."""
     apart = (triangles != np.roll(triangles, 1, axis=1)).any(axis=-1).all(axis=-1)
     return int(np.count_nonzero(apart)) - left
 
 
 def _left_out(polygons: Polygons, tiny: int = 0) -> str:
-    """What the file holds beside the triangles that are loaded, in words; empty if nothing."""
+    """What the file holds besides the triangles that are loaded, in words; empty if nothing."""
     counts = {
         **polygons.left_out,
         "face of fewer than three corners": int((polygons.sizes < 3).sum()),

@@ -10,18 +10,18 @@ from ._errors import MeshError, damaged
 from ._polygons import Polygons
 from ._text import decode, excerpt, integers, read_points, split_lines
 
-# Elements that are no faces, and what to call them.
+# Elements other than faces, and their names.
 _OTHERS = {"p": "point", "l": "line", "curv": "free-form curve", "surf": "free-form surface"}
 
 
 def read_obj(data: bytes) -> Polygons:
-    """The faces of all objects and groups. Materials, normals and texture coordinates are not read.
+    """Reads the faces of all objects and groups. Materials, normals and texture coordinates are not read.
 
     **Raises** `MeshError` if the file is damaged.
     """
     text = decode(data)
     lines = _joined(split_lines(text)) if "\\" in text else split_lines(text)
-    # The lines that begin with each word.
+    # The lines that begin with each keyword.
     at: defaultdict[str, list[int]] = defaultdict(list)
     for i, line in enumerate(lines):
         at[line.partition(" ")[0]].append(i)
@@ -43,7 +43,7 @@ def read_obj(data: bytes) -> Polygons:
 
 
 def _joined(lines: list[str]) -> list[str]:
-    """Lines that end in a backslash with what follows them, which leaves an empty line behind."""
+    """Joins lines that end in a backslash with the next line, which becomes empty."""
     for i in range(len(lines) - 2, -1, -1):
         if lines[i].endswith("\\"):
             lines[i], lines[i + 1] = f"{lines[i][:-1]} {lines[i + 1]}", ""
@@ -51,7 +51,7 @@ def _joined(lines: list[str]) -> list[str]:
 
 
 def _bad_face(lines: list[str], at: list[int]) -> MeshError:
-    """The message for the first face with a corner that is no whole number."""
+    """The error for the first face with a corner that is not a whole number."""
     for i in at:
         words = [word.partition("/")[0] for word in lines[i].split()[1:]]
         try:
@@ -72,4 +72,4 @@ def _check(
     if not known.all():
         corner = int(np.flatnonzero(~known)[0])
         i = at[int(np.searchsorted(np.cumsum(sizes), corner, side="right"))]
-        raise damaged(f"line {i + 1}, {excerpt(lines[i])}, names vertex {corners[corner]}; expected 1 to {count}")
+        raise damaged(f"line {i + 1}, {excerpt(lines[i])}, refers to vertex {corners[corner]}; expected 1 to {count}")

@@ -8,12 +8,12 @@ from ._errors import MeshError, damaged
 from ._polygons import Polygons
 from ._text import decode, excerpt, integers, read_points, split_lines
 
-# Texture coordinates, colours and normals follow a vertex's position, and are not read.
+# Texture coordinates, colours and normals follow a vertex's position; they are not read.
 _HEADER = re.compile(r"(?:ST)?C?N?(4?)(n?)OFF\b\s*(BINARY\b)?\s*(.*)", re.DOTALL)
 
 
 def read_off(data: bytes) -> Polygons:
-    """**Raises** `MeshError` if the file is damaged, binary, or not of three dimensions."""
+    """Reads the faces. **Raises** `MeshError` if the file is damaged, binary, or not three-dimensional."""
     lines = split_lines(decode(data))
     filled = [i for i, line in enumerate(lines) if line]
     header = _HEADER.match(lines[filled[0]]) if filled else None
@@ -23,14 +23,17 @@ def read_off(data: bytes) -> Polygons:
     if binary:
         raise MeshError("is a binary OFF file, which cannot be read; export it as text, or as PLY")
     if four or other:
-        raise MeshError("has vertices in another space than that of three dimensions; export it in three")
-    # The counts may stand beside the header.
+        raise MeshError("has vertices that are not three-dimensional; export it in three dimensions")
+    # The counts may be on the header's line.
     body = filled[0 if rest else 1 :]
     if rest:
         lines[body[0]] = rest
     vertex_count, face_count = _counts(lines[body[0]] if body else "")
     if len(body) < 1 + vertex_count + face_count:
-        raise damaged(f"it has {vertex_count} vertices and {face_count} faces, but only {len(body) - 1} lines of them")
+        raise damaged(
+            f"its header announces {vertex_count} vertices and {face_count} faces, "
+            f"but only {len(body) - 1} lines follow"
+        )
     vertex_at, face_at = body[1 : 1 + vertex_count], body[1 + vertex_count :][:face_count]
     vertices = read_points(lines, vertex_at, first=0)
     # Colours may follow the corners.
@@ -54,7 +57,7 @@ def _counts(line: str) -> tuple[int, int]:
 
 
 def _bad_face(lines: list[str], at: list[int]) -> MeshError:
-    """The message for the first face that is not a number of corners, and as many whole numbers."""
+    """The error for the first face that is not a number of corners followed by that many vertex indices."""
     for i in at:
         words = lines[i].split()
         try:
@@ -63,5 +66,5 @@ def _bad_face(lines: list[str], at: list[int]) -> MeshError:
         except ValueError:
             good = False
         if not good:
-            return damaged(f"line {i + 1} is {excerpt(lines[i])}; expected a number of corners and as many vertices")
+            return damaged(f"line {i + 1} is {excerpt(lines[i])}; expected a count and that many vertices")
     raise AssertionError("every face is good")

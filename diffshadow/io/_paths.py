@@ -1,4 +1,4 @@
-"""Finding a file that a user named."""
+"""Finds files that a user named."""
 
 import difflib
 import os
@@ -8,10 +8,10 @@ from ._errors import FileError
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
-    """The absolute path of `path`; `what` names its content in messages, as in "mesh".
+    """The absolute path of `path`; `what` names its content in messages, such as "mesh".
 
-    **Raises** `FileError` if there is no such file; the message gives the absolute path looked at, and the nearest
-    name in that folder if there is one.
+    **Raises** `FileError` if there is no such file; the message gives the absolute path, and the closest name in its
+    folder if there is one.
     """
     absolute = Path(os.path.abspath(path))
     if absolute.is_dir():
@@ -19,7 +19,7 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     if absolute.is_file():
         return absolute
     if absolute.exists():
-        raise FileError(f"{absolute} is a device or a pipe; expected a {what} file: copy it to one")
+        raise FileError(f"{absolute} is a device or a pipe; expected a {what} file: copy its content to a file")
     if not absolute.parent.is_dir():
         raise FileError(f"there is no {what} file {absolute}: the folder {absolute.parent} does not exist")
     try:

@@ -33,9 +33,9 @@ _TYPES = {
 }
 _Order = Literal["=", "<", ">"]
 _ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-# What writers call the list of a face's corners.
+# The names that writers give to the list of a face's corners.
 _CORNERS = ("vertex_indices", "vertex_index")
-# A float64 has no fraction from here on.
+# Every float64 from here on is a whole number.
 _LONGEST = 2.0**53
 
 
@@ -53,14 +53,14 @@ class _Element(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """The values of a property, one row after another, and how many each row has."""
+    """The values of a property, row after row, and the number of values in each row."""
 
     values: HostArray
     sizes: Int[HostArray, "n"]
 
 
 def read_ply(data: bytes) -> Polygons:
-    """The faces, and the triangles of strips.
+    """Reads the faces, and the triangles of strips.
 
     **Raises** `MeshError` if the file is damaged.
     """
@@ -84,7 +84,7 @@ def read_ply(data: bytes) -> Polygons:
 
 
 def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
-    """The order of bytes, what the file holds, and the data below."""
+    """The byte order, the elements, and the data after the header."""
     if not data.startswith(b"ply"):
         data = decode(data).encode("latin-1", errors="replace")
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
@@ -96,7 +96,7 @@ def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
         raise damaged("its header has no end_header")
     elements: list[_Element] = []
     order: _Order | None = None
-    # Comments may be of any encoding, and some writers forget to begin them as comments.
+    # Comments may be in any encoding, and some writers omit the `comment` keyword.
     lines = data[first.end() : last.start()].decode("latin-1").split(newline.decode())
     for number, line in enumerate(lines, start=2):
         try:
@@ -115,12 +115,12 @@ def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
         except (KeyError, IndexError, ValueError):
             raise damaged(f"line {number} of its header is {excerpt(line)}, which cannot be read") from None
     if order is None:
-        raise damaged(f"its header has no line of a format; expected one of {', '.join(_ORDERS)}")
+        raise damaged(f"its header has no format line; expected one of {', '.join(_ORDERS)}")
     return order, elements, data[last.end() :]
 
 
 def _as_binary(text: bytes) -> bytes:
-    """The numbers of a text as float64, so that both kinds of file are read alike."""
+    """The numbers of a text file as float64, so that text and binary files are read by the same code."""
     words = text.split()
     try:
         return numbers(words).tobytes()
@@ -135,17 +135,17 @@ def _in_doubles(properties: Sequence[_Property]) -> list[_Property]:
 
 
 def _read(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int]:
-    """The element's columns, and where the next one begins."""
+    """The element's columns, and the offset of the next element."""
     if element.rows == 0 or not element.properties:
         return {}, start
-    # Every row takes a byte at least.
+    # Every row takes at least one byte.
     if element.rows > len(data) - start:
         raise _too_short(element)
     return _read_alike(data, start, element) or _read_rows(data, start, element)
 
 
 def _read_alike(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int] | None:
-    """As `_read`, where the lists of all rows are as long as the first one's."""
+    """`_read` for elements whose lists are as long in every row as in the first; `None` if they are not."""
     fields, lengths, at = [], [], start
     for i, p in enumerate(element.properties):
         lengths.append(1 if p.length is None else _length(data, at, p.length, element))
@@ -171,7 +171,7 @@ def _read_alike(data: bytes, start: int, element: _Element) -> tuple[Mapping[str
 
 
 def _read_rows(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int]:
-    """As `_read`, row by row."""
+    """`_read`, row by row."""
     places: dict[str, list[int]] = {p.name: [] for p in element.properties}
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
     at = start
@@ -205,7 +205,7 @@ def _length(data: bytes, at: int, kind: np.dtype, element: _Element) -> int:
 
 def _too_short(element: _Element) -> MeshError:
     return damaged(
-        f"it ends before the last of the {element.rows} {listed([element.name])} elements that its header promises"
+        f"it ends before the last of the {element.rows} {listed([element.name])} elements that its header announces"
     )
 
 
@@ -220,7 +220,7 @@ def _vertices(columns: Mapping[str, _Column]) -> Float[HostArray, "v 3"]:
 def _lists(
     columns: Mapping[str, Mapping[str, _Column]], element: str
 ) -> tuple[Int[HostArray, "c"], Int[HostArray, "f"]]:
-    """The indices that the rows of `element` list, and how many each does."""
+    """The vertex indices listed by the rows of `element`, and the number of them in each row."""
     if not columns.get(element):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     found = [columns[element][name] for name in _CORNERS if name in columns[element]]
@@ -228,12 +228,12 @@ def _lists(
         raise damaged(f"its {element} elements have {listed(columns[element])}; expected {_CORNERS[0]}")
     values, sizes = found[0]
     if (values.dtype.kind == "f" and not (np.abs(values) < _LONGEST).all()) or (values != np.trunc(values)).any():
-        raise damaged(f"its {element} elements name vertices by numbers that are not whole")
+        raise damaged(f"its {element} elements have vertex indices that are not whole numbers")
     return values.astype(np.int64), sizes.astype(np.int64)
 
 
 def _strips(corners: Int[HostArray, "c"], sizes: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
-    """The triangles of lists of strips, with -1 between those of one list."""
+    """The triangles of lists of strips; -1 separates the strips of one list."""
     triangles = [np.zeros((0, 3), np.int64)]
     for strips in np.split(corners, np.cumsum(sizes)):
         for strip in np.split(strips, np.flatnonzero(strips == -1)):

@@ -1,4 +1,4 @@
-"""Faces of any number of corners, as files give them, and their triangles."""
+"""Polygons with any number of corners, as files store them, and their triangulation."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -11,20 +11,20 @@ from jaxtyping import Bool, Float, Int
 from .._types import HostArray
 from ._errors import MeshError
 
-# Areas as shares of a face's greatest squared extent. A fan may have triangles turned over by as much as rounding in
-# double precision does; of an outline, rounding to a few digits may let parts cross that touch.
+# Areas of flipped triangles that are tolerated, as fractions of the face's squared extent. `_EXACT` allows for float64
+# rounding. `_TOUCHING` allows for files with few digits, whose outlines may cross slightly where they should touch.
 _EXACT, _TOUCHING = 1e-9, 1e-4
-# Distance of a corner from a face's plane, as a share of its extent, that counts as flat.
+# A face is flat if its corners are this close to its plane, as a fraction of its extent.
 _FLAT = 1e-3
 
 
 class Polygons(NamedTuple):
-    """Faces with their corners one after another.
+    """Faces, with their corners one after another.
 
     - `vertices`: (v, 3), float64.
-    - `corners`: (c,), indices into `vertices`; each face's run anticlockwise seen from outside.
-    - `sizes`: (f,), corners of each face.
-    - `left_out`: how many things of other kinds the file holds, by their names in the singular, such as "line".
+    - `corners`: (c,), indices into `vertices`; the corners of a face run anticlockwise seen from outside.
+    - `sizes`: (f,), the number of corners of each face.
+    - `left_out`: how many elements of other kinds the file holds, by their singular names, such as "line".
     """
 
     vertices: Float[HostArray, "v 3"]
@@ -36,12 +36,11 @@ class Polygons(NamedTuple):
 def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
     """The faces cut into triangles (t, 3) of the same corners, area and winding, in the same order.
 
-    A face is cut as a fan from its first corner where that is right, which it is for convex faces, and a face of four
-    along its other diagonal where only that is right. All others are cut by manifold3d in the plane that a face spans
-    on average. It keeps every corner, so that neighbours still share whole edges, and copes with faces that touch
-    themselves, as those with holes do, whose outline runs to the hole and back along a bridge. A face of four corners
-    that is bent too far for either is cut along its shorter diagonal. A face of fewer than three corners has no
-    triangle.
+    A face is cut as a fan from its first corner if that covers it, as it does for convex faces. A quad that needs its
+    other diagonal is cut along that one. All other faces are cut by manifold3d in their mean plane. manifold3d keeps
+    every corner, so that neighbours still share whole edges, and handles faces that touch themselves. Faces with holes
+    are like that: their outline runs to the hole and back along a bridge. A quad too bent for either method is cut
+    along its shorter diagonal. A face of fewer than three corners has no triangles.
 
     **Raises** `MeshError` if a face crosses itself.
     """
@@ -57,11 +56,11 @@ def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
 
     rows = np.flatnonzero(sizes[face] > 3)
     wrong = np.unique(face[rows[~_upright(vertices[triangles[rows]], face[rows])]])
-    # The other diagonal of faces with four corners.
+    # The other diagonal of quads.
     quads = wrong[sizes[wrong] == 4]
-    turned = corners[begin[quads][:, None, None] + np.array([[1, 2, 3], [1, 3, 0]])]
-    right = _upright(vertices[turned.reshape(-1, 3)], np.repeat(quads, 2)).reshape(-1, 2).all(axis=-1)
-    triangles[row[quads[right]][:, None] + np.arange(2)] = turned[right]
+    other = corners[begin[quads][:, None, None] + np.array([[1, 2, 3], [1, 3, 0]])]
+    right = _upright(vertices[other.reshape(-1, 3)], np.repeat(quads, 2)).reshape(-1, 2).all(axis=-1)
+    triangles[row[quads[right]][:, None] + np.arange(2)] = other[right]
 
     for i in np.setdiff1d(wrong, quads[right]).tolist():
         own = corners[begin[i] : begin[i] + sizes[i]]
@@ -70,9 +69,9 @@ def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
 
 
 def _cut(points: Float[HostArray, "n 3"], number: int) -> Int[HostArray, "t 3"]:
-    """The triangles (n - 2, 3) of the face with these corners, by their indices.
+    """The triangles (n - 2, 3) of the face with these corners, as indices of the corners.
 
-    **Raises** `MeshError`, which calls the face by its `number`, if it crosses itself.
+    **Raises** `MeshError` if the face crosses itself; `number` names the face in the message.
     """
     offsets = points - points[0]
     offsets /= np.abs(offsets).max()
@@ -91,15 +90,15 @@ def _cut(points: Float[HostArray, "n 3"], number: int) -> Int[HostArray, "t 3"]:
     if len(points) == 4 and reach >= _FLAT:
         first, second = np.linalg.norm(points[2] - points[0]), np.linalg.norm(points[3] - points[1])
         return np.array([[0, 1, 2], [0, 2, 3]] if first <= second else [[1, 2, 3], [1, 3, 0]])
-    seen = "" if reach < _FLAT else ", seen along its mean normal, for its corners do not lie in one plane"
+    seen = "" if reach < _FLAT else " in its mean plane (its corners do not lie in one plane)"
     raise MeshError(
         f"has a face, number {number} with {len(points)} corners, whose outline crosses itself{seen}; "
-        "cut it into triangles before the export"
+        "triangulate it before the export"
     )
 
 
 def strip_triangles(strip: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
-    """The triangles of a strip of n vertices, every other one turned round so that all are wound alike."""
+    """The triangles of a strip of n vertices; every other one is reversed so that all have the same winding."""
     triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=-1) if len(strip) > 2 else strip[:0].reshape(0, 3)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
@@ -108,10 +107,10 @@ def strip_triangles(strip: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
 def _upright(
     triangles: Float[HostArray, "t 3 3"], face: Int[HostArray, "t"], tolerance: float = _EXACT
 ) -> Bool[HostArray, "t"]:
-    """Whether each triangle is wound as the whole face that it is a part of; `face` (t,) is sorted.
+    """Whether each triangle has the winding of its face; `face` (t,) is sorted.
 
-    Where all of a face's triangles are, they cover it once, and nothing else. A triangle may be turned over if its area
-    is at most `tolerance` times its face's squared extent.
+    If all triangles of a face have it, they cover the face exactly once and nothing else. A flipped triangle is
+    tolerated if its area is at most `tolerance` times the face's squared extent.
     """
     if len(face) == 0:
         return np.zeros(0, bool)
@@ -126,6 +125,6 @@ def _upright(
     length = np.linalg.norm(whole, axis=-1)
     normal = whole / np.where(length > 0, length, 1)[:, None]
     signed = (areas * normal[of]).sum(axis=-1)
-    # A face without area has no normal: its triangles must have none either.
+    # A face without area has no normal, and its triangles must have no area either.
     flat = length <= tolerance
     return np.where(flat[of], np.linalg.norm(areas, axis=-1) <= tolerance, signed >= -tolerance)

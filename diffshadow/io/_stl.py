@@ -9,18 +9,18 @@ from ._polygons import Polygons
 from ._text import decode, read_points, split_lines
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# Bytes of a name before the number of facets.
+# Bytes of the name, before the number of facets.
 _NAME = 80
 
 
 def read_stl(data: bytes) -> Polygons:
-    """The facets of all solids; each has corners of its own. Normals are not read.
+    """Reads the facets of all solids; facets share no vertices. Normals are not read.
 
     **Raises** `MeshError` if the file is damaged.
     """
     start = _NAME + 4
     count = int.from_bytes(data[_NAME:start], "little")
-    # The names of binary files may begin with "solid" too, so that their length decides.
+    # The name in a binary file may also begin with "solid", so the length decides.
     if len(data) == start + count * _FACET.itemsize:
         corners = np.frombuffer(data, _FACET, count, start)["corners"]
         return _polygons(corners.reshape(-1, 3).astype(np.float64), np.full(count, 3))

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from .._types import HostArray
 from ._errors import damaged
 
-# UTF-32 first, since its mark begins as that of UTF-16 does.
+# UTF-32 first, since its mark begins with the mark of UTF-16.
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32-le"),
     (codecs.BOM_UTF32_BE, "utf-32-be"),
@@ -17,17 +17,18 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
-# Characters of a line that a message quotes.
+# The most characters of a line that a message quotes.
 _EXCERPT = 40
-# Characters of a list of names in a message.
+# The most characters of a list of names in a message.
 _LIST = 160
 
 
 def decode(data: bytes) -> str:
-    """Text that begins with an ASCII character, of unknown encoding.
+    """Decodes text of unknown encoding that begins with an ASCII character.
 
-    That is what its byte order mark says; UTF-16 where every other byte is zero; UTF-8 where it can be; and Latin-1,
-    which any bytes are, otherwise. Characters that are not ASCII matter in comments and names only.
+    The encoding is that of the byte order mark if there is one; UTF-16 if the first or second byte is zero; UTF-8 if
+    the bytes are valid; otherwise Latin-1, in which any bytes are valid. Only comments and names have characters other
+    than ASCII.
     """
     for mark, encoding in _MARKS:
         if data.startswith(mark):
@@ -41,8 +42,8 @@ def decode(data: bytes) -> str:
 
 
 def split_lines(text: str) -> list[str]:
-    """The lines of `text`, without comments, which begin with a hash, without space round them, and without tabs."""
-    # `splitlines` would also split at characters that Latin-1 comments hold.
+    """The lines of `text`, stripped, with `#` comments removed and tabs replaced by spaces."""
+    # `splitlines` would also split at characters that occur in Latin-1 comments.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").replace("\t", " ").split("\n")
     if "#" in text:
         lines = [line.partition("#")[0] for line in lines]
@@ -50,12 +51,12 @@ def split_lines(text: str) -> list[str]:
 
 
 def excerpt(line: str) -> str:
-    """`line` quoted, cut short."""
+    """`line`, quoted and shortened."""
     return repr(_short(line, _EXCERPT))
 
 
 def listed(names: Iterable[str]) -> str:
-    """`names` one after another, cut short where they are too long for a message."""
+    """`names`, separated by commas and shortened to fit a message."""
     return _short(", ".join(names), _LIST)
 
 
@@ -64,9 +65,9 @@ def _short(text: str, most: int) -> str:
 
 
 def read_points(lines: Sequence[str], at: Sequence[int], first: int) -> Float[HostArray, "n 3"]:
-    """The three numbers, from the word `first` on, of each of the n lines whose indices are `at`.
+    """Reads three numbers, starting at word `first`, from each of the n lines with indices `at`.
 
-    **Raises** `MeshError` if a line has fewer, or a word that is no number.
+    **Raises** `MeshError` if a line has fewer, or a word that is not a number.
     """
     words = [word for i in at for word in lines[i].split(None, first + 3)[first : first + 3]]
     try:
@@ -80,12 +81,12 @@ def read_points(lines: Sequence[str], at: Sequence[int], first: int) -> Float[Ho
 
 
 def numbers(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, "n"]:
-    """**Raises** `ValueError` if one of the words is no number."""
+    """Parses `words`. **Raises** `ValueError` if one of them is not a number."""
     return np.fromiter(map(float, words), np.float64, len(words))
 
 
 def integers(words: Sequence[str]) -> Int[HostArray, "n"]:
-    """**Raises** `ValueError` if one of the words is no whole number, or one beyond 64 bits."""
+    """Parses `words`. **Raises** `ValueError` if one of them is not a whole number of 64 bits."""
     try:
         return np.fromiter(map(int, words), np.int64, len(words))
     except OverflowError as error:

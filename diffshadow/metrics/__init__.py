@@ -1,4 +1,4 @@
-"""How good a shadow is: errors of a visibility image against its reference."""
+"""Error metrics of a visibility image against its reference."""
 
 from ._differences import mae as mae
 from ._differences import psnr as psnr

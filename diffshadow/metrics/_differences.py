@@ -1,4 +1,4 @@
-"""Differences of two visibility images, pixel by pixel."""
+"""Per-pixel differences of two visibility images."""
 
 import math
 
@@ -9,12 +9,12 @@ from ._inputs import as_images
 
 
 def mae(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Mean absolute difference over the mask, in visibility, [0, 1].
+    """Mean absolute difference over the mask, in [0, 1].
 
     **Arguments:**
 
     - `visibility`, `reference`: (h, w), in [0, 1].
-    - `mask`: (h, w), the pixels that count; all if left out.
+    - `mask`: (h, w), the pixels that count; all of them by default.
 
     **Raises** `ValueError` if shapes differ, the mask is empty, or a value in it is not finite.
     """
@@ -23,15 +23,15 @@ def mae(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = No
 
 
 def rmse(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Root of the mean squared difference over the mask, in visibility, [0, 1]. Arguments and errors as for `mae`."""
+    """Root mean square difference over the mask, in [0, 1]. Arguments and errors are those of `mae`."""
     image, truth, inside = as_images(visibility, reference, mask)
     return float(np.sqrt(np.mean((image - truth)[inside] ** 2)))
 
 
 def psnr(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Peak signal-to-noise ratio, `-20 log10(rmse)` in decibels, the peak being 1; infinite for equal images.
+    """Peak signal-to-noise ratio in decibels, `-20 log10(rmse)` for a peak of 1; infinite for equal images.
 
-    Arguments and errors as for `mae`.
+    Arguments and errors are those of `mae`.
     """
     error = rmse(visibility, reference, mask)
     return math.inf if error == 0 else -20 * math.log10(error)

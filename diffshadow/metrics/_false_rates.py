@@ -1,9 +1,9 @@
-"""Light that is wrongly taken or given: acne, leaks and Peter-panning.
+"""False shadow and false light: acne, leaks and Peter-panning.
 
-A pixel of the reference is *lit* at visibility 1, *dark* at 0, both to within 1e-6, and in penumbra between. A pixel
-of the measured image is wrong by the share of the light that it takes or gives: a filter spreads acne thinly over many
-pixels, and none of them may be more dark than lit. Errors at a shadow's outline are another matter, a question of
-resolution, so a band along it is left out.
+A pixel of the reference is *lit* at visibility 1, *dark* at 0 (both to within 1e-6), and in penumbra in between. The
+error of a pixel is the fraction of the light that is wrongly removed or added. Counting pixels that are more wrong
+than right would miss acne that a filter spreads thinly over many pixels. Errors at a shadow's outline depend on the
+map's resolution and are not meant here, so a band along the outline is left out.
 """
 
 import numpy as np
@@ -20,17 +20,17 @@ _NEARLY = 1e-6
 def false_shadow_rate(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, band: int = 1
 ) -> float:
-    """Share of the mask that the reference lights and the image shadows (acne).
+    """Fraction of the mask that is lit in the reference but shadowed in the image (acne).
 
     **Arguments:**
 
     - `visibility`, `reference`: (h, w), in [0, 1].
-    - `mask`: (h, w), the pixels that count; all if left out.
-    - `band`: a lit pixel counts only if every pixel of the mask within `band` pixels of it, along rows, columns or
-        both, is lit too; 0 counts every lit pixel.
+    - `mask`: (h, w), the pixels that count; all of them by default.
+    - `band`: a lit pixel counts only if all mask pixels in the square of `band` pixels to each side are lit too;
+        0 counts every lit pixel.
 
-    **Returns:** the wrong light, counted in pixels (visibility 0.9 where all is lit is a tenth of one), over all pixels
-    of the mask, the band's included; in [0, 1].
+    **Returns:** the missing light in pixels (visibility 0.9 at a lit pixel counts 0.1), divided by the number of pixels
+    in the mask, including the band; in [0, 1].
 
     **Raises** `ValueError` if shapes differ, the mask is empty, a value in it is not finite, or `band` is negative.
     """
@@ -42,9 +42,9 @@ def false_shadow_rate(
 def false_light_rate(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, band: int = 1
 ) -> float:
-    """Share of the mask that the reference shadows and the image lights (leaks, Peter-panning).
+    """Fraction of the mask that is dark in the reference but lit in the image (leaks, Peter-panning).
 
-    Arguments, result and errors as for `false_shadow_rate`, with dark for lit.
+    Arguments, result and errors are those of `false_shadow_rate`, with dark in place of lit.
     """
     image, truth, inside = as_images(visibility, reference, mask)
     dark = _interior(inside & (truth <= _NEARLY), inside, band)

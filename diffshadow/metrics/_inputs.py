@@ -1,4 +1,4 @@
-"""What every metric asks of its images."""
+"""Checks of the images that metrics take."""
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -10,7 +10,7 @@ from .._types import HostArray
 def as_images(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None
 ) -> tuple[Float64[HostArray, "h w"], Float64[HostArray, "h w"], Bool[HostArray, "h w"]]:
-    """Both images in float64 and the mask, all (h, w); values outside the mask may be anything.
+    """Both images in float64, and the mask, all (h, w). Values outside the mask may be anything.
 
     **Raises** `ValueError` if the shapes differ or are not (h, w), the mask is not boolean or is empty, or an image
     holds a NaN, or an infinity, in the mask.
@@ -18,8 +18,8 @@ def as_images(
     image, truth = np.asarray(visibility, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if image.ndim != 2 or image.shape != truth.shape:
         raise ValueError(
-            f"the visibility has shape {image.shape} and the reference {truth.shape}; expected two images of one shape "
-            "(height, width): draw them with the same camera"
+            f"the visibility has shape {image.shape} and the reference {truth.shape}; expected the same shape "
+            "(height, width): render both with the same camera"
         )
     inside = np.ones(image.shape, dtype=bool) if mask is None else np.asarray(mask)
     if inside.shape != image.shape or inside.dtype != bool:
@@ -29,8 +29,8 @@ def as_images(
         )
     if not inside.any():
         raise ValueError(
-            f"the mask holds none of the {inside.size} pixels; expected at least one to measure: does the camera see "
-            "the scene?"
+            f"the mask holds none of the {inside.size} pixels; expected at least one: check that the camera sees "
+            "the scene"
         )
     for name, values in (("visibility", image), ("reference", truth)):
         bad = np.argwhere(inside & ~np.isfinite(values))

@@ -1,22 +1,22 @@
-"""How wide a penumbra is."""
+"""Penumbra width."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 
 def penumbra_width(profile: ArrayLike, spacing: float = 1.0, low: float = 0.1, high: float = 0.9) -> float:
-    """Width of the step from dark to light in a `profile` across a shadow's edge.
+    """Width of the transition from dark to light in a `profile` across a shadow's edge.
 
     **Arguments:**
 
     - `profile`: (n,), visibility along a line that crosses one edge, in either direction.
-    - `spacing`: the distance of neighbouring samples, in any unit.
-    - `low`, `high`: the visibilities between which the width is taken, 0 <= low < high <= 1.
+    - `spacing`: the distance between neighbouring samples, in any unit.
+    - `low`, `high`: the visibilities between which the width is measured, 0 <= low < high <= 1.
 
     **Returns:** the distance, in the unit of `spacing`, from where the profile last leaves `low` to where it first
     reaches `high`, interpolated linearly between samples.
 
-    **Raises** `ValueError` if the profile has no such step, or an argument is out of range.
+    **Raises** `ValueError` if the profile has no such transition, or an argument is out of range.
     """
     values = np.asarray(profile, dtype=np.float64)
     if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all():
@@ -33,11 +33,11 @@ def penumbra_width(profile: ArrayLike, spacing: float = 1.0, low: float = 0.1, h
     dark = np.flatnonzero(values[: bright[0]] <= low) if len(bright) else bright
     if not len(dark):
         raise ValueError(
-            f"the profile runs from {values.min():.4g} to {values.max():.4g} without a step from {low} up to {high}; "
-            "expected it to cross one shadow's edge from dark to light: make it longer, or narrow low and high"
+            f"the profile runs from {values.min():.4g} to {values.max():.4g} and never rises from {low} to {high}; "
+            "expected it to cross one shadow edge: make it longer, or move low and high closer together"
         )
     first, last = int(bright[0]), int(dark[-1])
-    # Each crossing lies between the sample named and its neighbour on the way.
+    # Each crossing lies between this sample and its neighbour inside the transition.
     end = first - (values[first] - high) / (values[first] - values[first - 1])
     begin = last + (low - values[last]) / (values[last + 1] - values[last])
     return float((end - begin) * spacing)

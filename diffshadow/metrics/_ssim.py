@@ -14,15 +14,15 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def ssim(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Mean structural similarity over the mask, at most 1, which equal images reach.
+    """Mean structural similarity (SSIM) over the mask: at most 1, and 1 for equal images.
 
-    A window's Gaussian weights are those of the pixels in the mask alone, scaled to sum to 1, so that neither what
-    lies outside the mask nor the image's border counts.
+    Each Gaussian window covers only pixels in the mask, with its weights rescaled to sum to 1. Pixels outside the mask
+    and the image's border therefore have no effect.
 
     **Arguments:**
 
     - `visibility`, `reference`: (h, w), in [0, 1].
-    - `mask`: (h, w), the pixels that count; all if left out.
+    - `mask`: (h, w), the pixels that count; all of them by default.
 
     **Raises** `ValueError` if shapes differ, the mask is empty, or a value in it is not finite.
 
@@ -44,7 +44,7 @@ def ssim(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = N
 
 
 def _blur(values: Float64[HostArray, "h w"]) -> Float64[HostArray, "h w"]:
-    """The Gaussian window's weighted sum round each pixel; nothing lies outside the image."""
+    """The Gaussian-weighted sum round each pixel; values outside the image are zero."""
     offset = np.arange(_WINDOW) - _WINDOW // 2
     kernel = np.exp(-(offset**2) / (2 * _SIGMA**2))
     kernel /= kernel.sum()

@@ -1,4 +1,4 @@
-"""All errors of a shadow at once."""
+"""All error metrics of a shadow at once."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from ._ssim import ssim
 
 @dataclasses.dataclass(frozen=True)
 class ShadowErrors:
-    """How far a visibility image is from its reference; each field is what the function of its name measures."""
+    """The errors of a visibility image against its reference; each field is named after its metric function."""
 
     rmse: float
     mae: float
@@ -20,16 +20,16 @@ class ShadowErrors:
     false_light_rate: float
 
     def as_dict(self) -> dict[str, float]:
-        """The fields by name, in their order."""
+        """The fields by name, in order."""
         return dataclasses.asdict(self)
 
 
 def measure_errors(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, band: int = 1
 ) -> ShadowErrors:
-    """Every error of `visibility` (h, w) against `reference` (h, w) over `mask` (h, w).
+    """All errors of `visibility` (h, w) against `reference` (h, w) over `mask` (h, w).
 
-    `band` is the width, in pixels, of what the two rates leave out along a shadow's outline.
+    `band` is the width in pixels of the band along shadow outlines that the two rates leave out.
 
     **Raises** `ValueError` if shapes differ, the mask is empty, a value in it is not finite, or `band` is negative.
     """

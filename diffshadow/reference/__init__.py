@@ -1,4 +1,4 @@
-"""Ray-traced visibility, the truth that shadow maps are measured against; it shares no code with the rasterizer."""
+"""Ray-traced reference visibility, independent of the rasterizer."""
 
 from ._cache_key import cache_key as cache_key
 from ._contribution import hides_light as hides_light

@@ -1,4 +1,4 @@
-"""What a reference depends on, as plain values, so that whoever keeps files can tell whether one is still right."""
+"""Cache keys of references: everything a reference depends on, as plain values."""
 
 import dataclasses
 from typing import Any
@@ -8,19 +8,19 @@ import numpy as np
 from ..geometry import Scene
 from ._sampling import Sampler, check_sampling
 
-# Raise it whenever a change to this room changes the images it makes.
+# Increase it whenever a change to this subpackage changes its images.
 _ALGORITHM = 1
-# Settings of lights that only shading obeys.
+# Settings of lights that affect shading only.
 _OF_SHADING = {"inner_angle"}
 
 
 def cache_key(
     scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0, supersampling: int = 1
 ) -> tuple[Any, ...]:
-    """A nested tuple of strings, numbers and NumPy arrays that determines what `trace_visibility` answers.
+    """A nested tuple of strings, numbers and NumPy arrays that determines the result of `trace_visibility`.
 
-    Equal keys mean equal references. Shading normals, albedo and a spot light's inner angle, which cast no shadows, are
-    left out, and so are samples, sampler and seed of a light without size.
+    Equal keys mean equal references. The key leaves out what has no effect on visibility: shading normals, albedo, a
+    spot light's inner angle, and samples, sampler and seed for a light without size.
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """

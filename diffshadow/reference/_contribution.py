@@ -1,4 +1,4 @@
-"""Whether a part of a scene matters to a picture's shadows."""
+"""Whether a part of a scene contributes to an image's shadows."""
 
 from jaxtyping import Bool
 
@@ -7,20 +7,19 @@ from ..geometry import Scene
 from ._embree import EmbreeTracer
 from ._visibility import BATCH, Job, sampling_of
 
-# Shadow rays of each pixel towards a light that has a size.
+# Shadow rays per pixel to a light that has a size.
 _SAMPLES = 16
 
 
 def hides_light(scene: Scene, faces: Bool[HostArray, "f"]) -> bool:
-    """Whether some `faces` lie between a light and a surface that a pixel's centre sees.
+    """Whether any of `faces` lies between a light and a surface seen through a pixel's centre.
 
-    It does not matter whether other faces hide the same light. Of a light with a size, 16 points are tried from each
-    pixel.
+    Faces count even if others block the same light. For a light with a size, 16 points are tried per pixel.
 
     **Arguments:**
 
     - `scene`: concrete, not traced by JAX, with one light or several.
-    - `faces`: (f,), which faces of the scene's mesh.
+    - `faces`: (f,), true for the faces of the scene's mesh to test.
     """
     for index, light in enumerate(scene.lights):
         sampling = sampling_of(light, _SAMPLES, "sobol", 0)

@@ -1,4 +1,4 @@
-"""Rays in float64 by brute force: slow, and the judge of the fast tracer on small scenes."""
+"""Brute-force ray tracing in float64: slow, used to validate the fast tracer on small scenes."""
 
 from collections.abc import Callable
 
@@ -13,15 +13,15 @@ from ._sampling import Sampler
 from ._tracer import AbstractTracer
 from ._visibility import trace_with
 
-# Ray-triangle pairs tested at once: 3 float64 of each stay in tens of megabytes.
+# Ray-triangle pairs tested at once: at 3 float64 each they take tens of megabytes.
 _PAIRS = 1 << 19
-# Rounding of float64 in a frame where the scene's size is 1, with room: nearer than this is where the ray starts, and a
-# ray that passes an edge by less hits both its faces rather than neither.
+# A generous bound on float64 rounding in a frame where the scene's size is 1. Hits nearer than this are the ray's own
+# start. A ray that passes an edge by less hits both its faces rather than neither.
 _TINY = 1e-12
 
 
 class ExactTracer(AbstractTracer):
-    """All rays against all of `triangles`, in float64; a shadow ray ignores the face it leaves.
+    """Tests all rays against all `triangles` in float64. A shadow ray ignores the face it starts on.
 
     Möller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics Tools 2(1), 1997.
     """
@@ -68,7 +68,7 @@ class ExactTracer(AbstractTracer):
     def _distances(
         self, origin: Float64[HostArray, "n 3"], direction: Float64[HostArray, "n 3"]
     ) -> Float64[HostArray, "n f"]:
-        """Multiples of `direction` at which each ray meets each triangle, (n, f); infinite where it misses."""
+        """The distance to each triangle along each ray, in multiples of `direction`, (n, f); infinite for a miss."""
         first, second = self._edges[:, 0], self._edges[:, 1]
         p = np.cross(direction[:, None], second)
         determinant = np.einsum("nfd,fd->nf", p, first)
@@ -90,10 +90,10 @@ def trace_visibility_exact(
     progress: Callable[[float], None] | None = None,
     supersampling: int = 1,
 ) -> Reference:
-    """What `trace_visibility` answers, with every ray in float64 and tested against every triangle.
+    """`trace_visibility` with every ray in float64 and tested against every triangle.
 
-    For scenes of a few hundred triangles and images of a few thousand pixels; the time grows with the product of
-    pixels, samples and triangles. Arguments, result and errors are those of `trace_visibility`, and so are the sample
-    points, so that the two differ by rounding alone.
+    Meant for scenes of a few hundred triangles and images of a few thousand pixels: the time grows with the product of
+    pixels, samples and triangles. Arguments, result, errors and sample points are those of `trace_visibility`, so the
+    two results differ by rounding only.
     """
     return trace_with(ExactTracer, scene, samples, sampler, seed, progress, supersampling)

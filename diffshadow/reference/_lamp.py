@@ -1,4 +1,4 @@
-"""Which way a light lies, in float64 and without a call into JAX for each ray."""
+"""Vectors to points of a light, in float64 and without a JAX call per ray."""
 
 import equinox as eqx
 import jax
@@ -11,21 +11,22 @@ from .._types import HostArray
 from ..geometry import AbstractLight
 from ._rays import Triangles, in_float64
 
-# The samples that tell where a flat light's centre and the ends of its axes lie.
+# Samples at the centre of a flat light and at the ends of its axes.
 _AXES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-# A prediction within this fraction of the vectors is exact but for rounding.
+# A prediction is exact up to rounding if it is within this fraction of the vectors' size.
 _ROUNDING = 1e-9
-# The least number of vectors asked for at once.
+# The smallest batch of vectors, to which smaller ones are padded.
 _LEAST = 32
 
 
 class Lamp:
-    """A light as shadow rays want it: vectors from points of the scene to points of the light.
+    """Computes vectors from points of the scene to points of a light.
 
-    To most lights the vector is `centre + x · right + y · up` for the sample `(x, y)`. A light that keeps its place,
-    `right` and `up` for all points of the scene, as every flat or infinitely far one does, is evaluated in NumPy; for
-    one that shows each point another face, as a sphere does, these three come from its own `towards`. A light of any
-    other shape gives every vector by its `towards`.
+    For most lights the vector to the sample `(x, y)` is `centre + x · right + y · up`. There are three cases:
+
+    - Flat and directional lights have the same centre, `right` and `up` for all points. They are evaluated in NumPy.
+    - Lights such as a sphere turn towards each point. Their `towards` is called for the centre and axes only.
+    - For lights of any other shape, `towards` is called for every vector.
     """
 
     def __init__(self, light: AbstractLight, triangles: Triangles):
@@ -33,18 +34,18 @@ class Lamp:
         self.is_directional = light.is_directional
         self._light = light
         self._triangles = triangles
-        # Probe the light: do its axes foretell the vectors to other samples, and are they the same everywhere?
+        # Probe the light at random points: do its axes predict the vectors, and are the axes the same everywhere?
         rng = np.random.default_rng(0)
         points, samples = rng.uniform(-1, 1, (9, 3)), rng.uniform(-0.7, 0.7, (9, 2))
         points[0] = 0
-        found = self._towards(points, samples)
+        actual = self._towards(points, samples)
         centre, axes = self._centre_and_axes(points)
         self._origin, self._axes = centre[0], axes[0]
-        of_place = self._origin - (0 if self.is_directional else points) + samples @ self._axes
-        of_point = centre + np.einsum("ns,nsd->nd", samples, axes)
-        limit = _ROUNDING * (1 + float(np.abs(found).max()))
-        self._is_flat = bool(np.abs(found - of_place).max() < limit)
-        self._has_axes = bool(np.abs(found - of_point).max() < limit)
+        by_fixed_axes = self._origin - (0 if self.is_directional else points) + samples @ self._axes
+        by_own_axes = centre + np.einsum("ns,nsd->nd", samples, axes)
+        limit = _ROUNDING * (1 + float(np.abs(actual).max()))
+        self._is_flat = bool(np.abs(actual - by_fixed_axes).max() < limit)
+        self._has_axes = bool(np.abs(actual - by_own_axes).max() < limit)
 
     def vectors(
         self,
@@ -52,14 +53,14 @@ class Lamp:
         normals: Float64[HostArray, "n 3"],
         samples: Float[HostArray, "n s 2"],
     ) -> tuple[Float[HostArray, "n s 3"], Float[HostArray, "n s"]]:
-        """Vectors to `samples` of the light, and how high they rise above the surface.
+        """Vectors to `samples` of the light, and their heights above the surface's tangent plane.
 
         **Arguments:**
 
         - `points`, `normals`: (n, 3), of the surface, in the tracing frame.
-        - `samples`: (n, s, 2), points of the light's domain; their dtype is that of the result.
+        - `samples`: (n, s, 2), points of the light's domain; the result has their dtype.
 
-        **Returns:** (n, s, 3), and their dot products with the normals, (n, s).
+        **Returns:** the vectors, (n, s, 3), and their dot products with the normals, (n, s).
         """
         dtype = samples.dtype
         if not (self._is_flat or self._has_axes):
@@ -72,7 +73,7 @@ class Lamp:
         else:
             centre, axes = self._centre_and_axes(points)
         x, y = samples[..., 0], samples[..., 1]
-        # Project before rounding: on a surface that is edge-on to the light, only the sign is left.
+        # Project before rounding: on a surface edge-on to the light, the sign of the height decides.
         right, up = np.einsum("nd,nsd->sn", normals, np.broadcast_to(axes, (len(points), 2, 3))).astype(dtype)
         height = x * right[:, None] + y * up[:, None] + np.sum(centre * normals, axis=-1).astype(dtype)[:, None]
         axes, centre = axes.astype(dtype), centre.astype(dtype)
@@ -84,7 +85,7 @@ class Lamp:
     def _centre_and_axes(
         self, points: Float64[HostArray, "n 3"]
     ) -> tuple[Float64[HostArray, "n 3"], Float64[HostArray, "n 2 3"]]:
-        """Vectors from `points` to the light's centre, and from there to the ends of its axes."""
+        """Vectors from `points` to the light's centre, and from the centre to the ends of its axes."""
         spread = np.repeat(points, len(_AXES), axis=0)
         ends = self._towards(spread, np.tile(_AXES, (len(points), 1))).reshape(-1, len(_AXES), 3)
         return ends[:, 0], ends[:, 1:] - ends[:, :1]
@@ -92,7 +93,7 @@ class Lamp:
     def _towards(
         self, points: Float64[HostArray, "n 3"], samples: Float64[HostArray, "n 2"]
     ) -> Float64[HostArray, "n 3"]:
-        # Few lengths, for each is compiled.
+        # Padded to few distinct lengths, since each length is compiled separately.
         count = len(points)
         padding = [(0, max(_LEAST, round_up_to_power_of_two(count)) - count), (0, 0)]
         world, samples = np.pad(self._triangles.to_world(points), padding, mode="edge"), np.pad(samples, padding)

@@ -1,8 +1,8 @@
-"""The geometry that rays meet, in float64: the scene's triangles, the camera's rays and the points they hit.
+"""The geometry of ray tracing in float64: the scene's triangles, camera rays and hit points.
 
-All of it lives in a *tracing frame*: world space moved to the scene's middle and scaled by a power of two, so that the
-scene lies in [-1, 1]³. There a float32 tracer's rounding has one size, whatever the scene's size and place, and the
-scaling itself rounds nothing.
+All of it is in the *tracing frame*: world space centred on the scene and scaled by a power of two so that the scene
+fits [-1, 1]³. There the rounding of a float32 tracer is the same for every scene size and position, and the scaling
+itself is exact.
 """
 
 import copy
@@ -21,7 +21,7 @@ _DIAGONAL = np.sqrt(3.0)
 
 
 def in_float64(module: Any) -> Any:
-    """`module` with every floating array in float64; to be used under `jax.enable_x64`."""
+    """`module` with every floating-point array in float64. Call it under `jax.enable_x64`."""
     widen = lambda x: jnp.asarray(x, dtype=np.float64) if eqx.is_inexact_array(x) else x
     return jax.tree.map(widen, module)
 
@@ -35,7 +35,7 @@ class Triangles:
     - `normals`: (f, 3), unit, outwards by the right-hand rule; 0 for a face without area.
     - `areas`: (f,), in squared frame units.
 
-    **Raises** `ValueError` if all of the mesh is one point.
+    **Raises** `ValueError` if the whole mesh is a single point.
     """
 
     def __init__(self, mesh: Mesh):
@@ -44,7 +44,7 @@ class Triangles:
         extent = float(np.max(high - low)) / 2
         if extent == 0:
             raise ValueError(
-                f"all of the scene's {len(world)} triangles lie in the one point {low.tolist()}; "
+                f"all {len(world)} triangles of the scene lie at the single point {low.tolist()}; "
                 "expected surfaces with an area: check the mesh, or the scaling applied to it"
             )
         self.center = (low + high) / 2
@@ -56,7 +56,7 @@ class Triangles:
         self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
 
     def only(self, faces: Bool[HostArray, "f"]) -> "Triangles":
-        """Those of `faces` (f,), in the same frame."""
+        """The triangles selected by `faces` (f,), in the same frame."""
         some = copy.copy(self)
         some.corners, some.normals, some.areas = self.corners[faces], self.normals[faces], self.areas[faces]
         return some
@@ -96,7 +96,7 @@ class CameraRays:
         along = end - begin
         reach = np.linalg.norm(along, axis=-1)
         direction = along / reach[:, None]
-        # Skip the empty way to the scene's bounding sphere: a float32 origin is exact only near the scene.
+        # Start at the scene's bounding sphere: a float32 origin is accurate only near the scene.
         skipped = np.maximum(-np.sum(begin * direction, axis=-1) - 1.01 * _DIAGONAL, 0)
         return Rays(begin + skipped[:, None] * direction, direction, reach - skipped)
 
@@ -108,10 +108,10 @@ class CameraRays:
 
 
 class Hits(NamedTuple):
-    """What rays hit.
+    """Points that rays hit.
 
     - `position`: (n, 3), in the tracing frame.
-    - `normal`: (n, 3), the geometric unit normal of the side that the ray came to.
+    - `normal`: (n, 3), the geometric unit normal, facing the ray's origin.
     - `face`: (n,).
     """
 
@@ -121,7 +121,7 @@ class Hits(NamedTuple):
 
 
 def hits_on_planes(rays: Rays, faces: Int[HostArray, "n"], triangles: Triangles) -> Hits:
-    """The points, exact to float64, where `rays` meet the planes of `faces` (n,), all of which they hit."""
+    """The points where `rays` meet the planes of the `faces` (n,) that they hit, accurate to float64."""
     corners, normal = triangles.corners[faces], triangles.normals[faces]
     facing = np.sum(normal * rays.direction, axis=-1)
     plane = np.sum(normal * (corners[:, 0] - rays.origin), axis=-1)
@@ -135,7 +135,7 @@ def hits_on_planes(rays: Rays, faces: Int[HostArray, "n"], triangles: Triangles)
 
 @eqx.filter_jit
 def _compiled_view(camera: AbstractCamera) -> View:
-    # Compiled as a whole: its operations one by one would each cost a compilation in float64.
+    # Compiled as a whole: otherwise each operation would be compiled separately in float64.
     return camera.view()
 
 

@@ -1,4 +1,4 @@
-"""Samples of a light, one set a pixel: which points of it a pixel's shadow rays go to."""
+"""Samples of a light: the points that each pixel's shadow rays are aimed at."""
 
 import difflib
 import math
@@ -13,13 +13,13 @@ from .._types import HostArray
 from ..geometry import Domain
 
 Sampler = Literal["sobol", "stratified"]
-"""How points of a light are chosen. Both converge alike; `"stratified"` wants samples that are nearly a square."""
+"""How points of a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
 
 MAX_SAMPLES = 1 << 16
-"""More samples than this gain nothing in float32."""
+"""The most samples per pixel. More gain nothing in float32."""
 
 MAX_SUPERSAMPLING = 8
-"""More camera rays along a pixel's side than this, 64 a pixel, change no figure that is worth its memory."""
+"""The most camera rays along a pixel's side (64 per pixel). More are not worth their memory."""
 
 _ALL = slice(None)
 
@@ -30,12 +30,12 @@ def check_sampling(samples: int, sampler: str, supersampling: int = 1) -> None:
     if not whole(supersampling) or not 1 <= supersampling <= MAX_SUPERSAMPLING:
         raise ValueError(
             f"supersampling is {supersampling!r}; expected an integer from 1 to {MAX_SUPERSAMPLING}, the camera rays "
-            "along a pixel's side (4 gives 16 a pixel)"
+            "along a pixel's side (4 gives 16 per pixel)"
         )
     if not whole(samples) or not 1 <= samples <= MAX_SAMPLES:
         raise ValueError(
-            f"samples is {samples!r}; expected an integer from 1 to {MAX_SAMPLES}, the shadow rays of each pixel "
-            "(64 is usual, 1024 shows no noise)"
+            f"samples is {samples!r}; expected an integer from 1 to {MAX_SAMPLES}, the shadow rays per pixel "
+            "(64 is usual, 1024 leaves no visible noise)"
         )
     known = get_args(Sampler)
     if sampler not in known:
@@ -45,7 +45,7 @@ def check_sampling(samples: int, sampler: str, supersampling: int = 1) -> None:
 
 
 def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:
-    """Maps the unit square to the unit disk; equal areas stay equal, and neighbours stay neighbours.
+    """Maps the unit square to the unit disk. Preserves relative areas and neighbourhoods.
 
     **Arguments:**
 
@@ -57,7 +57,7 @@ def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"
     """
     one = square.dtype.type(1)
     a, b = np.moveaxis(2 * square - one, -1, 0)
-    # The radius is the coordinate of greater magnitude; the other one sweeps a quarter of the circle.
+    # The radius is the coordinate of greater magnitude; the other sweeps a quarter of the circle.
     horizontal = np.abs(a) > np.abs(b)
     radius = np.where(horizontal, a, b)
     other = np.where(horizontal, b, a)
@@ -70,7 +70,7 @@ def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"
 
 
 def _centred(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:
-    """The unit square as the square [-1, 1]²."""
+    """Maps the unit square to [-1, 1]²."""
     one = square.dtype.type(1)
     return 2 * square - one
 
@@ -79,18 +79,17 @@ _MAPPINGS: dict[Domain, Callable[[HostArray], HostArray]] = {"disk": concentric_
 
 
 class LightSampler:
-    """Chooses the samples of a light for any range of pixels, the same ones whatever the range.
+    """Chooses the samples of a light for any range of pixels. A pixel's samples do not depend on the range.
 
-    - `domain`: where they lie, as the light's own `domain` says.
-    - `samples`: points a pixel.
+    - `domain`: the domain of the samples, as in the light's `domain`.
+    - `samples`: points per pixel.
     - `sampler`: `"sobol"`, one Owen-scrambled Sobol sequence, shifted for each pixel by a random vector modulo 1
       (Cranley and Patterson, "Randomization of number theoretic methods for multiple integration", SIAM Journal on
-      Numerical Analysis 13(6), 1976); or `"stratified"`, one random point in each cell of a grid that is as square
-      as `samples` divides.
-    - `seed`: of all random choices.
+      Numerical Analysis 13(6), 1976); or `"stratified"`, one random point in each cell of the most nearly square grid
+      with `samples` cells.
+    - `seed`: seed of all random choices.
 
-    The first half of a pixel's points covers the domain as evenly as the second half does, so that the difference of
-    the two halves tells the error.
+    Both halves of a pixel's points cover the domain equally well, so their difference estimates the error.
     """
 
     def __init__(self, domain: Domain, samples: int, sampler: str, seed: int):
@@ -99,7 +98,7 @@ class LightSampler:
         self.samples = int(samples)
         self.seed = seed
         if sampler == "sobol":
-            # Drawn by powers of two, which is what the sequence is balanced for, and cut.
+            # Drawn in powers of two, for which the sequence is balanced, and truncated.
             sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng((seed, 0)))
             points = sequence.random_base2(max(self.samples - 1, 0).bit_length())[: self.samples]
             self._points, self._cell = points.astype(np.float32), None
@@ -107,7 +106,7 @@ class LightSampler:
             self._points, self._cell = _grid(self.samples)
 
     def points(self, first: int, count: int, chosen: Int[HostArray, "n"] | slice = _ALL) -> Float32[HostArray, "n s 2"]:
-        """The samples of pixels `first` to `first + count - 1`, or of those `chosen` among them, (n, samples, 2)."""
+        """The samples of pixels `first` to `first + count - 1`, or of the `chosen` ones of these, (n, samples, 2)."""
         if self._cell is None:
             square = _planar(self._points + _uniform(self.seed, first, (count, 1, 2))[chosen])
             square -= square >= 1
@@ -118,12 +117,12 @@ class LightSampler:
 
 
 def _planar(points: Float32[HostArray, "n s 2"]) -> Float32[HostArray, "n s 2"]:
-    """`points` stored as all `x` and then all `y`, so that arithmetic on either runs over contiguous memory."""
+    """`points` stored as all `x` followed by all `y`, so that arithmetic on either uses contiguous memory."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(points, -1, 0)), 0, -1)
 
 
 def _grid(samples: int) -> tuple[Float32[HostArray, "s 2"], Float32[HostArray, "2"]]:
-    """Least corners of the grid's cells, those of a chessboard's black fields first, and the size of a cell."""
+    """The lower corners of the grid's cells, in checkerboard order (one colour first), and the size of a cell."""
     rows = next(n for n in range(math.isqrt(samples), 0, -1) if samples % n == 0)
     columns = samples // rows
     row, column = np.divmod(np.arange(samples), columns)
@@ -135,11 +134,11 @@ def _grid(samples: int) -> tuple[Float32[HostArray, "s 2"], Float32[HostArray, "
 def _uniform(seed: int, first: int, shape: tuple[int, int, int]) -> Float32[HostArray, "n s 2"]:
     """Uniform numbers in [0, 1) for pixels from `first` on; a pixel's numbers depend on `seed` and its index alone."""
     count, samples, _ = shape
-    # One 64-bit draw holds a pair of 32-bit numbers; Philox makes four draws a step.
+    # One 64-bit draw holds a pair of 32-bit numbers; Philox makes four draws per step.
     draws = first * samples
     step, skip = divmod(draws, 4)
     generator = np.random.Philox(key=np.random.SeedSequence((seed, 1)).generate_state(2, np.uint64))
     generator.advance(step)
     bits = generator.random_raw(skip + count * samples)[skip:].view(np.uint32)
-    # 24 bits are what a float32 in [0, 1) holds.
+    # A float32 in [0, 1) holds 24 bits.
     return ((bits >> 8).astype(np.float32) * np.float32(2.0**-24)).reshape(shape)

@@ -1,4 +1,4 @@
-"""What a reference needs of a ray tracer."""
+"""The interface of ray tracers."""
 
 import abc
 
@@ -10,18 +10,18 @@ from ._rays import Hits, Rays
 
 
 class AbstractTracer(abc.ABC):
-    """Meets rays with the scene's triangles, in the tracing frame. Two-sided; safe to call from several threads."""
+    """Intersects rays with the scene's triangles, in the tracing frame. Two-sided and thread-safe."""
 
     dtype: type[np.floating]
-    """Precision of the directions of shadow rays."""
+    """Precision of shadow ray directions."""
 
     @abc.abstractmethod
     def closest(self, rays: Rays) -> Int[HostArray, "n"]:
-        """The face that each of `rays` meets first within its reach, (n,); -1 for none."""
+        """The first face that each of `rays` hits within its reach, (n,); -1 for none."""
 
     @abc.abstractmethod
     def start(self, hits: Hits) -> Float64[HostArray, "n 3"]:
-        """Where shadow rays from `hits` start so as not to meet their own surface, (n, 3)."""
+        """The origins of shadow rays from `hits`, placed so as not to hit their own surface, (n, 3)."""
 
     @abc.abstractmethod
     def occluded(
@@ -32,12 +32,12 @@ class AbstractTracer(abc.ABC):
         direction: Float[HostArray, "r 3"],
         reach: float,
     ) -> Bool[HostArray, "r"]:
-        """Whether anything lies in the way of shadow rays.
+        """Whether shadow rays are occluded.
 
         **Arguments:**
 
-        - `origin`: (n, 3), from `start`; `face`: (n,), the surfaces that rays leave.
-        - `which`: (r,), the origin of each ray.
+        - `origin`: (n, 3), from `start`; `face`: (n,), the faces that rays start on.
+        - `which`: (r,), the index of each ray's origin.
         - `direction`: (r, 3), of any length.
-        - `reach`: the farthest occluder, in multiples of `direction`; may be infinite.
+        - `reach`: the greatest distance of an occluder, in multiples of `direction`; may be infinite.
         """

@@ -1,4 +1,4 @@
-"""Visibility of a light by rays: from the camera to the surface, from the surface to the light."""
+"""Ray-traced visibility of a light: camera rays to the surface, shadow rays to the light."""
 
 import dataclasses
 import os
@@ -18,10 +18,10 @@ from ._reference import Reference
 from ._sampling import LightSampler, Sampler, check_sampling
 from ._tracer import AbstractTracer
 
-# Rays of one batch: few enough to stay in cache and to bound memory at some tens of megabytes a thread.
+# Rays per batch: few enough to stay in cache, and to keep memory at tens of megabytes per thread.
 BATCH = 1 << 16
-# Shadow rays stop this share of their way short of a light at a finite distance, so that a lamp that lies on a surface
-# is not hidden by it.
+# Shadow rays stop this fraction of their length short of a light at a finite distance, so that a light on a surface is
+# not occluded by it.
 _SHORT_OF_LIGHT = 2.0**-20
 
 
@@ -33,24 +33,23 @@ def trace_visibility(
     progress: Callable[[float], None] | None = None,
     supersampling: int = 1,
 ) -> Reference:
-    """Traces how much of the scene's light is seen from each pixel of its camera.
+    """Traces how much of the scene's light is visible from each pixel of its camera.
 
-    A ray through each pixel's centre finds the surface between the camera's near and far distances; rays from there to
-    points of the light say which of them are hidden. Every surface is two-sided, and the light is seen only from the
-    side that faces the camera: what lies below that side's horizon counts as dark. A light's cone, near and far are not
-    obeyed: they are settings of a shadow map, and the truth has none.
+    A ray through each pixel's centre finds the surface between the camera's near and far distances. Shadow rays from
+    there to points of the light find which of these are occluded. Every surface is two-sided, but receives light only
+    on the side that faces the camera: parts of the light below that side's horizon count as occluded. A light's cone,
+    near and far are ignored, since they are settings of a shadow map.
 
     **Arguments:**
 
-    - `scene`: concrete, not traced by JAX, with one light; of several, trace `scene.lit_by(index)` for each.
-    - `samples`: shadow rays a pixel, 1 to 65536. A light without size needs, and gets, just one, to its centre.
+    - `scene`: concrete, not traced by JAX, with one light; for several lights, trace `scene.lit_by(index)` for each.
+    - `samples`: shadow rays per pixel, 1 to 65536. A light without size gets a single ray, to its centre.
     - `sampler`: `"sobol"` or `"stratified"`.
-    - `seed`: of the sample points; any integer that is not negative. The same arguments give the same image,
-      bit for bit.
-    - `progress`: called with the share of pixels done, in (0, 1], in the calling thread.
-    - `supersampling`: how many camera rays a pixel has along each side, 1 to 8: 4 for a grid of 4 x 4. Visibility is
-      then the mean over those that meet a surface, so that outlines are as soft as a pixel is wide; the shadow rays are
-      shared out among them, at least one each. Surfaces stay those at pixels' centres.
+    - `seed`: seed of the sample points, an integer of 0 or more. The same arguments give the same image, bit for bit.
+    - `progress`: called with the fraction of pixels done, in (0, 1], in the calling thread.
+    - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
+      over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
+      rays, with at least one each. `position`, `normal` and `face` remain those at pixel centres.
 
     **Returns:** a `Reference`.
 
@@ -61,7 +60,7 @@ def trace_visibility(
 
 
 def reference_from_image(visibility: Any, scene: Scene) -> Reference:
-    """A `Reference` whose visibility was made elsewhere; surfaces still come from camera rays.
+    """A `Reference` with a given visibility image; its surfaces are found by camera rays.
 
     **Arguments:**
 
@@ -99,7 +98,7 @@ def trace_with(
     progress: Callable[[float], None] | None,
     supersampling: int,
 ) -> Reference:
-    """`trace_visibility` by the tracer that `make_tracer` makes of the scene's triangles."""
+    """`trace_visibility` with the tracer that `make_tracer` makes from the scene's triangles."""
     check_sampling(samples, sampler, supersampling)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
@@ -120,7 +119,7 @@ def trace_with(
 
 
 def _averaged(fine: Reference, centres: Reference, supersampling: int) -> Reference:
-    """`centres` with the visibility of a `fine` image that has so many pixels, a side, for each of its own."""
+    """`centres` with the visibility of `fine`, which has `supersampling` pixels along each side of a pixel."""
     height, width = centres.mask.shape
     blocks = lambda image: image.reshape(height, supersampling, width, supersampling)
     total = lambda image: blocks(np.where(fine.mask, image, 0)).sum(axis=(1, 3), dtype=np.float64)
@@ -144,16 +143,16 @@ class _Centre:
 
 
 Sampling = LightSampler | _Centre
-"""Chooses the points of a light that shadow rays go to."""
+"""Chooses the points of a light that shadow rays are aimed at."""
 
 
 def sampling_of(light: AbstractLight, samples: int, sampler: str, seed: int) -> Sampling:
-    """`samples` points a pixel, or the centre alone of a light without size."""
+    """`samples` points per pixel, or only the centre for a light without size."""
     return LightSampler(light.domain, samples, sampler, seed) if light.has_size else _Centre()
 
 
 class Job:
-    """One image being traced; images are kept as flat lists of pixels. No shadow rays where `sampling` is `None`."""
+    """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced."""
 
     def __init__(
         self,
@@ -174,7 +173,7 @@ class Job:
         self.standard_error = np.zeros(self.size, dtype=np.float32)
 
     def run(self, progress: Callable[[float], None] | None) -> None:
-        """Traces all pixels, batch by batch, on all cores; the tracer and NumPy run outside the interpreter lock."""
+        """Traces all pixels in batches on all cores; the tracer and NumPy release the interpreter lock."""
         step = max(1, BATCH // (self.sampling.samples if self.sampling else 1))
         starts = range(0, self.size, step)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -185,7 +184,7 @@ class Job:
                     if progress is not None:
                         progress(done / len(batches))
             finally:
-                # An error, or an interrupt, must not wait for batches that have not begun.
+                # After an error or an interrupt, do not wait for batches that have not started.
                 pool.shutdown(wait=True, cancel_futures=True)
 
     def reference(self, samples: int, visibility: Float32[HostArray, "n"]) -> Reference:
@@ -205,14 +204,14 @@ class Job:
         )
 
     def hits(self, first: int, count: int) -> tuple[Int[HostArray, "n"], Hits]:
-        """Which of the pixels from `first` on meet a surface, counted from there, and where."""
+        """Which of the `count` pixels from `first` on hit a surface, as indices from `first`, and the hits."""
         rays = self.rays.pixels(first, count)
         face = self.tracer.closest(rays)
         seen = np.flatnonzero(face >= 0)
         return seen, hits_on_planes(Rays(*(x[seen] for x in rays)), face[seen], self.triangles)
 
     def _trace(self, first: int, count: int) -> None:
-        """Finds the surfaces of a batch of pixels and, where asked, how much of the light they see."""
+        """Finds the surfaces of a batch of pixels and, unless `sampling` is `None`, their visibility."""
         seen, hits = self.hits(first, count)
         if not len(seen):
             return
@@ -230,11 +229,11 @@ class Job:
     def shadowed(
         self, hits: Hits, samples: Float32[HostArray, "n s 2"], occluders: AbstractTracer
     ) -> tuple[Bool[HostArray, "n s"], Bool[HostArray, "n s"]]:
-        """Which of `samples` (n, s, 2) of the light lie above the horizon of each of `hits`, (n, s), and to which of
-        these `occluders` bar the way, (n, s)."""
+        """Which of the light's `samples` (n, s, 2) lie above the horizon of each of `hits`, (n, s), and which of these
+        are hidden by `occluders`, (n, s)."""
         start = self.tracer.start(hits)
         direction, height = self.lamp.vectors(start, hits.normal, samples.astype(self.tracer.dtype, copy=False))
-        # What lies below the horizon is dark: no ray needed.
+        # Samples below the horizon are dark and need no ray.
         above = height > 0
         if above.all():
             which, direction = np.repeat(np.arange(len(above)), above.shape[1]), direction.reshape(-1, 3)
@@ -246,7 +245,7 @@ class Job:
         return above, hidden
 
     def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, "n"] | float:
-        """From the two halves of the samples: var(mean) = (difference of halves)² · n₁ n₂ / (n₁ + n₂)²."""
+        """Estimated from the two halves of the samples: var(mean) = (difference of halves)² · n₁ n₂ / (n₁ + n₂)²."""
         samples = lit.shape[1]
         if samples == 1:
             return 0.5 if self.lamp.has_size else 0.0
@@ -256,7 +255,7 @@ class Job:
 
 
 def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
-    """Says where the camera looks, where the scene is, and how to bring them together."""
+    """The message that the camera misses the scene: where each of them is, and how to mend it."""
     world = triangles.to_world(triangles.corners).reshape(-1, 3)
     low, high = world.min(axis=0), world.max(axis=0)
     view, camera = rays.view, scene.camera
@@ -268,13 +267,13 @@ def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
         remedy = (
             "turn the camera round"
             if distance.max() < 0
-            else "set near and far so that they enclose the scene, or move the camera"
+            else "set near and far to enclose the scene, or move the camera"
         )
     else:
         remedy = f"point its target at the scene, whose middle is {brief((low + high) / 2)}, or widen its view"
     return (
-        f"the camera at {brief(camera.eye)}, which looks to {brief(camera.target)}, sees no surface: it sees "
-        f"distances {near:.4g} to {far:.4g} along its axis, and the scene spans {brief(low)} to {brief(high)}, "
+        f"the camera at {brief(camera.eye)}, looking at {brief(camera.target)}, sees no surface: its near and far are "
+        f"{near:.4g} and {far:.4g}, and the scene spans {brief(low)} to {brief(high)}, "
         f"at distances {distance.min():.4g} to {distance.max():.4g}; expected a surface at one or more of its "
         f"{rays.height * rays.width} pixel centres: {remedy}"
     )

@@ -1,4 +1,4 @@
-"""How every figure and page looks: one set of colours, sizes and frames. Matplotlib's own settings are left alone."""
+"""The style of all figures and pages: colours, sizes and frames. Matplotlib's global settings are not changed."""
 
 import contextlib
 import io
@@ -23,11 +23,11 @@ from ..config import printable
 
 INK, FAINT, GRID, BAND, PAPER = "#22272e", "#8b949e", "#e3e7ec", "#f1f4f8", "#ffffff"
 NO_SURFACE = "#d5dce4"
-"""Where a picture has nothing to show."""
-# Okabe & Ito, "Color universal design", 2008: told apart by all kinds of colour vision.
+"""The colour of pixels without a surface."""
+# Okabe & Ito, "Color universal design", 2008: distinguishable with all kinds of colour vision.
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""The colours of curves that are compared. Their dashes differ too: see `dashes`."""
+"""The colours of curves. Further curves repeat the colours with other dashes: see `dashes`."""
 THEME = {
     "ink": (INK, "#e3e7ec"),
     "faint": (FAINT, "#7d8794"),
@@ -44,57 +44,57 @@ THEME = {
     "line": ("#d9dfe6", "#333c47"),
     "muted": ("#5b6570", "#9aa4af"),
 }
-"""The colours of a page and of the curves in it, by name: on light paper, and in the dark."""
+"""The colours of a page and of the curves in it, by name: for the light and the dark theme."""
 MARKERS = ("o", "s", "D", "^", "v", "P")
 DIFFERENCE = "PuOr"
-"""Diverging and safe for the colour-blind: orange too dark, purple too light."""
+"""A diverging colour map that is safe for the colour-blind: orange is too dark, purple too light."""
 DISTANCE = "cividis_r"
 DPI = 150
 FORMATS = ("png", "svg", "pdf")
-"""What figures can be written as; text stays text in the latter two."""
+"""The formats of figures. Text stays text in SVG and PDF."""
 TITLE, TEXT = 10, 8.5
-# Embeds TrueType fonts in PDF, for many publishers refuse Type 3; makes names in SVG that are alike in every run.
+# Embeds TrueType fonts in PDF, since many publishers reject Type 3, and makes ids in SVG the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
-    """A figure of `width` by `height` inches, and its axes row by row."""
+    """A figure of `width` by `height` inches, and its axes in row-major order."""
     made = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor=PAPER)
     FigureCanvasAgg(made)
     return made, list(made.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
 def title(axes: Axes, text: str, below: str = "") -> None:
-    """A title, and a line of numbers under the axes."""
+    """Sets the title, and a line of text under the axes."""
     axes.set_title(printable(text), fontsize=TITLE, color=INK, loc="left", parse_math=False)
     if below:
         axes.set_xlabel(printable(below), fontsize=TEXT, color=INK, loc="left", parse_math=False)
 
 
 def heading(axes: Axes, words: str, above: int) -> None:
-    """The title of one chart among several, as many points `above` it."""
+    """Sets the title of one chart among several, `above` points over it."""
     axes.set_title(printable(words), fontsize=TEXT, color=INK, loc="left", pad=above, parse_math=False)
 
 
 def text(axes: Axes, x: float, words: str) -> None:
-    """Words above a chart, over its `x`."""
+    """Writes words above a chart, centred at `x`."""
     place = axes.get_xaxis_transform()
     look = {"fontsize": TEXT, "color": INK, "parse_math": False}
     axes.text(x, 1.01, printable(words), transform=place, ha="center", va="bottom", **look)
 
 
 def label(words: str) -> str:
-    """The label of a curve, whatever its words. Matplotlib leaves those that begin with `_` out of legends."""
+    """The label of a curve. Matplotlib omits labels that begin with `_` from legends, so these get a leading space."""
     return f" {printable(words)}" if words.startswith("_") else printable(words)
 
 
 def ticks(axes: Axes, words: Sequence[str]) -> None:
-    """Words along the x-axis, at 0, 1 and so on."""
+    """Writes words along the x-axis, at 0, 1 and so on."""
     axes.set_xticks(range(len(words)), [printable(word) for word in words], parse_math=False)
 
 
 def picture(axes: Axes, image: Any, **options: Any) -> Any:
-    """`image` with row 0 at the bottom, pixel by pixel, without ticks."""
+    """Draws `image` with row 0 at the bottom, without interpolation and ticks."""
     axes.set_xticks([])
     axes.set_yticks([])
     frame(axes)
@@ -102,7 +102,7 @@ def picture(axes: Axes, image: Any, **options: Any) -> Any:
 
 
 def chart(axes: Axes, x: str, y: str) -> None:
-    """Axes for curves, with what is along them and its unit."""
+    """Prepares axes for curves, with labels `x` and `y`."""
     axes.set_facecolor(PAPER)
     axes.set_xlabel(printable(x), fontsize=TEXT, color=INK, parse_math=False)
     axes.set_ylabel(printable(y), fontsize=TEXT, color=INK, parse_math=False)
@@ -115,7 +115,7 @@ def chart(axes: Axes, x: str, y: str) -> None:
 
 
 def frame(axes: Axes) -> None:
-    """A thin frame all round, for pictures."""
+    """Draws a thin frame round a picture."""
     for spine in axes.spines.values():
         spine.set_visible(True)
         spine.set_color(FAINT)
@@ -123,7 +123,7 @@ def frame(axes: Axes) -> None:
 
 
 def log_scale(axes: Axes) -> None:
-    """A logarithmic y-axis whose ticks are plain numbers, also within one decade."""
+    """Makes the y-axis logarithmic, with plain numbers as ticks, even within one decade."""
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -131,7 +131,7 @@ def log_scale(axes: Axes) -> None:
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """A legend without a frame."""
+    """Adds a legend without a frame."""
     made = axes.legend(fontsize=TEXT, labelcolor=INK, frameon=False, **options)
     made.get_title().set_color(INK)
     for words in (made.get_title(), *made.get_texts()):
@@ -139,18 +139,18 @@ def legend(axes: Axes, **options: Any) -> None:
 
 
 def dashes(index: int) -> str:
-    """The dashes of the curve at `index`; they change where `CYCLE` begins anew."""
+    """The dashes of the curve at `index`; they change each time `CYCLE` repeats."""
     return ("-", "--", ":", "-.")[index // len(CYCLE) % 4]
 
 
 def curve(index: int) -> dict[str, Any]:
-    """What tells the curve at `index` from others, for `Axes.plot`: colour, marker and dashes."""
+    """Colour, marker and dashes of the curve at `index`, as arguments of `Axes.plot`."""
     colour, marker = CYCLE[index % len(CYCLE)], MARKERS[index % len(MARKERS)]
     return {"color": colour, "marker": marker, "linestyle": dashes(index), "markersize": 4, "linewidth": 1.3}
 
 
 def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
-    """A colour bar beside `axes`."""
+    """Adds a colour bar beside `axes`."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
     bar.set_label(label, fontsize=TEXT, color=INK)
     bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")
@@ -160,9 +160,9 @@ def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **optio
 
 
 def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
-    """Writes `figure` in the format of the suffix, without a date, so that equal figures are equal files.
+    """Writes `figure` in the format of the suffix, without a date, so that equal figures give equal files.
 
-    `dpi` is pixels an inch; in SVG and PDF it concerns only the pictures inside.
+    `dpi` is in pixels per inch; in SVG and PDF it applies to embedded images only.
     """
     form = path.suffix.removeprefix(".")
     undated = {"png": {"Software": "diffshadow"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
@@ -172,14 +172,14 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
 
 @contextlib.contextmanager
 def _without_glyphs() -> Iterator[None]:
-    """Draws boxes for letters that Matplotlib's own font lacks, and says nothing of it."""
+    """Silences warnings about characters that Matplotlib's font lacks; these are drawn as boxes."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph .* missing from font")
         yield
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """A figure of curves as an `<svg>` for a page, whose colours follow the page's theme; `name` is unique there."""
+    """A figure as an `<svg>` for a page, with colours that follow the page's theme. `name` is unique on the page."""
     out = io.StringIO()
     with rc_context({**_VECTOR, "svg.hashsalt": name}), _without_glyphs():
         figure.savefig(out, format="svg", metadata={"Date": None})
@@ -187,9 +187,9 @@ def inline_svg(figure: Figure, name: str) -> str:
 
 
 def themed(svg: str) -> str:
-    """The text of Matplotlib's SVG file as an `<svg>` for a page, whose colours follow the page's theme."""
+    """The text of Matplotlib's SVG file as an `<svg>` for a page, with colours that follow the page's theme."""
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    # Matplotlib numbers its parts from 1 in each figure; only what is referred to needs a name.
+    # Matplotlib numbers ids from 1 in each figure; keep only those that are referred to.
     svg = re.sub(r' id="([^"]*)"', lambda found: found[0] if f"#{found[1]}" in svg else "", svg)
     for name, (colour, _) in THEME.items():
         svg = svg.replace(colour, f"var(--{name})")
@@ -197,9 +197,9 @@ def themed(svg: str) -> str:
 
 
 def png(image: HostArray, colours: str = "gray", low: float = 0.0, high: float = 1.0) -> bytes:
-    """`image`, (h, w) in `colours` from `low` to `high` or (h, w, 3), as a PNG of one pixel for each.
+    """Encodes `image`, (h, w) in `colours` from `low` to `high` or (h, w, 3), as a PNG with one pixel per pixel.
 
-    Not-a-numbers are where nothing is to be seen.
+    NaN pixels get the colour `NO_SURFACE`.
     """
     out = io.BytesIO()
     colour_map = colormaps[colours].with_extremes(bad=NO_SURFACE)
@@ -209,6 +209,6 @@ def png(image: HostArray, colours: str = "gray", low: float = 0.0, high: float =
 
 
 def gradient(colours: str) -> str:
-    """`colours` from left to right, in CSS."""
+    """A CSS gradient of `colours` from left to right."""
     stops = ", ".join(to_hex(colour) for colour in colormaps[colours](np.linspace(0, 1, 9)))
     return f"linear-gradient(to right, {stops})"

@@ -169,17 +169,17 @@ FILTER_TYPES = "nearest, bilinear, four_tap, pcf, tent, castano, random_disk, pc
 BROKEN = {
     "misspelt key": (
         "filter:\n  radius: 2\n  sampels: 64\n",
-        "4: filter.sampels: is no key of filter (type: random_disk); expected type, pattern, samples, pattern_size, "
+        "4: filter.sampels: is not a key of filter (type: random_disk); expected type, pattern, samples, pattern_size, "
         "rotated, radius, lookup or early_out; did you mean 'samples'?",
     ),
     "key of another section": (
         "camera: {fov_y: 30}\n",
-        "2: camera: is no key of the top level; expected name, seed, scene, technique, shadow_map, bias, compare, "
+        "2: camera: is not a key of the top level; expected name, seed, scene, technique, shadow_map, bias, compare, "
         "filter, shading, reference, fit, sweep or output; did you mean 'scene.camera'?",
     ),
     "key of another variant": (
         "filter:\n  type: pcf\n  samples: 32\n",
-        "4: filter.samples: is no key of filter (type: pcf); expected type or radius; "
+        "4: filter.samples: is not a key of filter (type: pcf); expected type or radius; "
         "remove it, or set filter.type to random_disk or pcss",
     ),
     "misspelt type": (
@@ -202,7 +202,7 @@ BROKEN = {
     "number in quotes": (
         "bias: {slope: '1e-3'}\n",
         "2: bias.slope: is '1e-3'; expected a number at least 0 and at most 8192, in texels; "
-        "write it without quotes, with a point for decimals and no other signs between the digits",
+        "write it without quotes, with a decimal point and no other characters between the digits",
     ),
     "boolean for a number": (
         "seed: true\n",
@@ -236,7 +236,7 @@ BROKEN = {
     ),
     "empty section": (
         "compare:\n",
-        "2: compare: is empty; expected a section with the keys type, operator; remove the key to have its default",
+        "2: compare: is empty; expected a section with the keys type, operator; remove the key to get its default",
     ),
     "text for a section": (
         "filter: pcf\n",
@@ -255,7 +255,7 @@ BROKEN = {
     ),
     "key of another filter": (
         "filter: {type: vsm, exponent: 40}\n",
-        "2: filter.exponent: is no key of filter (type: vsm); expected type, radius, kernel, light_bleeding or "
+        "2: filter.exponent: is not a key of filter (type: vsm); expected type, radius, kernel, light_bleeding or "
         "least_variance; remove it, or set filter.type to esm",
     ),
     "size of no kernel": (
@@ -284,13 +284,13 @@ BROKEN = {
     ),
     "method of another technique": (
         "technique: {method: z_fail}\n",
-        "2: technique.method: is no key of technique (type: shadow_map); expected type; "
+        "2: technique.method: is not a key of technique (type: shadow_map); expected type; "
         "remove it, or set technique.type to shadow_volumes",
     ),
     "projection without a receiver": (
         "technique:\n  type: projective_texture\n",
-        "3: technique.type: projects shadows on meshes that cast none, and all of scene.meshes cast; expected one that "
-        "does not; set casts: false for those that receive",
+        "3: technique.type: projects shadows onto meshes that do not cast, and all of scene.meshes cast; expected a "
+        "mesh that does not cast; set casts: false for the receivers",
     ),
     "silhouettes of back faces": (
         "shadow_map: {silhouettes: true, cull: front}\n",
@@ -313,7 +313,7 @@ BROKEN = {
     ),
     "number that is not set": (
         "fit: {parameters: {bias.slope_most: {lower: 0, upper: 1}}}\n",
-        "2: fit.parameters.bias.slope_most: has no value to start from, for bias.slope_most is not set; "
+        "2: fit.parameters.bias.slope_most: has no start, since bias.slope_most is not set; "
         "expected an initial value within the bounds; add initial, or set bias.slope_most",
     ),
     "bounds beyond what a key may be": (
@@ -379,7 +379,7 @@ BROKEN = {
     "tag": ("output: !path x\n", "2: output: has the tag '!path'; expected plain data; remove the tag"),
     "endless number": (
         f"seed: {'9' * 50}\n",
-        "2: seed: is an integer of 50 digits; expected a smaller one; check the number",
+        "2: seed: is an integer of 50 digits; expected fewer digits; check the number",
     ),
 }
 
@@ -443,11 +443,11 @@ SCENES = {
     ),
     "light that is null": (
         "  meshes: [path: 'builtin:box']\n  light:\n",
-        "3: scene.light: is empty; expected a light; remove the key to have its default",
+        "3: scene.light: is empty; expected a light; remove the key to get its default",
     ),
     "fault of one of several lights": (
         "  meshes: [path: 'builtin:box']\n  lights:\n    - type: point\n    - {type: spot, radios: 1}\n",
-        "5: scene.lights.1.radios: is no key of scene.lights.1 (type: spot); expected type, orbit, position, near, "
+        "5: scene.lights.1.radios: is not a key of scene.lights.1 (type: spot); expected type, orbit, position, near, "
         "far, target, outer_angle, inner_angle or radius; did you mean 'radius'?",
     ),
     "cone wider inside than outside": (
@@ -462,7 +462,7 @@ SCENES = {
     ),
     "nothing that casts": (
         "  meshes: [{path: 'builtin:box', casts: false}]\n",
-        "2: scene.meshes: hold nothing that casts a shadow; expected at least one mesh that casts; "
+        "2: scene.meshes: hold no mesh that casts a shadow; expected at least one mesh that casts; "
         "remove casts from one of them",
     ),
     "orbit and position": (
@@ -555,7 +555,7 @@ seed: 3
         ("a: 1\n\tb: 2\n", "2: is not YAML: found character '\\t' that cannot start any token (column 1); indent"),
         ("a: b: c\n", "1: is not YAML: mapping values are not allowed here (column 5); check the indentation"),
         ("a: 'x\n", "2: is not YAML: found unexpected end of stream (column 1); close the quotes"),
-        ("a: 1\n---\nb: 2\n", "2: is not YAML: but found another document (column 1); keep one document a file"),
+        ("a: 1\n---\nb: 2\n", "2: is not YAML: but found another document (column 1); keep one document per file"),
         ("a: *x\n", "1: is not YAML: found undefined alias 'x' (column 4); quote text that begins with '*'"),
         ("a: 1\nb: \x07\n", "2: holds the character U+0007; expected printable text; remove it"),
         ("[" * 5000, "1: sections or lists are nested hundreds deep; expected a handful of levels"),
@@ -603,25 +603,31 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("filter.sampels=64", "filter.sampels: is no key of filter (type: random_disk)"),
+        ("filter.sampels=64", "filter.sampels: is not a key of filter (type: random_disk)"),
         ("filter.type=pcf4", "filter.type: is 'pcf4'"),
         ("bias.slope=-1", "bias.slope: is -1"),
-        ("bias.slope", "is no KEY=VALUE; expected a dotted key; write it like filter.radius=2"),
+        ("bias.slope", "is no KEY=VALUE; expected a dotted key; write filter.radius=2"),
         ("=3", "is no KEY=VALUE"),
         ("bias..slope=3", "is no KEY=VALUE"),
         ("bias.slope=[1", "is not YAML: expected ',' or ']', but got the end; close the list with ']'"),
         ("bias={slope: 1, slope: 2}", "bias.slope: is given twice"),
-        ("seed.x=3", "seed.x: leads into seed, which is 0; expected a section; set seed as a whole"),
+        ("seed.x=3", "seed.x: is inside seed, which is 0; expected a section; set seed as a whole"),
         ("scene.meshes.7.size=3", "scene.meshes.7: index 7 is out of range: the list scene.meshes has 2 entries"),
-        ("scene.meshes.one.size=3", "scene.meshes.one: 'one' is no index of the list scene.meshes; expected a number"),
-        ("scene.meshes.-1.size=3", "scene.meshes.-1: '-1' is no index of the list scene.meshes"),
+        (
+            "scene.meshes.one.size=3",
+            "scene.meshes.one: 'one' is not an index of the list scene.meshes; expected a number",
+        ),
+        ("scene.meshes.-1.size=3", "scene.meshes.-1: '-1' is not an index of the list scene.meshes"),
         ("scene.camera.resolution.2=3", "scene.camera.resolution.2: index 2 is out of range"),
         ("scene.meshes.0.path=no.obj", "scene.meshes.0.path: there is no file"),
         ("fit.parameters.bias.slpe.upper=3", "fit.parameters.bias.slpe: cannot be fitted"),
-        ("fit.parameters.bias.slope.uper=3", "fit.parameters.bias.slope.uper: is no key of fit.parameters.bias.slope"),
+        (
+            "fit.parameters.bias.slope.uper=3",
+            "fit.parameters.bias.slope.uper: is not a key of fit.parameters.bias.slope",
+        ),
         (
             "fit.parameters.scene.light.azimuth.uper=3",
-            "fit.parameters.scene.light.azimuth.uper: is no key of fit.parameters.scene.light.azimuth; "
+            "fit.parameters.scene.light.azimuth.uper: is not a key of fit.parameters.scene.light.azimuth; "
             "expected initial, lower or upper; did you mean 'upper'?",
         ),
         ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights; give it a value"),
@@ -686,15 +692,15 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
     [
         (
             "filter:\n  type: pcf\n  radius: 50\n",
-            "4: filter.radius: lets the filter read 50 texels away, across a face's edge of a point light's map; "
+            "4: filter.radius: lets the filter read 50 texels away, beyond the edge of a face of a point light's map; "
             "expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
             "raise shadow_map.resolution, or lower filter.radius",
         ),
         (
             "filter: {type: vsm, radius: 2}\nbias: {normal_offset: 45}\n",
-            "3: bias.normal_offset: lets the filter read 47.5 texels away, across a face's edge of a point light's "
-            "map; expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
-            "raise shadow_map.resolution, or lower bias.normal_offset",
+            "3: bias.normal_offset: lets the filter read 47.5 texels away, beyond the edge of a face of a point "
+            "light's map; expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise "
+            "scene.light.guard to 0.11, raise shadow_map.resolution, or lower bias.normal_offset",
         ),
         (
             "fit: {parameters: {filter.radius: {lower: 0, upper: 60}}}\n",
@@ -781,8 +787,8 @@ TOO_MUCH = {
     "filter={samples: 4096, pattern_size: 256}": ("filter.samples", "at most 1,048,576"),
     "scene.meshes.0.translate=[1e39, 0, 0]": ("scene.meshes.0.translate.0", "at most 1e+09, in world units"),
     "scene.meshes.0.size=1e-30": ("scene.meshes.0.size", "at least 1e-06"),
-    "shading.shininess=1e-39": ("shading.shininess", "a number of a size from 1.2e-38 to 3.4e+38"),
-    "scene.meshes.0.options={size: 1e39}": ("scene.meshes.0.options.size", "a number of a size from"),
+    "shading.shininess=1e-39": ("shading.shininess", "a magnitude from 1.2e-38 to 3.4e+38"),
+    "scene.meshes.0.options={size: 1e39}": ("scene.meshes.0.options.size", "a magnitude from"),
     "scene.light={direction: [1e-12, 0, 0]}": ("scene.light.direction", "a vector at least 1e-09 long"),
     "scene.camera.fov_y=1e-30": ("scene.camera.fov_y", "at least 0.01"),
     "scene.camera.resolution=[8192, 8192]": ("scene.camera.resolution", "at most 16,777,216"),
@@ -790,8 +796,8 @@ TOO_MUCH = {
     "reference.supersampling=8": ("reference.supersampling", "at most 67,108,864"),
     "reference.samples=65536": ("reference.samples", "at most 68,719,476,736"),
     "fit.solver.max_steps=1000000000": ("fit.solver.max_steps", "at most 100000"),
-    "seed=0x1" + "0" * 400: ("seed", "expected a smaller one"),
-    "bias.constant=0x1" + "0" * 400: ("bias.constant", "expected a smaller one"),
+    "seed=0x1" + "0" * 400: ("seed", "expected fewer digits"),
+    "bias.constant=0x1" + "0" * 400: ("bias.constant", "expected fewer digits"),
 }
 # Just within the limits by itself.
 AT_THE_LIMITS = "scene: {meshes: [path: builtin:box], camera: {resolution: [2048, 2048]}, light: {}}\n"
@@ -854,13 +860,13 @@ def test_parameters_that_are_no_section_are_reported_beside_levels(parameters):
 
 
 def test_half_a_character_is_told():
-    assert "file.yaml:2: output: is '\\ud800', with half a character" in str(caught(f'{TINY}output: "\\ud800"\n'))
+    assert "file.yaml:2: output: is '\\ud800', with an invalid character" in str(caught(f'{TINY}output: "\\ud800"\n'))
 
 
 @pytest.mark.parametrize("override", ["\ud800=1", "scene.\udcff.path=x"])
 def test_half_a_character_in_the_key_of_an_override_is_reported(override):
     (problem,) = caught(TINY, override).problems
-    assert "has half a character in its key; expected whole ones" in str(problem)
+    assert "has an invalid character in its key; expected UTF-8 text" in str(problem)
 
 
 def test_folder_whose_name_is_no_text_is_told(tmp_path):
@@ -873,7 +879,7 @@ def test_folder_whose_name_is_no_text_is_told(tmp_path):
 
 
 def test_empty_key_has_a_name():
-    assert fault(f"{TINY}'': 1\n").startswith("file.yaml:2: '': is no key of the top level")
+    assert fault(f"{TINY}'': 1\n").startswith("file.yaml:2: '': is not a key of the top level")
 
 
 @pytest.mark.parametrize("name", ["a" * 201, "é" * 101])
@@ -897,7 +903,7 @@ def test_home_is_the_present_user_s_alone(tmp_path, monkeypatch):
     }.items():
         said = fault(text)
         assert said.startswith(f"file.yaml:{key}: is '~")
-        assert "which begins with the home folder of another user; expected a path, in which ~/ is the present" in said
+        assert "which begins with the home folder of another user; expected a path, in which ~/ is the current" in said
 
 
 def test_path_that_cannot_be_looked_up_is_told():
@@ -909,8 +915,8 @@ def test_path_that_cannot_be_looked_up_is_told():
 def test_a_light_that_is_fitted_frames_the_scene():
     scene = "scene: {meshes: [{path: builtin:box}], light: {frame: casters}}\n"
     assert fault(f"{scene}fit: {{parameters: {{scene.light.azimuth: {{lower: 0, upper: 90}}}}}}\n") == (
-        "file.yaml:1: scene.light.frame: is casters in a fit of lights or meshes, whose shadows may leave what they "
-        "cast at the start; expected scene; remove it"
+        "file.yaml:1: scene.light.frame: is casters in a fit of lights or meshes, whose shadows may move outside "
+        "the initial frame; expected scene; remove it"
     )
     assert parse_config(scene, source="file.yaml").scene.light.frame == "casters"
 
@@ -926,7 +932,7 @@ def test_one_image_is_no_reference_for_several_lights(tmp_path):
     (tmp_path / "truth.npy").touch()
     text = "scene: {meshes: [{path: 'builtin:box'}], lights: [{type: spot}, {}]}\n"
     said = fault(f"{text}reference: {{type: image, path: {tmp_path / 'truth.npy'}}}")
-    assert "reference.type: is one image, for 2 lights; expected one light, or a traced reference" in said
+    assert "reference.type: is a single image, for 2 lights; expected one light, or a traced reference" in said
 
 
 def test_lights_are_one_or_several():

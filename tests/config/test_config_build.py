@@ -206,7 +206,7 @@ def test_render_takes_no_number_from_the_section_fit():
     assert build_technique(config, fitting=False).bias.slope.most is None
     without = parse_config(text.replace("initial: 3, ", ""))
     assert build_technique(without, fitting=False).bias.slope.most is None
-    with pytest.raises(ConfigError, match="has no value to start from"):
+    with pytest.raises(ConfigError, match="has no start"):
         build_fit(without)
 
 

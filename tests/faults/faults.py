@@ -1572,8 +1572,8 @@ _IO = (
     _fault(
         "archives: an array's length is not checked",
         "io/_arrays.py",
-        "        if size != there:",
-        "        if size > 2 * there:",
+        "        if size != actual:",
+        "        if size > 2 * actual:",
         "test_damaged_runs.py",
     ),
 )
@@ -1723,8 +1723,8 @@ _CONFIG = (
     _fault(
         "sweep: logarithmic axes are even",
         "config/reading/_sweep_choices.py",
-        "axis.lower * (axis.upper / axis.lower) ** share",
-        "axis.lower + (axis.upper - axis.lower) * share",
+        "axis.lower * (axis.upper / axis.lower) ** fraction",
+        "axis.lower + (axis.upper - axis.lower) * fraction",
         "test_sweep.py",
     ),
     _fault(

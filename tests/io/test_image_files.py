@@ -112,7 +112,7 @@ def test_missing_and_damaged_images_are_refused(suffix, tmp_path, capfd):
     with pytest.raises(FileError, match=rf"did you mean 'reference\{suffix}'"):
         read_visibility(tmp_path / f"refrence{suffix}")
     (tmp_path / f"bad{suffix}").write_bytes(b"garbage")
-    with pytest.raises(FileError, match=rf"bad\{suffix} is damaged or not of the format"):
+    with pytest.raises(FileError, match=rf"bad\{suffix} is damaged or does not have the format"):
         read_visibility(tmp_path / f"bad{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
     with pytest.raises(FileError, match="is a folder"):
@@ -145,7 +145,7 @@ def test_files_of_another_kind_than_their_suffix_says_are_named_for_what_they_ar
         else:
             (tmp_path / f"b{kind}").write_bytes(iio.imwrite("<bytes>", levels, extension=kind, plugin="pillow"))
         path.write_bytes((tmp_path / f"b{kind}").read_bytes())
-        with pytest.raises(FileError, match=rf"its suffix says \(it is a {kind} file\); write it again$"):
+        with pytest.raises(FileError, match=rf"its suffix \(it is a {kind} file\); write it again$"):
             read_visibility(path)
     path.write_text("words\n" * 20)
     with pytest.raises(FileError, match=rf"\(it does not begin as a {suffix} file\); write it again$"):
@@ -174,8 +174,8 @@ def _with_npy_size(whole, rows, columns):
 @pytest.mark.parametrize(
     ("suffix", "change", "message"),
     [
-        (".png", _with_png_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in all"),
-        (".exr", _with_exr_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in all"),
+        (".png", _with_png_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in total"),
+        (".exr", _with_exr_size, r"has 90000 x 80000 pixels; expected 1 to 67,108,864 in total"),
         (".npy", _with_npy_size, r"has 48 bytes of numbers; expected the 28800000000 of its shape \(90000, 80000\)"),
     ],
 )
@@ -325,10 +325,10 @@ def test_check_writable_accepts_old_and_new_folders_and_leaves_nothing(tmp_path,
 def test_check_writable_names_a_file_in_the_way(tmp_path):
     (tmp_path / "runs").write_text("")
     for folder in (tmp_path / "runs", tmp_path / "runs" / "first" / "second"):
-        with pytest.raises(FileError, match=rf"{tmp_path}/runs is in the way and is no folder"):
+        with pytest.raises(FileError, match=rf"{tmp_path}/runs exists and is not a folder"):
             check_writable(folder)
     (tmp_path / "link").symlink_to(tmp_path / "gone")
-    with pytest.raises(FileError, match="link is in the way"):
+    with pytest.raises(FileError, match="link exists and is not a folder"):
         check_writable(tmp_path / "link" / "run")
 
 
@@ -397,7 +397,7 @@ def test_keys_of_unknown_content_are_refused(part):
 
 
 @pytest.mark.parametrize("damage", ["empty", "garbage", "truncated", "flipped"])
-def test_a_damaged_entry_is_computed_anew(damage, tmp_path):
+def test_a_damaged_entry_is_recomputed(damage, tmp_path):
     compute = Counted(a=np.arange(1000.0))
     cached_arrays("key", compute, tmp_path)
     (entry,) = tmp_path.iterdir()

@@ -190,7 +190,7 @@ POINTS_PLY = (
         ("empty.stl", "", "no triangles|is damaged"),
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "2 points but no triangles"),
         ("points.ply", POINTS_PLY, "2 points but no triangles"),
-        ("line.obj", "v 0 0 0\nv 1 0 0\nf 1 2 2\n", "every triangle of .*two corners in one place"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nf 1 2 2\n", "every triangle of .*two corners at the same position"),
         ("none.gltf", json.dumps({"asset": {"version": "2.0"}}), "no triangles"),
     ],
 )

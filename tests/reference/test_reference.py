@@ -510,7 +510,7 @@ def test_camera_that_sees_nothing_says_where_the_scene_is():
 
 def test_scene_without_extent_is_refused():
     point = flat([[1, 2, 3]] * 3, [[0, 1, 2]])
-    with pytest.raises(ValueError, match=r"one point \[1.0, 2.0, 3.0\]"):
+    with pytest.raises(ValueError, match=r"single point \[1.0, 2.0, 3.0\]"):
         trace_visibility(Scene(point, from_above(), sun()))
 
 

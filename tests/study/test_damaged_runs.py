@@ -134,7 +134,11 @@ def test_parts_of_a_result_that_disagree_are_told(runs, told, tmp_path):
     good = json.loads((folder / "result.json").read_text())
     for path, new, said in (
         (("solver", "chosen_phase"), 2, "solver.chosen_phase: is 2; expected less than 2, the number of phases"),
-        (("initial",), {"bias.constant": 1.0}, "initial: names bias.constant; expected bias.constant, filter.radius"),
+        (
+            ("initial",),
+            {"bias.constant": 1.0},
+            "initial: has the keys bias.constant; expected those of fitted, bias.constant, filter.radius",
+        ),
         (
             ("bounds", "filter.radius", "upper"),
             0.0,
@@ -183,7 +187,10 @@ HARMS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "dimensions": (archive(lambda a: a.update(after=a["after"][None])), "has the shape 1 × 24 × 32; expected 24 × 32"),
     "history": (archive(lambda a: a.update(history_loss=a["history_loss"][1:])), "the arrays differ in length"),
     "columns": (archive(lambda a: a.update(history_values=a["history_values"][:, 1:])), "12 × 1; expected n × 2"),
-    "phase": (archive(lambda a: a["history_phase"].fill(2)), "names phases beyond the 2 of result.json"),
+    "phase": (
+        archive(lambda a: a["history_phase"].fill(2)),
+        "has phases that result.json does not list; expected 0 to 1",
+    ),
     "empty": (archive(lambda a: a.update({k: v[:0] for k, v in a.items() if "history" in k})), "expected n"),
     "text": (archive(lambda a: a.update(after=a["after"].astype("U"))), "holds <U32; expected real numbers of 32 bits"),
     "complex": (archive(lambda a: a.update(after=a["after"] + 1j)), "the array after holds complex64"),
@@ -202,8 +209,8 @@ HARMS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "format": (member("after", header((24, 32), magic=b"\x93NUMPY\x09\x00")), "of NumPy's format (9, 0)"),
     "no header": (member("after", b"nonsense"), "the magic string is not correct"),
     "cut": (lambda f: os.truncate(f / "arrays.npz", 5000), "is damaged (File is not a zip file)"),
-    "folder": (lambda f: ((f / "arrays.npz").unlink(), (f / "arrays.npz").mkdir()), "holds only a part of a run"),
-    "pipe": (lambda f: ((f / "arrays.npz").unlink(), os.mkfifo(f / "arrays.npz")), "holds only a part of a run"),
+    "folder": (lambda f: ((f / "arrays.npz").unlink(), (f / "arrays.npz").mkdir()), "holds an incomplete run"),
+    "pipe": (lambda f: ((f / "arrays.npz").unlink(), os.mkfifo(f / "arrays.npz")), "holds an incomplete run"),
 }
 
 
@@ -363,11 +370,11 @@ def test_run_that_is_not_unicode_is_named_all_the_same(counted, told, monkeypatc
         (lambda t: t.drop_columns("status"), "has no column status"),
         (lambda t: t.drop_columns("filter.radius"), "has no column filter.radius"),
         (lambda t: t.set_column(1, "id", pa.array(range(6))), "its column id holds int64; expected text"),
-        (lambda t: t.set_column(1, "id", pa.array(["../../etc"] * 6)), "something else than identifiers"),
+        (lambda t: t.set_column(1, "id", pa.array(["../../etc"] * 6)), "not identifiers"),
         (lambda t: t.set_column(6, "rmse", pa.array(list("abcdef"))), "its column rmse holds string; expected numbers"),
         (lambda t: t.set_column(6, "rmse", pa.array([[1.0]] * 6)), "its column rmse holds list"),
         (lambda t: t.set_column(6, "rmse", pa.array([np.inf] * 6)), "its column rmse holds inf"),
-        (lambda t: t.append_column("rmse", t["rmse"]), "two columns of one name"),
+        (lambda t: t.append_column("rmse", t["rmse"]), "two columns with the same name"),
         (lambda t: t.slice(0, 0), None),
     ],
 )

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from scenes import staying_in
 
-from diffshadow.cli import _insistent_interrupts, main
+from diffshadow.cli import _repeated_interrupts, main
 from diffshadow.study.sweeps._interrupts import deferred_interrupts, out_of_reach
 
 SWEEP = """
@@ -133,7 +133,7 @@ def test_interrupt_that_is_dropped_is_repeated(capsys):
             time.sleep(0.01)
 
     def wait():
-        with _insistent_interrupts():
+        with _repeated_interrupts():
             made = Dropped()
             del made
             time.sleep(5)
@@ -151,7 +151,7 @@ def test_interrupt_is_not_repeated_while_the_first_is_heeded():
     ended = []
 
     def end():
-        with _insistent_interrupts():
+        with _repeated_interrupts():
             try:
                 signal.raise_signal(signal.SIGINT)
             finally:

@@ -248,7 +248,7 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (shutil.rmtree, "tiny does not exist; expected the folder of a finished run"),
         (damage("result.json", None), "tiny holds no run: it has no result.json"),
         (damage("result.json", '{"kind": "f'), "result.json is damaged"),
-        (damage("result.json", '{"status": "ok"}'), "result.json is of no fit, render or sweep"),
+        (damage("result.json", '{"status": "ok"}'), "result.json is not of a fit, render or sweep"),
         (
             damage("result.json", '{"kind": "fit"}'),
             "result.json is damaged: name is missing; expected what a run wrote",
@@ -256,16 +256,16 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (damage("result.json", "[" * 100_000), "result.json is damaged (recursion limit exceeded"),
         (
             damage("result.json", '{"kind": "sweep", "name": "s", "settings": {"repeats": 2}}'),
-            "only a part of a sweep: it has no results.parquet",
+            "an incomplete sweep: it has no results.parquet",
         ),
         (
             damage("result.json", '{"kind": "sweep", "name": "s", "settings": {}}'),
-            "settings: names nothing that changes",
+            "settings: sweeps no key",
         ),
-        (damage("arrays.npz", None), "holds only a part of a run: it has no arrays.npz"),
+        (damage("arrays.npz", None), "holds an incomplete run: it has no arrays.npz"),
         (damage("arrays.npz", b"PK\x03\x04 and no more"), "arrays.npz is damaged (File is not a zip file)"),
-        (damage("config.yaml", None), "holds only a part of a run: it has no config.yaml"),
-        (damage("config.yaml", "sede: 1"), "sede: is no key"),
+        (damage("config.yaml", None), "holds an incomplete run: it has no config.yaml"),
+        (damage("config.yaml", "sede: 1"), "sede: is not a key"),
     ],
 )
 def test_what_is_no_whole_run_is_told_in_one_message(harm, said, tmp_path, capsys):
@@ -289,7 +289,7 @@ def test_mistakes_of_a_comparison_are_told(tmp_path, capsys):
         ([run, run], "expected two or more, each once"),
         ([run, sweep], "radii-sweep holds a sweep; expected the folder of a fit or a render"),
         ([run, tmp_path / "none"], "none does not exist"),
-        ([run, tmp_path / "file", "--output", tmp_path / "file" / "page.html"], "is in the way and is no folder"),
+        ([run, tmp_path / "file", "--output", tmp_path / "file" / "page.html"], "exists and is not a folder"),
     ):
         with pytest.raises(SystemExit) as caught:
             main(["compare", *map(str, arguments)])

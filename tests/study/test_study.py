@@ -247,7 +247,7 @@ def test_folder_that_is_no_run_is_never_replaced(tmp_path):
     precious = tmp_path / "runs" / "tiny"
     precious.mkdir(parents=True)
     (precious / "thesis.tex").write_text("x")
-    with pytest.raises(ConfigError, match="no run's folder"):
+    with pytest.raises(ConfigError, match="not a run's folder"):
         run()
     assert [entry.name for entry in precious.iterdir()] == ["thesis.tex"]
 
@@ -266,7 +266,7 @@ def before_work(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("output=tiny.yaml/runs", "is in the way and is no folder"),
+        ("output=tiny.yaml/runs", "exists and is not a folder"),
         ("scene.meshes.0={path: nowhere.obj}", "scene.meshes.0.path: there is no file"),
         ("reference={type: image, path: nowhere.png}", "reference.path: there is no file"),
         ("reference={type: image, path: tiny.yaml}", "reference.path: the suffix of"),

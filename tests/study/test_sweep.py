@@ -148,7 +148,7 @@ def test_ids_are_of_what_a_run_computes_and_of_nothing_else(tmp_path):
 FAULTS = {
     "typo": (
         "{grid: {filter.sampels: [1]}}",
-        "t.yaml:12: filter.sampels: is no key of filter (type: random_disk)",
+        "t.yaml:12: filter.sampels: is not a key of filter (type: random_disk)",
         "did you mean 'samples'?",
     ),
     "value that does not fit": (
@@ -173,9 +173,9 @@ FAULTS = {
     ),
     "seed twice": ("{grid: {seed: [1]}, repeats: 2}", "sweep.repeats: sets seed", "sweep.grid.seed sets seed"),
     "same value": ("{grid: {filter.radius: [1, 1]}}", "sweep.grid.filter.radius: holds 1 twice", "remove one"),
-    "name": ("{grid: {output: [a, b]}}", "sweep.grid.output: is one for all runs", "set it outside of sweep"),
-    "nothing": ("{figures: true}", "t.yaml:12: sweep: names nothing that changes", "add 'grid:"),
-    "key of the section": ("{gird: {}, repeats: 2}", "sweep.gird: is no key of sweep", "did you mean 'grid'?"),
+    "name": ("{grid: {output: [a, b]}}", "sweep.grid.output: is the same for all runs", "set it outside of sweep"),
+    "nothing": ("{figures: true}", "t.yaml:12: sweep: sweeps no key", "add 'grid:"),
+    "key of the section": ("{gird: {}, repeats: 2}", "sweep.gird: is not a key of sweep", "did you mean 'grid'?"),
     "range": (
         "{qmc: {count: 4, axes: {bias.slope: {lower: 0, upper: 1, log: true}}}}",
         "sweep.qmc.axes.bias.slope.lower: is 0 on a logarithmic scale",
@@ -189,7 +189,7 @@ FAULTS = {
     "metric": ("{repeats: 2, plot: {x: seed, y: rmse_to_limit}}", "sweep.plot.y: is 'rmse_to_limit'", "rmse, mae"),
     "no limit": (
         "{limit_samples: 64, grid: {filter: [{type: pcf}]}}",
-        "sweep.limit_samples: is given, and there are runs of technique shadow_map with filter pcf",
+        "sweep.limit_samples: is given, but there are runs of technique shadow_map with filter pcf",
         "expected shadow_map with random_disk",
     ),
     "labels": ("{list: [{label: a}, {bias.slope: 1}]}", "sweep.list.1: has no label", "for all or none"),
@@ -243,11 +243,14 @@ def test_bounds_of_a_parameter_can_be_swept():
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("sweep.grid.filter.sampels=[4, 8]", "filter.sampels: is no key of filter (type: random_disk)"),
-        ("sweep.gird.filter.samples=[4, 8]", "sweep.gird: is no key of sweep"),
+        ("sweep.grid.filter.sampels=[4, 8]", "filter.sampels: is not a key of filter (type: random_disk)"),
+        ("sweep.gird.filter.samples=[4, 8]", "sweep.gird: is not a key of sweep"),
         ("sweep.grid.filter.samples=4", "sweep.grid.filter.samples: is 4; expected a list of values"),
         ("sweep.grid.filter.radius.9=4", "sweep.grid.filter.radius.9: index 9 is out of range"),
-        ("sweep.qmc.axes.bias.slope.uper=3", "sweep.qmc.axes.bias.slope.uper: is no key of sweep.qmc.axes.bias.slope"),
+        (
+            "sweep.qmc.axes.bias.slope.uper=3",
+            "sweep.qmc.axes.bias.slope.uper: is not a key of sweep.qmc.axes.bias.slope",
+        ),
     ],
 )
 def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
@@ -269,7 +272,7 @@ def test_million_runs_are_counted_without_making_them(monkeypatch):
     out = text_io.StringIO()
     study.print_plan(Console(file=out, width=120), sweep)
     assert len(made) < 20
-    assert "1,048,576 runs, too many to look at each of them here" in out.getvalue()
+    assert "1,048,576 runs, too many to check each of them here" in out.getvalue()
     assert len([line for line in out.getvalue().splitlines() if "bias.slope = " in line]) == 8
     # Any of them can be had.
     last = sweep.runs[-1]
@@ -324,7 +327,9 @@ def test_axes_without_a_choice_may_be_many():
 
 
 def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
-    with pytest.raises(ConfigError, match=r"s\.yaml:\d+: sweep: makes many runs.*diffshadow sweep.*sweep=null"):
+    with pytest.raises(
+        ConfigError, match=r"s\.yaml:\d+: sweep: makes this file a sweep of many runs.*diffshadow sweep.*sweep=null"
+    ):
         load_config(Path("s.yaml"))
     assert isinstance(load_config(Path("s.yaml"), ["sweep=null"]), Config)
     with pytest.raises(ConfigError, match=r"sweep: is missing; .*diffshadow render"):
@@ -474,7 +479,7 @@ def test_sweep_that_is_started_again_does_only_what_is_missing(quick):
     folder, said = run(sweep, limit=3)
     assert sorted(quick) == sorted(run.id for run in sweep.runs[:3])
     assert "3 of 8 runs are done, 3 of them tried now" in said
-    assert "the same command does the rest" in said
+    assert "run the same command again to do the rest" in said
     assert table(folder)["status"] == ["ok"] * 3 + ["missing"] * 5
     run(sweep)
     assert sorted(quick) == sorted(run.id for run in sweep.runs)
@@ -523,7 +528,7 @@ def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):
     assert columns["status"] == ["ok", "failed", "ok", "ok"] * 2
     assert columns["error"][1] == "RuntimeError: out of luck"
     assert columns["rmse"][1] is None
-    assert "2 runs failed, and are tried again by the same command: RuntimeError: out of luck" in said
+    assert "2 runs failed; the same command tries them again: RuntimeError: out of luck" in said
     monkeypatch.setitem(sweep_work._MEASURES, "render", well)
     del quick[:]
     run(sweep)
@@ -560,7 +565,7 @@ def test_one_sweep_is_done_by_one_process_at_a_time(quick):
 def test_folder_that_is_no_sweep_is_left_alone(quick):
     Path("runs/s-sweep").mkdir(parents=True)
     Path("runs/s-sweep/precious.txt").write_text("mine")
-    with pytest.raises(ConfigError, match="is no run's folder"):
+    with pytest.raises(ConfigError, match="is not a run's folder"):
         run(load_sweep(Path("s.yaml")))
     assert quick == []
 
@@ -640,7 +645,7 @@ def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypa
     monkeypatch.setattr(sweep_pool, "work", lambda batch: [batch])
     with Client(cluster) as client:
         for done, _ in enumerate(sweep_pool.OnCluster(client).outcomes(batches())):
-            assert len(taken) - done <= sweep_pool._AHEAD
+            assert len(taken) - done <= sweep_pool._BATCHES_AHEAD
     assert len(taken) == 40
 
 
@@ -658,7 +663,7 @@ def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monke
         return work(batch)
 
     monkeypatch.setattr(sweep_pool, "work", deadly)
-    monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_A_WORKER", 2)
+    monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_PER_WORKER", 2)
     folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     columns = table(folder)
     assert columns["status"] == ["ok"] * 5 + ["failed"] + ["ok"] * 2
@@ -666,17 +671,17 @@ def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monke
 
 
 def test_missing_scheduler_is_told(quick, monkeypatch):
-    monkeypatch.setattr("diffshadow.study.sweeps._pool._PATIENCE", 1)
+    monkeypatch.setattr("diffshadow.study.sweeps._pool._CONNECT_TIMEOUT", 1)
     with pytest.raises(ValueError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'.*dask scheduler"):
         study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "what is there does not answer")]
+    ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "the server there does not answer")]
 )
 def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
-    monkeypatch.setattr("diffshadow.study.sweeps._pool._SILENCE", 60 if answer else 1)
-    monkeypatch.setattr("diffshadow.study.sweeps._interrupts._PATIENCE_CUT_SHORT", 0.1)
+    monkeypatch.setattr("diffshadow.study.sweeps._pool._ANSWER_TIMEOUT", 60 if answer else 1)
+    monkeypatch.setattr("diffshadow.study.sweeps._interrupts._EXIT_TIMEOUT_INTERRUPTED", 0.1)
     kept = []
 
     def serve(server):
@@ -700,7 +705,7 @@ def test_sweep_whose_workers_are_gone_ends_with_what_to_do(quick, monkeypatch):
     from diffshadow.study.sweeps import _pool as sweep_pool
     from diffshadow.study.sweeps._work import Batch
 
-    monkeypatch.setattr(sweep_pool, "_WORKERS_PATIENCE", 0.2)
+    monkeypatch.setattr(sweep_pool, "_WORKERS_TIMEOUT", 0.2)
     batch = Batch(*[None] * len(Batch._fields))
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as none,

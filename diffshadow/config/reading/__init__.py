@@ -1,1 +1,1 @@
-"""From files and overrides to configurations, and back to text."""
+"""Reads configurations from files and overrides, and writes them as text."""

@@ -1,4 +1,4 @@
-"""Writes a configuration out again, as YAML and as a table."""
+"""Writes a configuration as YAML and as a table."""
 
 from collections.abc import Iterator, Mapping
 from functools import reduce
@@ -32,7 +32,7 @@ def describe(config: Config) -> list[Row]:
     """Every setting of `config` that has a value, in the schema's order."""
     start, units = "fit.parameters.", fit_units(config)
     return [
-        # A fitted number has the unit of the key that it is named after. A render may name some that it has not.
+        # A fitted number has the unit of its key. A render's configuration may list parameters that do not exist.
         row._replace(unit=units.get(row.key.removeprefix(start).rpartition(".")[0], ""))
         if row.key.startswith(start)
         else row
@@ -41,7 +41,7 @@ def describe(config: Config) -> list[Row]:
 
 
 def fit_units(config: Config) -> dict[str, str]:
-    """The unit of every number that the technique of `config` can fit, and of those of its scene that it does."""
+    """The unit of every number of the technique that can be fitted, and of every number of the scene that is."""
     units = {}
     for name in fit_paths(config):
         *holders, key = name.split(".")
@@ -87,19 +87,19 @@ class _Dumper(yaml.SafeDumper):
     """Writes what `read_yaml` reads: YAML 1.2's scalars, with lists of numbers on one line."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """The same list in two places is no reason for an alias."""
+        """Never writes aliases, even if a list occurs twice."""
         return True
 
 
-# Those that PyYAML takes for printable.
+# Line breaks that PyYAML considers printable.
 _LINE_BREAKS = frozenset("\x85\u2028\u2029")
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
-    # PyYAML quotes what YAML 1.1 would misread; 1.2 takes more for a number, such as 1e-3.
+    # PyYAML quotes what YAML 1.1 would misread. YAML 1.2 reads more text as numbers, such as 1e-3.
     style = None if isinstance(plain_scalar(text), str) else "'"
     if _LINE_BREAKS.intersection(text):
-        # Between other quotes, a line break is folded to a space.
+        # In single quotes, a line break would be folded to a space.
         style = '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 

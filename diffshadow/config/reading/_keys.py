@@ -1,4 +1,4 @@
-"""What the schema says of a key: its type in plain words, its unit, its place among the others."""
+"""Looks up keys in the schema: their types in plain words, units and paths."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -19,9 +19,9 @@ class Slot:
     """A value of the schema.
 
     - `kind`: its bare type.
-    - `marks`: what its annotation says besides.
-    - `field`: that holds it.
-    - `siblings`: the variants, itself among them, of which `kind` is one.
+    - `marks`: the marks of its annotation.
+    - `field`: the field that holds it.
+    - `siblings`: all variants of the section, if `kind` is one of them.
     """
 
     kind: Any
@@ -31,30 +31,30 @@ class Slot:
 
     @property
     def variants(self) -> tuple[type[Section], ...]:
-        """The sections that may stand here; none where no section may."""
+        """The sections that are allowed here; empty if the value is not a section."""
         kinds = (bare(kind)[0] for kind in get_args(self.kind)) if is_union(self.kind) else (self.kind,)
         return tuple(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section))
 
     @property
     def unit(self) -> str:
-        """The value's unit, or nothing."""
+        """The value's unit; empty if it has none."""
         return next((mark.name for mark in self.marks if isinstance(mark, Unit)), "")
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The words to choose from; none where the value is no choice."""
+        """The words to choose from; empty if the value is not a choice."""
         if len(self.variants) > 1:
             return tuple(type_of(variant) for variant in self.variants)
         return tuple(map(str, get_args(self.kind))) if get_origin(self.kind) is Literal else ()
 
     @property
     def default(self) -> Any:
-        """The value where none is given; `None` where there is none, or it is a whole section."""
+        """The default value; `None` if there is none, or if it is a section."""
         value = None if self.field is None else self.field.default
         return None if value is PydanticUndefined else value
 
     def expected(self) -> str:
-        """The values that may stand here, in plain words."""
+        """The allowed values, in plain words."""
         form = next((mark.words for mark in self.marks if isinstance(mark, Form)), None)
         unit = f", in {self.unit}" if self.unit else ""
         if form is not None:
@@ -72,10 +72,10 @@ ROOT = Slot(Config)
 
 @dataclass(frozen=True)
 class Found:
-    """Where a location leads: the path of keys, what may stand there, and the section that holds it.
+    """The result of `follow`: the path of keys, the value's slot in the schema, and the section that holds it.
 
-    `slot` is `None` for a key that the schema does not have; `section` is `None` where a list or a dict holds the
-    value, and one of `variants` where the section has several.
+    `slot` is `None` for a key that is not in the schema. `section` is `None` if a list or a dict holds the value. If
+    the section has several variants, `section` is one of `variants`.
     """
 
     path: KeyPath
@@ -85,7 +85,7 @@ class Found:
 
 
 def follow(location: Sequence[str | int]) -> Found:
-    """Reads one of pydantic's locations, in which names of variants stand between the keys."""
+    """Resolves one of pydantic's locations, which contain the names of variants between keys."""
     path: KeyPath = ()
     slot: Slot | None = ROOT
     section: type[Section] | None = None
@@ -96,7 +96,7 @@ def follow(location: Sequence[str | int]) -> Found:
         if slot is not None and chosen is not None:
             slot = Slot(chosen, slot.marks, slot.field, among)
             continue
-        # A fault that the section round this one finds names no variant, so any that has the key serves.
+        # A fault found by the enclosing section does not name a variant, so take any that has the key.
         section = next((variant for variant in among if step in variant.model_fields), among[0] if among else None)
         variants = (slot.siblings or among) if slot is not None else ()
         path = (*path, step)
@@ -110,12 +110,12 @@ def keys_of(section: type[Section]) -> list[str]:
 
 
 def slot_of(field: FieldInfo) -> Slot:
-    """What the schema says of `field`'s value."""
+    """The slot of `field`."""
     return Slot(*marked(field), field)
 
 
 def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
-    """The path of every key in the schema; a list's entries are numbered 0."""
+    """The path of every key in the schema; entries of lists have the index 0."""
     for variant in slot.variants:
         for key, field in variant.model_fields.items():
             inner = slot_of(field)
@@ -126,7 +126,7 @@ def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
 
 
 def places_of(key: str) -> tuple[str, ...]:
-    """Where the schema has a key of this name, each place once, dotted."""
+    """The distinct dotted paths of all keys in the schema with this name."""
     return tuple(dict.fromkeys(dotted(path) for path in _every_key() if path[-1] == key))
 
 

@@ -1,4 +1,4 @@
-"""From a file and overrides to a checked configuration."""
+"""Loads and checks configurations."""
 
 import difflib
 import os
@@ -20,9 +20,9 @@ from ._yaml import read_yaml
 
 
 class Draft(NamedTuple):
-    """A configuration as it was written, and what is wrong with it so far.
+    """An unchecked configuration, and the problems found so far.
 
-    - `folder`: what relative paths in the file are relative to.
+    - `folder`: the folder that relative paths in the file start from.
     """
 
     data: dict[str, Any]
@@ -34,17 +34,17 @@ class Draft(NamedTuple):
 def load_config(
     path: str | os.PathLike[str], overrides: Sequence[str] = (), *, fitting: bool = False, files: bool = True
 ) -> Config:
-    """The configuration in the YAML file `path`, with `overrides`.
+    """Loads the configuration in the YAML file `path`, with `overrides` applied.
 
     **Arguments:**
 
-    - `path`: the file; relative paths inside it are relative to its folder.
-    - `overrides`: `key=value` each, the key dotted (`scene.meshes.0.path`), the value YAML. Relative paths inside
+    - `path`: the file. Relative paths inside it are relative to its folder.
+    - `overrides`: strings `key=value` with a dotted key (`scene.meshes.0.path`) and a YAML value. Relative paths inside
         them are relative to the current folder.
-    - `fitting`: whether it is to be fitted. Its section `fit` must then suit the others, which no render asks of it.
-    - `files`: whether the input files that it names must exist. A report on a finished run needs only the settings.
+    - `fitting`: whether to check the section `fit` against the other sections. Needed for a fit, not for a render.
+    - `files`: whether input files must exist. A report on a finished run needs only the settings.
 
-    **Returns:** the configuration, with all paths absolute but `output`.
+    **Returns:** the configuration, with all paths absolute except `output`.
 
     **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
     """
@@ -61,14 +61,14 @@ def parse_config(
     fitting: bool = False,
     files: bool = True,
 ) -> Config:
-    """The configuration in YAML `text`, with `overrides`; as `load_config`.
+    """Loads the configuration in YAML `text`, with `overrides` applied, like `load_config`.
 
     **Arguments:**
 
-    - `source`: what errors call the text.
-    - `folder`: what relative paths in the text are relative to.
-    - `name`: of the run, where the text gives none.
-    - `fitting`, `files`: as for `load_config`.
+    - `source`: the name of the text in errors.
+    - `folder`: the folder that relative paths in the text start from.
+    - `name`: the run's name if the text does not set one.
+    - `fitting`, `files`: as in `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
@@ -77,9 +77,9 @@ def parse_config(
 
 
 def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
-    """What the YAML file `path` and `overrides` say, unchecked.
+    """Reads the YAML file `path` and applies `overrides`, without checking the result.
 
-    **Raises** `ConfigError` if the file cannot be read, or is no YAML.
+    **Raises** `ConfigError` if the file cannot be read, or is not YAML.
     """
     file = Path(path)
     try:
@@ -91,7 +91,7 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
     except OSError as error:
         raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
     except ValueError:  # a null character
-        message = "names no file; expected a configuration in YAML; check the path"
+        message = "is not the name of a file; expected a configuration in YAML; check the path"
         raise ConfigError([Problem(Place(str(path)), "", message)]) from None
     return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
 
@@ -99,7 +99,7 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
 def parse_draft(
     text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
 ) -> Draft:
-    """What YAML `text` and `overrides` say, unchecked; arguments as of `parse_config`."""
+    """Reads YAML `text` and applies `overrides`, without checking the result. Arguments are those of `parse_config`."""
     data, places, problems = read_yaml(text, lambda line, column: Place(source, line, column))
     places = {**places, (): Place(source, 1, 1)}
     if data is None:
@@ -113,24 +113,24 @@ def parse_draft(
 
 
 def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Config:
-    """The configuration that `draft` stands for, whose data this completes.
+    """Checks `draft` and makes its configuration. Paths in `draft.data` become absolute.
 
     **Arguments:**
 
-    - `fitting`, `files`: as for `load_config`.
+    - `fitting`, `files`: as in `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
     problems = [*draft.problems, *(missing if files else ())]
-    # From the data, so that messages quote numbers as they were written.
+    # Checked on the data, so that messages quote numbers as they were written.
     of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
         found = [*problems_of(error, origin), *of_fit]
-        # What could not be read left no value, of which nothing more is to be said.
+        # A value that could not be read is missing, and must not be reported twice.
         reported = {(problem.key, problem.place.line) for problem in problems}
         raise ConfigError([*problems, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
     config._origin = origin
@@ -142,21 +142,21 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
 
 
 def _single(config: Config) -> Config:
-    """`config`, unless it stands for many runs."""
+    """`config`. **Raises** `ConfigError` if it is a sweep."""
     if config.sweep is None:
         return config
     message = (
-        "makes many runs of this file; expected a single run; start it with diffshadow sweep, or override sweep=null"
+        "makes this file a sweep of many runs; expected a single run; use diffshadow sweep, or override sweep=null"
     )
     raise ConfigError([Problem(config.origin.place(("sweep",)), "sweep", message)])
 
 
 def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Problem]:
-    """Makes the paths of input files in `data` absolute. **Returns** a problem for each that is not there."""
+    """Makes the paths of input files in `data` absolute. **Returns** a problem for each file that does not exist."""
     problems = []
     for path, holder in _file_keys(data):
         place = origin.place(path)
-        # An override is written by someone who stands in the current folder.
+        # Paths in overrides are relative to the current folder.
         base = folder if place.line is not None else Path()
         file = Path(holder["path"])
         try:
@@ -176,7 +176,7 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
 
 
 def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """The paths of keys that name input files, and the sections that hold them."""
+    """The paths of the keys of input files, and the sections that hold them."""
     scene, reference = data.get("scene"), data.get("reference")
     meshes = scene.get("meshes") if isinstance(scene, dict) else None
     for i, mesh in enumerate(meshes if isinstance(meshes, list) else ()):
@@ -189,7 +189,7 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]
 
 def _missing(file: Path) -> str:
     if file.is_dir():
-        return f"is the folder {file}; expected a file; name one in it"
+        return f"is the folder {file}; expected a file; give the name of a file in it"
     mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in BUILTIN_MESHES else _neighbour(file)
     return f"there is no file {file}; expected one that can be read; {mend}"
 
@@ -201,7 +201,7 @@ def _unreadable(file: Path, error: OSError) -> str:
 
 
 def _neighbour(file: Path) -> str:
-    """The file of the nearest name in the same folder, as a question."""
+    """A question that suggests the file with the nearest name in the same folder."""
     try:
         names = [entry.name for entry in file.absolute().parent.iterdir()]
     except OSError:

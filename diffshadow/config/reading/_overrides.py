@@ -1,4 +1,4 @@
-"""Overrides: `key=value` pairs that replace values of a configuration."""
+"""Applies overrides: `key=value` pairs that replace values of a configuration."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -10,19 +10,19 @@ from ..sections._fitted import fit_paths
 from ..sections._poses import pose_of
 from ..sections._section import is_index, look
 from ..sections._sweep import QuasiRandomAxisConfig
-from ._yaml import has_half_character, read_yaml
+from ._yaml import has_surrogate, read_yaml
 
 
 def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Problem]:
-    """Writes `overrides` into `data`, each `key=value` with a dotted key and a YAML value; later ones win.
+    """Writes `overrides`, each `key=value` with a dotted key and a YAML value, into `data`. Later ones win.
 
-    Sections that are not there yet are made; whether the schema has such a key is for validation to say.
+    Missing sections are created. Whether the keys exist in the schema is checked later.
 
     **Arguments:**
 
-    - `data`, `places`: as `read_yaml` returns them; both are changed.
+    - `data`, `places`: as returned by `read_yaml`; both are modified.
 
-    **Returns:** the problems of overrides that cannot be written; the others are.
+    **Returns:** the problems of overrides that cannot be applied; all others are applied.
     """
     problems = []
     for override in overrides:
@@ -38,12 +38,12 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
     key, equals, text = override.partition("=")
     words = key.strip().split(".")
     if not equals or not all(words):
-        raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write it like filter.radius=2")])
-    if has_half_character(key):
-        raise ConfigError([Problem(place, key, "has half a character in its key; expected whole ones; remove it")])
+        raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write filter.radius=2")])
+    if has_surrogate(key):
+        raise ConfigError([Problem(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
     value, inner, problems = read_yaml(text, lambda line, column: place)
     words = _with_whole_names(data, words, value)
-    # Walk to what holds the value, and make the sections that are missing.
+    # Walk to the section that holds the value, and create missing sections.
     holder: Any = data
     path: KeyPath = ()
     for word in words[:-1]:
@@ -64,29 +64,29 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
 
 
 def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
-    """`words` with the name of a parameter or of what is swept, which holds dots itself, in one piece."""
+    """`words`, with names of parameters and swept keys joined into one word, since they contain dots."""
     match words:
         case ["fit", "parameters", _, *_]:
             start, keys = 2, FitParameterConfig.model_fields
-            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in there
+            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in existing
         case ["sweep", "qmc", "axes", _, *_]:
             start, keys = 3, QuasiRandomAxisConfig.model_fields
-            known = lambda name, rest: name in there
+            known = lambda name, rest: name in existing
         case ["sweep", "grid" | "zip", _, *_]:
             start, keys = 2, ()
-            known = lambda name, rest: name in there and (not rest or is_index(rest[0]))
+            known = lambda name, rest: name in existing and (not rest or is_index(rest[0]))
         case ["sweep", "list", _, _, *_]:
             return [*words[:3], ".".join(words[3:])]
         case _:
             return words
-    there = look(data, *words[:start])
-    there = there if isinstance(there, Mapping) else {}
+    existing = look(data, *words[:start])
+    existing = existing if isinstance(existing, Mapping) else {}
     end = start + _length_of_name(words[start:], known, () if isinstance(value, dict) else keys)
     return [*words[:start], ".".join(words[start:end]), *words[end:]]
 
 
 def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], bool], keys: Collection[str]) -> int:
-    """How many of `words` are a name: the longest that is known, or else all but a last one that is among `keys`."""
+    """How many of `words` form a name: the longest known name; otherwise all, except a last one among `keys`."""
     for length in range(len(words), 0, -1):
         if known(".".join(words[:length]), words[length:]):
             return length
@@ -94,17 +94,19 @@ def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], 
 
 
 def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
-    """The key or index that `word` means in `holder`, which stands at `path`."""
+    """The key or index of `word` in `holder`, the value at `path`."""
     key = dotted((*path, word))
     if isinstance(holder, dict):
         return word
     if not isinstance(holder, list):
         message = (
-            f"leads into {dotted(path)}, which is {show(holder)}; expected a section; set {dotted(path)} as a whole"
+            f"is inside {dotted(path)}, which is {show(holder)}; expected a section; set {dotted(path)} as a whole"
         )
         raise ConfigError([Problem(place, key, message)])
     if not is_index(word):
-        message = f"{word!r} is no index of the list {dotted(path)}; expected a number from 0; write {dotted(path)}.0"
+        message = (
+            f"{word!r} is not an index of the list {dotted(path)}; expected a number from 0; write {dotted(path)}.0"
+        )
         raise ConfigError([Problem(place, key, message)])
     if int(word) >= len(holder):
         entries = f"only {dotted((*path, 0))}" if len(holder) == 1 else f"indices from 0 to {len(holder) - 1}"

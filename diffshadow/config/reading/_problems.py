@@ -1,4 +1,4 @@
-"""Puts pydantic's errors into the words of one who writes a configuration."""
+"""Translates pydantic's errors into messages for the author of a configuration."""
 
 import re
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from ..sections._section import FAULT, Conflict, fault, look, type_of
 from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
-# Beyond, floats skip whole numbers.
+# Beyond this, not every whole number is a float.
 _MOST_COUNTED = 2**53
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
@@ -26,7 +26,7 @@ def problems_of(error: ValidationError, origin: Origin) -> list[Problem]:
 
 
 def problems_at(conflicts: Iterable[Conflict], origin: Origin) -> list[Problem]:
-    """Each of `conflicts`, with the place where its key was written."""
+    """The problems of `conflicts`, with the places where their keys were written."""
     return [Problem(origin.place(path), dotted(path), what.message()) for path, what in conflicts]
 
 
@@ -52,17 +52,17 @@ def _unknown_key(found: Found, origin: Origin) -> str:
     keys = keys_of(holder)
     has_variants = len(found.variants) > 1
     kind = f" (type: {type_of(holder)})" if has_variants else ""
-    said = f"is no key of {section or 'the top level'}{kind}; expected {listing(keys)}"
+    message = f"is not a key of {section or 'the top level'}{kind}; expected {listing(keys)}"
     owners = [type_of(variant) for variant in found.variants if key in variant.model_fields]
     if owners and origin.place(found.path).line is not None and origin.place((*found.path[:-1], "type")).line is None:
-        # The type comes from an override, which cannot remove the file's other keys.
-        return f"{said}; override the whole section: {section}={{type: {type_of(holder)}, …}}"
+        # The type comes from an override, which cannot remove keys of the file.
+        return f"{message}; override the whole section: {section}={{type: {type_of(holder)}, …}}"
     if owners:
-        return f"{said}; remove it, or set {section}.type to {listing(owners)}"
+        return f"{message}; remove it, or set {section}.type to {listing(owners)}"
     suggestions = places_of(key)
     if not suggestions and (near := nearest(key, keys)):
         suggestions = (near,)
-    return f"{said}; did you mean {listing(map(repr, suggestions))}?" if suggestions else f"{said}; remove it"
+    return f"{message}; did you mean {listing(map(repr, suggestions))}?" if suggestions else f"{message}; remove it"
 
 
 def _wrong_value(value: Any, slot: Slot) -> str:
@@ -71,13 +71,13 @@ def _wrong_value(value: Any, slot: Slot) -> str:
 
 def _remedy(value: Any, slot: Slot) -> str:
     if value is None:
-        return "remove the key to have its default" if _has_default(slot) else "give it a value"
+        return "remove the key to get its default" if _has_default(slot) else "give it a value"
     if slot.choices:
         return did_you_mean(value, slot.choices, "choose one of these")
     if slot.kind is bool and str(value).lower() in _SWITCHES:
         return f"write {_SWITCHES[str(value).lower()]}"
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
-        return "write it without quotes, with a point for decimals and no other signs between the digits"
+        return "write it without quotes, with a decimal point and no other characters between the digits"
     if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MOST_COUNTED:
         return f"write {int(value)}"
     if slot.kind is str:

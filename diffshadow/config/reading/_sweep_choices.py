@@ -1,4 +1,4 @@
-"""What a sweep chooses from: the values on each of its axes, and where they were written."""
+"""The choices of a sweep: the values on each axis, and where they were written."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,10 +9,10 @@ from ..sections._sweep import LABEL, QuasiRandomConfig, SweepConfig
 
 
 class Choice(NamedTuple):
-    """What a run has on one axis, or on several that go together.
+    """One value of an axis, or one combination of values of several axes that change together.
 
-    - `values`: by key; `paths`: of these keys in the file.
-    - `label`: names an entry of `list`.
+    - `values`: the values by key; `paths`: the paths of these keys in the file.
+    - `label`: the label of an entry of `list`.
     """
 
     values: Mapping[str, Any]
@@ -21,7 +21,7 @@ class Choice(NamedTuple):
 
     @property
     def shown(self) -> Mapping[str, Any]:
-        """The values by axis, of which the label is one."""
+        """The values by axis, including the label."""
         return self.values if self.label is None else {LABEL: self.label, **self.values}
 
 
@@ -33,11 +33,12 @@ def count_of(settings: SweepConfig) -> int:
 
 
 def levels_of(settings: SweepConfig, seed: Any) -> list[list[Choice]]:
-    """The choices on each axis, the slowest first.
+    """The choices on each axis, the slowest axis first.
 
     **Arguments:**
 
-    - `seed`: the configuration's own, from which `repeats` counts upwards.
+    - `settings`: the section `sweep`.
+    - `seed`: the configuration's seed, from which `repeats` counts upwards.
     """
     levels = []
     if settings.list is not None:
@@ -69,7 +70,7 @@ def _entry(index: int, entry: Mapping[str, Any]) -> Choice:
 
 
 def _merged(levels: Sequence[list[Choice]]) -> list[list[Choice]]:
-    """`levels` with neighbours that leave no choice as one, since there may be thousands of them."""
+    """`levels`, with neighbours of a single choice merged, since there may be thousands of them."""
     merged: list[list[Choice]] = []
     for level in levels:
         if len(level) == 1 and merged and len(merged[-1]) == 1:
@@ -82,24 +83,24 @@ def _merged(levels: Sequence[list[Choice]]) -> list[list[Choice]]:
 
 def _points(settings: QuasiRandomConfig) -> list[dict[str, Any]]:
     """The points of the sequence, scaled to the axes' ranges."""
-    # Here, for SciPy takes long to load, and most sweeps do without.
+    # Imported here, since SciPy loads slowly and most sweeps do not need it.
     from scipy.stats import qmc
 
     make = {"sobol": qmc.Sobol, "halton": qmc.Halton}[settings.sequence]
     sequence = make(len(settings.axes), scramble=True, rng=settings.seed)
     if settings.sequence == "sobol":
-        # SciPy warns of any number that is no power of two.
+        # SciPy warns about numbers that are not a power of two.
         unit = sequence.random_base2(math.ceil(math.log2(settings.count)))[: settings.count]
     else:
         unit = sequence.random(settings.count)
     points = []
     for row in unit.tolist():
         point = {}
-        for share, (key, axis) in zip(row, settings.axes.items(), strict=True):
+        for fraction, (key, axis) in zip(row, settings.axes.items(), strict=True):
             if axis.log:
-                value = axis.lower * (axis.upper / axis.lower) ** share
+                value = axis.lower * (axis.upper / axis.lower) ** fraction
             else:
-                value = axis.lower + (axis.upper - axis.lower) * share
+                value = axis.lower + (axis.upper - axis.lower) * fraction
             value = min(max(value, axis.lower), axis.upper)
             point[key] = round(value) if axis.integer else value
         points.append(point)

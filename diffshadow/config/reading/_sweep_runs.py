@@ -1,4 +1,4 @@
-"""From a file with a sweep to the configurations of its runs."""
+"""Makes the configurations of a sweep's runs."""
 
 import copy
 import functools
@@ -26,28 +26,28 @@ from ._overrides import apply_overrides
 from ._problems import problems_of
 from ._sweep_choices import Choice, count_of, levels_of
 
-# Part of every id: to be raised when a run of the same configuration gives other numbers.
+# Part of every id. Increase it when the same configuration gives different numbers.
 _FORMAT = 1
 _ID_BYTES = 8
-# Sixteen times as many as those of a run.
+# Sixteen times the limit of a run.
 _MOST_LIMIT_TAPS = 16 * MOST_TAPS
-# Each run is checked at a millisecond, has a folder of its own, and takes a few hundred bytes of memory.
+# Each run takes a millisecond to check, a folder, and a few hundred bytes of memory.
 _MOST_RUNS = 1 << 20
-# The runs of larger sweeps are made again whenever they are needed.
+# The runs of larger sweeps are not kept in memory, but made again when they are needed.
 _MOST_KEPT = 4096
-# Different faults that are collected before a sweep is refused.
+# How many distinct faults are collected before checking stops.
 _MOST_FAULTS = 100
 
 Progress = Callable[[int, int], None]
-"""Called with how many runs have been checked, and how many there are."""
+"""Called with the number of runs checked so far, and the number of all runs."""
 
 
 class SweepRun(NamedTuple):
     """One run of a sweep.
 
-    - `id`: 16 hexadecimal digits, a hash of all that the run's numbers depend on, the content of mesh files included;
-        neither the order of the runs nor names and folders are part of it.
-    - `values`: what this run has on each axis.
+    - `id`: 16 hexadecimal digits, a hash of everything that the run's results depend on, including the content of mesh
+        files. The order of the runs, names and folders have no effect on it.
+    - `values`: the run's value on each axis.
     - `config`: its configuration, without the sweep.
     """
 
@@ -57,15 +57,15 @@ class SweepRun(NamedTuple):
 
 
 class SweepRuns(Sequence[SweepRun]):
-    """The runs of a sweep, in the order of its axes, the last of which changes first.
+    """The runs of a sweep, in the order of its axes. The last axis varies fastest.
 
-    Each is made when it is needed, since a million of them would fill the memory; only those of a small sweep are kept.
-    Where a run's configuration cannot be used, making it **raises** `ConfigError`; `check` looks at all of them.
+    Runs are made when they are needed, since a million of them would fill the memory. Only those of a small sweep are
+    kept. Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
     """
 
     def __init__(self, settings: SweepConfig, draft: Draft):
         self._settings, self._origin = settings, draft.origin
-        # A run has a copy of the places of keys, and needs none of the section sweep, which may hold thousands.
+        # Each run copies the places of keys. Those of the section sweep are left out, since there may be thousands.
         places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
         data = {key: value for key, value in draft.data.items() if key != "sweep"}
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
@@ -73,9 +73,9 @@ class SweepRuns(Sequence[SweepRun]):
         self._levels = levels_of(settings, self._seed)
         counts = [len(level) for level in self._levels]
         self._count = math.prod(counts)
-        # Of each level, how far apart the runs of neighbouring choices are.
+        # For each level, the distance between the runs of neighbouring choices.
         self._strides = [math.prod(counts[depth + 1 :]) for depth in range(len(counts))]
-        # What `check` has found: all identifiers, one after another, and the runs of a small sweep.
+        # Results of `check`: all identifiers, concatenated, and the runs of a small sweep.
         self._ids: bytes | None = None
         self._kept: list[SweepRun] | None = None
 
@@ -96,7 +96,7 @@ class SweepRuns(Sequence[SweepRun]):
         return self.at(range(self._count))
 
     def at(self, indices: Sequence[int]) -> Iterator[SweepRun]:
-        """The runs at `indices`, which rise. What several of them share is made once."""
+        """The runs at the increasing `indices`. Work that they have in common is done once."""
         if self._kept is not None:
             yield from (self._kept[index] for index in indices)
             return
@@ -110,23 +110,23 @@ class SweepRuns(Sequence[SweepRun]):
         return self._ids[index * _ID_BYTES : (index + 1) * _ID_BYTES].hex()
 
     def column(self, axis: str) -> list[Any]:
-        """What each run has on one axis."""
+        """The value of each run on one axis."""
         return [self._value(axis, index) for index in range(self._count)]
 
     def choices(self, axis: str) -> list[Any]:
-        """The different values on one axis, in the order in which they are first used."""
+        """The distinct values on one axis, in order of first use."""
         found = [choice.shown[axis] for level in self._levels for choice in level if axis in choice.shown]
         return list({repr(value): value for value in found or [self._seed]}.values())
 
     def check(self, progress: Progress | None = None) -> None:
-        """Makes every run once, and finds its identifier.
+        """Makes every run once, and computes its identifier.
 
-        **Raises** `ConfigError` with everything that is wrong with any of the runs; after a hundred different faults,
-        the rest is not looked at.
+        **Raises** `ConfigError` with everything that is wrong with any of the runs. Checking stops after a hundred
+        distinct faults.
         """
         if self._ids is not None:
             return
-        # Of each fault, the first run that has it, and how many have.
+        # For each fault, the first run that has it, and the number of runs that have it.
         faults: dict[Problem, tuple[int, int]] = {}
         ids, kept, checked = bytearray(), [], 0
         for index, draft in self._drafts(range(self._count)):
@@ -146,7 +146,7 @@ class SweepRuns(Sequence[SweepRun]):
             if len(faults) >= _MOST_FAULTS:
                 break
         if faults:
-            # What is wrong with every run does not depend on the values.
+            # A fault of every run does not depend on the values.
             raise ConfigError(
                 problem if count == checked else _with_values(problem, self._values(first))
                 for problem, (first, count) in faults.items()
@@ -161,14 +161,14 @@ class SweepRuns(Sequence[SweepRun]):
             shown = level[index // stride % len(level)].shown
             if axis in shown:
                 return shown[axis]
-        # What an entry of the list leaves as it is has no value of its own.
+        # An entry of the list may leave out keys that other entries set.
         return self._seed if axis == "seed" else None
 
     def _drafts(self, indices: Sequence[int]) -> Iterator[tuple[int, Draft]]:
-        """The numbers of the runs at `indices`, and what is written in their configurations."""
+        """The indices and drafts of the runs at `indices`."""
 
         def walk(depth: int, first: int, draft: Draft, low: int, high: int) -> Iterator[tuple[int, Draft]]:
-            """Those of `indices[low:high]`, whose choices above `depth` are in `draft`, from the number `first` on."""
+            """The drafts at `indices[low:high]`. `draft` holds the choices above `depth`; its first run is `first`."""
             if depth == len(self._levels):
                 yield first, draft
                 return
@@ -183,7 +183,7 @@ class SweepRuns(Sequence[SweepRun]):
     def _made(self, index: int, draft: Draft) -> SweepRun:
         config = checked(draft, fitting=self._settings.run == "fit")
         _check_limit(config, self._settings, self._origin)
-        # Errors have been found; places of keys would travel to the workers for nothing.
+        # The checks are done, so do not send the places of keys to the workers.
         config._origin = Origin(self._origin.source)
         id = _id_of(config, self._settings) if self._ids is None else self.id(index)
         return SweepRun(id, self._values(index), config)
@@ -192,7 +192,7 @@ class SweepRuns(Sequence[SweepRun]):
 class Sweep(NamedTuple):
     """A sweep and its runs.
 
-    - `source`, `overrides`: what it was loaded from.
+    - `source`, `overrides`: the file and overrides that it was loaded from.
     """
 
     settings: SweepConfig
@@ -202,7 +202,7 @@ class Sweep(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Names the sweep's folder."""
+        """The name of the sweep's folder."""
         return self.runs[0].config.name
 
 
@@ -213,11 +213,12 @@ def load_sweep(
     check: bool = True,
     progress: Progress | None = None,
 ) -> Sweep:
-    """The sweep in the YAML file `path`, with `overrides`; as `load_config`.
+    """Loads the sweep in the YAML file `path`, with `overrides` applied, like `load_config`.
 
     **Arguments:**
 
-    - `check`: whether all runs are checked, which takes about a millisecond each, or the section `sweep` alone.
+    - `path`, `overrides`: as in `load_config`.
+    - `check`: whether to check all runs, at about a millisecond each, or only the section `sweep`.
     - `progress`: called while runs are checked.
 
     **Returns:** the sweep. Equal files give equal runs in the same order.
@@ -229,8 +230,8 @@ def load_sweep(
     count = count_of(settings)
     if count > _MOST_RUNS:
         message = (
-            f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and has a folder; shorten "
-            "its lists, or write several sweeps"
+            f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and gets a folder; shorten "
+            "its lists, or split it into several sweeps"
         )
         raise ConfigError([Problem(draft.origin.place(("sweep",)), "sweep", message)])
     runs = SweepRuns(settings, draft)
@@ -240,9 +241,9 @@ def load_sweep(
 
 
 def _settings_of(draft: Draft) -> SweepConfig:
-    """The section `sweep` of `draft`. What else the file says is checked with each run's values in their places."""
+    """The section `sweep` of `draft`. The other sections are checked with each run's values filled in."""
     if draft.data.get("sweep") is None:
-        message = "is missing; expected a section that says what changes; add it, or use diffshadow render or fit"
+        message = "is missing; expected a section of what to vary; add it, or use diffshadow render or fit"
         raise ConfigError([*draft.problems, Problem(draft.origin.place(()), "sweep", message)])
     try:
         Config.model_validate(draft.data)
@@ -254,10 +255,10 @@ def _settings_of(draft: Draft) -> SweepConfig:
 
 
 def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
-    """`draft` with the values of `choice`, whose places are those that `origin` has in the section `sweep`."""
+    """`draft` with the values of `choice`. Their places are those in the section `sweep`, taken from `origin`."""
     data, places, problems = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.problems)
     for key, value in choice.values.items():
-        # JSON is YAML, so a value passes through an override as it is.
+        # JSON is YAML, so an override preserves the value.
         override = f"{key}={json.dumps(value, ensure_ascii=False)}"
         passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
         problems += [
@@ -273,13 +274,13 @@ def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
         return
     if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, ShadowMappingConfig):
         message = (
-            f"is given, and there are runs of technique {config.technique.type} with filter {config.filter.type}; "
-            "expected shadow_map with random_disk, which has a limit; remove it, or such runs"
+            f"is given, but there are runs of technique {config.technique.type} with filter {config.filter.type}; "
+            "expected shadow_map with random_disk, which has a limit; remove it, or these runs"
         )
     elif (taps := settings.limit_samples * config.filter.pattern_size**2) > _MOST_LIMIT_TAPS:
         message = (
             f"is {settings.limit_samples}, and with filter.pattern_size {config.filter.pattern_size} there are "
-            f"{taps:,} taps of a tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
+            f"{taps:,} taps per tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
         )
     else:
         return

@@ -1,7 +1,7 @@
-"""Reads YAML 1.2's core schema, and remembers where every key was written.
+"""Reads YAML 1.2's core schema, and records where every key was written.
 
-PyYAML's own loaders follow YAML 1.1, which takes `1e-3` for text and `on` for true, and let the last of two equal
-keys win in silence. Here plain data is made from PyYAML's nodes instead.
+PyYAML's loaders follow YAML 1.1, which reads `1e-3` as text and `on` as true, and silently keep the last of two equal
+keys. This reader makes plain data from PyYAML's nodes instead.
 """
 
 import re
@@ -23,7 +23,7 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 _KNOWN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("str", "seq", "map")}
-# Aliases of aliases grow exponentially; no honest configuration comes near this.
+# Aliases of aliases can grow exponentially. No real configuration comes near this limit.
 _MOST_VALUES = 10_000
 _LONGEST_INTEGER = 40
 
@@ -34,7 +34,7 @@ _HINTS = {
     "could not find expected ':'": "write 'key: value', with a space after the colon",
     "expected ',' or ']'": "close the list with ']'",
     "expected ',' or '}'": "close the section with '}'",
-    "expected a single document": "keep one document a file: remove the line '---'",
+    "expected a single document": "keep one document per file: remove the line '---'",
     "found undefined alias": "quote text that begins with '*'",
     "while scanning a quoted scalar": "close the quotes",
 }
@@ -50,9 +50,9 @@ _WORDS = {
 
 
 class Document(NamedTuple):
-    """Plain data (dicts, lists, str, int, float, bool, `None`), the places of keys and list entries, and faults.
+    """Plain data (dicts, lists, str, int, float, bool, `None`), the places of keys and list entries, and problems.
 
-    Where a fault leaves no value, `data` holds `None`; of a key that is given twice it holds the first.
+    An invalid value is `None` in `data`. A key that is given twice has its first value.
     """
 
     data: Any
@@ -65,9 +65,9 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
 
     **Arguments:**
 
-    - `locate`: makes a place of a line and a column, each counted from 1.
+    - `locate`: makes a place from a line and a column, each counted from 1.
 
-    **Returns:** what it says. Keys that are given twice, are no text or bear a tag are among its problems.
+    **Returns:** the document. Its problems include keys that are given twice, are not text or have a tag.
 
     **Raises** `ConfigError` on a syntax error.
     """
@@ -88,7 +88,7 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
 
 
 class _Reader:
-    """Turns nodes into data; gathers `places` and `problems` on the way."""
+    """Converts nodes to data, and collects `places` and `problems`."""
 
     def __init__(self, locate: Callable[[int, int], Place]):
         self.locate = locate
@@ -97,7 +97,7 @@ class _Reader:
         self.count = 0
 
     def value(self, node: yaml.Node, path: KeyPath, within: tuple[int, ...]) -> Any:
-        """Data of `node`, which stands at `path` inside the nodes whose ids are `within`."""
+        """The data of `node`, at `path`. `within` holds the ids of the enclosing nodes."""
         self.places.setdefault(path, self.place(node))
         self.count += 1
         if id(node) in within:
@@ -138,13 +138,13 @@ class _Reader:
 
     def scalar(self, node: yaml.Node, path: KeyPath) -> str | int | float | bool | None:
         text = node.value
-        if has_half_character(text):
-            self.report(node, path, f"is {show(text)}, with half a character; expected whole ones; remove it")
+        if has_surrogate(text):
+            self.report(node, path, f"is {show(text)}, with an invalid character; expected UTF-8 text; remove it")
             return None
         if not isinstance(node, yaml.ScalarNode) or node.style is not None:
             return text
         if len(text) > _LONGEST_INTEGER and any(form.fullmatch(text) for form in (_INTEGER, _OCTAL, _HEXADECIMAL)):
-            self.report(node, path, f"is an integer of {len(text)} digits; expected a smaller one; check the number")
+            self.report(node, path, f"is an integer of {len(text)} digits; expected fewer digits; check the number")
             return None
         return plain_scalar(text)
 
@@ -155,8 +155,8 @@ class _Reader:
         self.problems.append(Problem(self.place(node), dotted(path), message))
 
 
-def has_half_character(text: str) -> bool:
-    """Whether `text` holds a lone surrogate: half of a character, or a byte of the command line that is no UTF-8."""
+def has_surrogate(text: str) -> bool:
+    """Whether `text` holds a lone surrogate, such as a byte of the command line that is not UTF-8."""
     return any("\ud800" <= c <= "\udfff" for c in text)
 
 
@@ -184,10 +184,10 @@ def plain_scalar(text: str) -> str | int | float | bool | None:
 def _syntax_error(error: yaml.MarkedYAMLError, locate: Callable[[int, int], Place]) -> ConfigError:
     mark = error.problem_mark or error.context_mark
     place = locate(1, 1) if mark is None else locate(mark.line + 1, mark.column + 1)
-    said = error.problem or error.context or "cannot be read"
+    message = error.problem or error.context or "cannot be read"
     for jargon, words in _WORDS.items():
-        said = said.replace(jargon, words)
+        message = message.replace(jargon, words)
     everything = f"{error.context} {error.problem}"
     mend = next((hint for words, hint in _HINTS.items() if words in everything), "check the brackets and quotes")
     column = "" if place.column is None else f" (column {place.column})"
-    return ConfigError([Problem(place, "", f"is not YAML: {said}{column}; {mend}")])
+    return ConfigError([Problem(place, "", f"is not YAML: {message}{column}; {mend}")])

@@ -1,1 +1,1 @@
-"""Sections of a configuration: what each may hold, and which of its numbers a fit may change."""
+"""Sections of a configuration: their keys, and which of their numbers can be fitted."""

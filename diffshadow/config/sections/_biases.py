@@ -1,4 +1,4 @@
-"""Sections that say what keeps surfaces from shadowing themselves."""
+"""Sections of the bias, which keeps surfaces from shadowing themselves."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
@@ -12,34 +12,36 @@ _TEXELS = 0.5
 
 
 class NoPlaneConfig(Section):
-    """Taps compare with the receiver's own depth."""
+    """Taps compare against the receiver's depth."""
 
     type: Literal["none"] = "none"
 
 
 class ReceiverPlaneConfig(Section):
-    """Taps compare with the receiver's plane."""
+    """Taps compare against the depth of the receiver's plane at their texel."""
 
     type: Literal["receiver_plane"] = "receiver_plane"
     fudge: Annotated[float, Fitted()] = Field(
         default=0.0,
         ge=0,
         le=MOST_TEXELS,
-        description="bias besides, in units of the receiver's slope along x plus that along y",
+        description="additional bias, in units of the sum of the receiver's slopes along x and y",
     )
     limit: Annotated[Texels | None, Fitted()] = Field(
-        default=None, ge=0, description="the most that fudge may subtract, in texels; default: no limit"
+        default=None, ge=0, description="greatest bias that fudge may add, in texels; default: no limit"
     )
     deepening: Annotated[Texels | None, Fitted()] = Field(
-        default=None, ge=0, description="how much deeper than the receiver a tap compares, in texels; default: any"
+        default=None,
+        ge=0,
+        description="how much deeper than the receiver a tap may compare, in texels; default: no limit",
     )
 
 
 class AdaptiveBiasConfig(Section):
-    """Just what lifts the receiver to its plane at the texel's centre; for nearest look-ups."""
+    """Moves the receiver to the depth of its plane at the texel's centre; for nearest look-ups."""
 
     type: Literal["adaptive"] = "adaptive"
-    epsilon: Annotated[Texels, Fitted()] = Field(default=0.0, ge=0, description="bias besides, in texels")
+    epsilon: Annotated[Texels, Fitted()] = Field(default=0.0, ge=0, description="additional bias, in texels")
 
 
 PlaneConfig = Annotated[
@@ -51,7 +53,7 @@ PlaneConfig = Annotated[
 
 
 class BiasConfig(Section):
-    """How far receivers move towards the light before the compare."""
+    """Biases, which move receivers towards the light before the compare."""
 
     constant: Annotated[Texels, Fitted("constant.value")] = Field(
         default=_TEXELS, ge=0, description="constant bias, in texels; default: 0.5, or 0 with a plane"
@@ -71,7 +73,7 @@ class BiasConfig(Section):
         default=None, ge=0, description="greatest slope bias, in texels; default: no bound"
     )
     unit: Literal["texels", "depth"] = Field(
-        default="texels", description="of the constant and the slope bias: texels' widths, or window depth from 0 to 1"
+        default="texels", description="unit of the constant and slope bias: texel widths, or window depth from 0 to 1"
     )
     normal_offset: Annotated[Texels, Fitted("normal_offset.value")] = Field(
         default=0.0, ge=0, description="shift along the receiver's normal, in texels"
@@ -79,11 +81,11 @@ class BiasConfig(Section):
     normal_offset_profile: Literal["sine", "constant", "one_minus_cosine"] = Field(
         default="sine", description="how the normal offset grows with the angle to the light"
     )
-    plane: PlaneConfig = Field(default_factory=NoPlaneConfig, description="what is known of the receiver's plane")
+    plane: PlaneConfig = Field(default_factory=NoPlaneConfig, description="bias from the receiver's plane")
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        # The defaults are in texels, and a bias that knows the plane needs no other.
+        # The defaults are in texels, and a bias from the receiver's plane needs no other.
         if look(data, "plane", "type", default="none") == "none" and data.get("unit") != "depth":
             return data
         return {"constant": 0.0, "slope": 0.0, **data}

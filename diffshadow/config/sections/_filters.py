@@ -1,6 +1,6 @@
-"""Sections that say how compares are averaged: a filter's section has its name, its settings and what it builds.
+"""Sections of the filters, which average compares.
 
-A section's keys are the arguments of the module that `builds` names, so that nothing is to be said twice.
+A section's keys are the arguments of the module that `builds` names.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,39 +11,39 @@ from pydantic import Field, Tag
 from ._section import FARTHEST, Conflict, Fitted, Section, Texels, Unit, by_type, fault, ordered
 
 Radius = Annotated[Texels, Fitted()]
-# One that is written out texel by texel: far beyond, compiling takes minutes.
-WrittenOut = Annotated[float, Field(le=128), Unit("texels"), Fitted()]
+# The radius of a kernel that is unrolled texel by texel. Compilation takes minutes for much larger radii.
+UnrolledRadius = Annotated[float, Field(le=128), Unit("texels"), Fitted()]
 LeastVariance = Annotated[float, Fitted()]
 MOST_TAPS = 1 << 20
-"""The most taps of a tile of patterns."""
-_LEAST_VARIANCE = "floor on the variance of depth, which runs from 0 at the map's near plane to 1 at its far plane"
+"""The most taps in a tile of patterns."""
+_LEAST_VARIANCE = "least variance of depth, where depth is 0 at the map's near plane and 1 at its far plane"
 
 
 class _FilterConfig(Section):
     builds: ClassVar[str]
-    """The name in `diffshadow.shadow` of the module that the section stands for."""
+    """The name in `diffshadow.shadow` of the module that the section builds."""
     grows_with_radius: ClassVar[bool] = False
-    """Whether the module needs to know how large its radius may become."""
+    """Whether the module takes an upper bound of its radius."""
     radius_key: ClassVar[str] = "radius"
-    """The key that says how far its taps lie."""
+    """The key that sets how far its taps reach."""
     beyond_radius: ClassVar[float] = 0.0
-    """How far beyond its radius it reads the map, in texels."""
+    """How far beyond its radius the filter reads the map, in texels."""
 
     @property
     def reach(self) -> float:
-        """How far from where a receiver is seen the map is read, in texels."""
+        """How far from the receiver's texel coordinates the filter reads the map, in texels."""
         return getattr(self, self.radius_key, 0.0) + self.beyond_radius
 
 
 class NearestConfig(_FilterConfig):
-    """The one texel under the receiver."""
+    """A single compare with the nearest texel."""
 
     type: Literal["nearest"] = "nearest"
     builds: ClassVar[str] = "Nearest"
 
 
 class BilinearConfig(_FilterConfig):
-    """Four compares, blended."""
+    """Bilinear interpolation of four compares."""
 
     type: Literal["bilinear"] = "bilinear"
     builds: ClassVar[str] = "Bilinear"
@@ -54,31 +54,31 @@ class FourTapConfig(_FilterConfig):
     """Four bilinear taps on the diagonals."""
 
     type: Literal["four_tap"] = "four_tap"
-    radius: Radius = Field(default=1.0, ge=0, description="of the taps from the middle, in texels")
+    radius: Radius = Field(default=1.0, ge=0, description="distance of the taps from the centre, in texels")
     builds: ClassVar[str] = "FourTap"
     beyond_radius: ClassVar[float] = 0.5
 
 
 class PercentageCloserConfig(_FilterConfig):
-    """A box of texels with fractional edges."""
+    """A box filter with fractional edges."""
 
     type: Literal["pcf"] = "pcf"
-    radius: WrittenOut = Field(default=2.0, ge=0, description="half the box's width, in texels")
+    radius: UnrolledRadius = Field(default=2.0, ge=0, description="half the box's width, in texels")
     builds: ClassVar[str] = "PercentageCloser"
     grows_with_radius: ClassVar[bool] = True
 
 
 class TentConfig(_FilterConfig):
-    """A tent of texels, which weighs those in the middle most."""
+    """A tent filter, with weights that fall off linearly from the centre."""
 
     type: Literal["tent"] = "tent"
-    radius: WrittenOut = Field(default=2.0, ge=0, description="half the tent's width, in texels")
+    radius: UnrolledRadius = Field(default=2.0, ge=0, description="half the tent's width, in texels")
     builds: ClassVar[str] = "Tent"
     grows_with_radius: ClassVar[bool] = True
 
 
 class CastanoConfig(_FilterConfig):
-    """A fixed kernel folded into few bilinear taps."""
+    """A fixed kernel evaluated with few bilinear taps."""
 
     type: Literal["castano"] = "castano"
     size: Annotated[Literal[3, 5, 7], Unit("texels")] = Field(default=5, description="width of the kernel, in texels")
@@ -90,24 +90,25 @@ class CastanoConfig(_FilterConfig):
 
 
 class PatternedConfig(_FilterConfig):
-    """A filter whose taps lie on a pattern, another one for each pixel of a tile."""
+    """A filter whose taps follow a pattern, a different one for each pixel of a tile."""
 
     pattern: Literal["stratified", "uniform", "poisson", "vogel", "sobol", "halton"] = Field(
-        default="stratified", description="how the taps lie on a disk"
+        default="stratified", description="how the taps are distributed on a disk"
     )
-    samples: Annotated[int, Unit("taps a pixel")] = Field(default=32, ge=1, le=4096, description="taps a pixel")
+    samples: Annotated[int, Unit("taps a pixel")] = Field(default=32, ge=1, le=4096, description="taps per pixel")
     pattern_size: Annotated[int, Unit("pixels")] = Field(
         default=8, ge=1, le=256, description="width of the tile of patterns, in pixels; default: 8, or 1 for vogel"
     )
     rotated: bool = Field(
-        default=False, description="whether each pixel also turns its pattern; default: false, or true for vogel"
+        default=False, description="whether each pixel also rotates its pattern; default: false, or true for vogel"
     )
 
     def faults(self) -> Iterator[Conflict]:
         taps = self.samples * self.pattern_size**2
         if taps > MOST_TAPS:
-            said = f"is {self.samples} with pattern_size {self.pattern_size}, which makes {taps:,} taps of a tile"
-            yield ("samples",), fault(said, f"at most {MOST_TAPS:,}, which take seconds to make", "lower one of them")
+            message = f"is {self.samples} with pattern_size {self.pattern_size}, which makes {taps:,} taps per tile"
+            expected = f"at most {MOST_TAPS:,}, which take seconds to generate"
+            yield ("samples",), fault(message, expected, "lower one of them")
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -118,30 +119,31 @@ class RandomDiskConfig(PatternedConfig):
     """Taps on a disk."""
 
     type: Literal["random_disk"] = "random_disk"
-    radius: Radius = Field(default=2.0, ge=0, description="of the disk, in texels")
+    radius: Radius = Field(default=2.0, ge=0, description="radius of the disk, in texels")
     lookup: Literal["bilinear", "nearest"] = Field(default="bilinear", description="how each tap reads the map")
     early_out: bool = Field(
-        default=False, description="whether to spare pixels that a first few taps find all lit or shadowed"
+        default=False, description="whether to skip the other taps where the first few are all lit or all shadowed"
     )
     builds: ClassVar[str] = "RandomDisk"
     beyond_radius: ClassVar[float] = 0.5
 
 
 class PercentageCloserSoftConfig(PatternedConfig):
-    """A disk as wide as the penumbra, which a search for blockers tells."""
+    """A disk as wide as the penumbra, which is estimated by a blocker search."""
 
     type: Literal["pcss"] = "pcss"
     light_size: Annotated[float | None, Fitted()] = Field(
         default=None,
         ge=0,
         le=FARTHEST,
-        description="radius in world units, or half a directional light's angle in degrees; default: the light's own",
+        description="light's radius in world units, or half a directional light's angle in degrees; "
+        "default: the light's own",
     )
     search_samples: Annotated[int, Unit("taps a pixel")] = Field(
-        default=16, ge=1, le=4096, description="taps a pixel that search for blockers"
+        default=16, ge=1, le=4096, description="taps per pixel of the blocker search"
     )
     min_radius: Radius = Field(default=0.0, ge=0, description="least radius of the disk, in texels")
-    max_radius: Texels = Field(default=32.0, ge=0, description="greatest radius of disk and search, in texels")
+    max_radius: Texels = Field(default=32.0, ge=0, description="greatest radius of disk and blocker search, in texels")
     builds: ClassVar[str] = "PercentageCloserSoft"
     radius_key: ClassVar[str] = "max_radius"
     beyond_radius: ClassVar[float] = 0.5
@@ -152,9 +154,9 @@ class PercentageCloserSoftConfig(PatternedConfig):
 
 
 class _PrefilteredConfig(_FilterConfig):
-    """A map that is blurred before it is looked up. The compare is ignored."""
+    """A map that is blurred before it is sampled. The compare is ignored."""
 
-    radius: WrittenOut = Field(default=2.0, ge=0, description="of the blur, in texels")
+    radius: UnrolledRadius = Field(default=2.0, ge=0, description="radius of the blur, in texels")
     kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")
     light_bleeding: Annotated[float, Fitted()] = Field(
         default=0.0, ge=0, le=0.99, description="visibility up to which a receiver counts as dark"
@@ -172,11 +174,11 @@ class VarianceConfig(_PrefilteredConfig):
 
 
 class ExponentialConfig(_PrefilteredConfig):
-    """An exponential of depth, whose blur is apart from the receiver's."""
+    """Exponential of depth, which is blurred independently of the receiver's depth."""
 
     type: Literal["esm"] = "esm"
     exponent: Annotated[float, Fitted()] = Field(
-        default=80.0, ge=0, le=80, description="how steeply light ends behind an occluder, per depth from near to far"
+        default=80.0, ge=0, le=80, description="steepness of the falloff behind an occluder, per depth from near to far"
     )
     builds: ClassVar[str] = "ExponentialShadowMap"
 
@@ -186,10 +188,13 @@ class ExponentialVarianceConfig(_PrefilteredConfig):
 
     type: Literal["evsm"] = "evsm"
     positive_exponent: Annotated[float, Fitted()] = Field(
-        default=40.0, ge=1e-3, le=42, description="of the warp that parts overlapping occluders"
+        default=40.0, ge=1e-3, le=42, description="exponent of the positive warp, which separates overlapping occluders"
     )
     negative_exponent: Annotated[float, Fitted()] = Field(
-        default=5.0, ge=1e-3, le=42, description="of the warp that parts receivers from what is deeper"
+        default=5.0,
+        ge=1e-3,
+        le=42,
+        description="exponent of the negative warp, which separates receivers from deeper surfaces",
     )
     least_variance: LeastVariance = Field(default=1e-6, ge=1e-12, le=1, description=_LEAST_VARIANCE)
     builds: ClassVar[str] = "ExponentialVarianceShadowMap"
@@ -200,7 +205,7 @@ class MomentsConfig(_PrefilteredConfig):
 
     type: Literal["msm"] = "msm"
     moment_bias: Annotated[float, Fitted()] = Field(
-        default=3e-6, ge=1e-7, le=1, description="how far moments are blended to safe ones, against rounding"
+        default=3e-6, ge=1e-7, le=1, description="weight of the safe moments blended in against rounding"
     )
     builds: ClassVar[str] = "MomentShadowMap"
 

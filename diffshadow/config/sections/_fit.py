@@ -1,4 +1,4 @@
-"""The section that says what is fitted, and how."""
+"""Sections of a fit: its parameters, solver and annealing."""
 
 import itertools
 import math
@@ -14,9 +14,9 @@ from ._technique import LEAST_WIDTH, Kernel
 
 
 class FitParameterConfig(Section):
-    """A number to fit, in the unit of the key that it names, and its bounds.
+    """The bounds and start of a number to fit, in the unit of its key.
 
-    Of the scene's numbers, those that light and meshes have by `scene` are the truth, if the reference is traced.
+    For numbers of the scene with a traced reference, the values in `scene` are the truth.
     """
 
     initial: float | None = Field(
@@ -39,7 +39,7 @@ class SolverConfig(Section):
     type: Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"] = Field(
         default="levenberg_marquardt", description="the method"
     )
-    # Days, at a second a step.
+    # About a day, at a second per step.
     max_steps: Annotated[int, Unit("steps")] = Field(default=30, ge=1, le=100_000, description="most steps in a phase")
     rtol: float = Field(default=1e-4, gt=0, lt=1, description="relative change at which a phase ends")
     atol: float = Field(default=1e-6, gt=0, lt=1, description="absolute change at which a phase ends")
@@ -47,7 +47,7 @@ class SolverConfig(Section):
         default=0.05,
         gt=0,
         le=math.pi,
-        description="of adam alone: length of its first steps, where the bounds lie pi apart",
+        description="for adam only: length of its first steps, in units where the bounds are pi apart",
     )
 
 
@@ -65,7 +65,7 @@ class AnnealConfig(Section):
 
 
 UPPER = 10.0
-"""The upper bound of the constant bias where a fit names no parameters, in texels; or more, to hold its start."""
+"""The upper bound of the constant bias in a fit that names no parameters, in texels. A large start raises it."""
 
 
 def _default_parameters() -> dict[str, FitParameterConfig]:
@@ -73,19 +73,20 @@ def _default_parameters() -> dict[str, FitParameterConfig]:
 
 
 class FitConfig(Section):
-    """What is fitted, and how."""
+    """The parameters of a fit, and its settings."""
 
     parameters: dict[str, FitParameterConfig] = Field(
-        default_factory=_default_parameters, description="numbers to fit, by the key they are set with"
+        default_factory=_default_parameters, description="numbers to fit, by the key that sets them"
     )
     solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
     anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
     levels: Annotated[tuple[Count, ...], as_list, Form("a list of whole numbers that fall to 1")] | None = Field(
         default=None,
-        description="of lights and meshes: how many pixels a side make one, phase by phase; default: [8, 1]",
+        description="for lights and meshes: downsampling factor of each phase, where a coarse pixel averages "
+        "level x level pixels; default: [8, 1]",
     )
     multistart: Annotated[int, Unit("starts")] = Field(
-        default=1, ge=1, le=1024, description="starts that are tried: the initial values, and others over the bounds"
+        default=1, ge=1, le=1024, description="number of starts: the initial values, and others within the bounds"
     )
 
     @classmethod
@@ -97,8 +98,8 @@ class FitConfig(Section):
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
         if isinstance(levels, list | tuple) and all(isinstance(n, int) for n in levels):
             if not levels or levels[-1] != 1 or any(a <= b for a, b in itertools.pairwise(levels)):
-                said = "does not fall to 1" if levels else "is empty"
-                yield ("levels",), fault(said, "whole numbers that do", "write a list such as [8, 1]")
+                message = "does not fall to 1" if levels else "is empty"
+                yield ("levels",), fault(message, "whole numbers that fall to 1", "write a list such as [8, 1]")
             elif not any(is_pose(str(name)) for name in names):
-                mend = "remove the key, or name a number of the scene, such as scene.light.azimuth"
-                yield ("levels",), fault("is given, and nothing moves", "a parameter of light or mesh with it", mend)
+                mend = "remove the key, or add a parameter of the scene, such as scene.light.azimuth"
+                yield ("levels",), fault("is given, and nothing moves", "a parameter of a light or mesh with it", mend)

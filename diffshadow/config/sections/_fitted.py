@@ -1,4 +1,4 @@
-"""Which numbers of a configuration a fit may change: those that their sections mark as `Fitted`."""
+"""Which numbers of a configuration can be fitted: those marked as `Fitted` in their sections."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -19,14 +19,14 @@ DEFAULT_FILTER = "random_disk"
 
 
 def fit_paths(data: Any) -> dict[str, str]:
-    """The numbers that the technique of a configuration can fit.
+    """The numbers of a configuration's technique that can be fitted.
 
     **Arguments:**
 
-    - `data`: a configuration, or the data of one that may hold faults.
+    - `data`: a configuration, or the unchecked data of one.
 
-    **Returns:** where each number is in the `ShadowMapping` that the configuration stands for, a dotted path, by the
-    key that sets it, such as `"bias.slope.value"` by `"bias.slope"`.
+    **Returns:** the dotted path of each number in the `ShadowMapping` that the configuration builds, by the key that
+    sets it; for example, `"bias.slope"` maps to `"bias.slope.value"`.
     """
     return {
         f"{holder}.{key}": f"{holder}.{mark.path or key}"
@@ -36,7 +36,7 @@ def fit_paths(data: Any) -> dict[str, str]:
 
 
 def start_of(data: Any, name: str) -> Any:
-    """What the key `name` is set to in `data`, or its default."""
+    """The value of the key `name` in `data`, or its default."""
     holder, _, key = name.rpartition(".")
     section, given = _holders(data)[holder], look(data, *holder.split("."), default={})
     if isinstance(given, Mapping):
@@ -45,7 +45,7 @@ def start_of(data: Any, name: str) -> Any:
 
 
 def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of those of `parameters`, the section `fit.parameters`, whose names stand for nothing in any scene."""
+    """Faults of the entries of `parameters`, the section `fit.parameters`, whose names exist in no configuration."""
     everywhere = {f"{h}.{key}" for h, sections in _HOLDERS.items() for s in sections for key in _fitted_keys(s)}
     for name in parameters:
         path = ("fit", "parameters", name)
@@ -56,7 +56,7 @@ def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
 
 
 def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
-    """What is wrong with `parameters`, the section `fit.parameters`, in a fit of a configuration of `data`."""
+    """What is wrong with `parameters`, the section `fit.parameters`, in a fit of the configuration `data`."""
     known = fit_paths(data)
     for name, parameter in parameters.items():
         pose = pose_of(data, name)
@@ -72,23 +72,23 @@ def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Confl
 
 
 def _start_outside(name: str, parameter: Any, start: Any, limits: Limits) -> Iterator[Conflict]:
-    """A fault unless the fit of the number `name` has an initial value, or `start`, its key's own, is within bounds."""
+    """A fault if `name` has no initial value and `start`, the value of its key, is missing or out of bounds."""
     path = ("fit", "parameters", name)
     lower, upper, initial = (look(parameter, key) for key in ("lower", "upper", "initial"))
     if initial is not None or not (is_number(lower) and is_number(upper)):
         return
-    # A value beyond the limits is an error of the key that sets it.
+    # A value beyond the limits is reported for the key that sets it.
     if is_number(start) and not limits.undercut_by(start) and not limits.exceeded_by(start) and lower < upper:
         yield from ((path, what) for what in outside(start, lower, upper, name))
     elif start is None:
-        said = f"has no value to start from, for {name} is not set"
-        yield path, fault(said, "an initial value within the bounds", f"add initial, or set {name}")
+        message = f"has no start, since {name} is not set"
+        yield path, fault(message, "an initial value within the bounds", f"add initial, or set {name}")
 
 
 def outside(
     initial: float | int, lower: float | int, upper: float | int, name: str | None = None
 ) -> Iterator[PydanticCustomError]:
-    """A fault unless `initial`, taken from the key `name` if there is one, lies within the bounds."""
+    """A fault unless `initial` is within the bounds; `name` is the key that it was taken from, if any."""
     if lower <= initial <= upper:
         return
     given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
@@ -96,24 +96,24 @@ def outside(
     yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")
 
 
-# All sections that may hold numbers to fit, by their keys.
+# All sections with numbers that can be fitted, by their keys.
 _HOLDERS = {"bias": [BiasConfig], "bias.plane": [*_PLANES.values()], "filter": [*FILTERS.values()]}
 
 
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
-    """The keys of `section` that a fit may change."""
+    """The keys of `section` that can be fitted."""
     fields = section.model_fields.items()
     return {key: mark for key, field in fields for mark in field.metadata if isinstance(mark, Fitted)}
 
 
 def _holders(data: Any) -> dict[str, type[Section]]:
-    """The sections that may hold numbers to fit, by their keys."""
+    """The sections of `data` with numbers that can be fitted, by their keys."""
     plane = _PLANES.get(str(look(data, "bias", "plane", "type", default="none")), _PLANES["none"])
     return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)]}
 
 
 def _filter_type(data: Any) -> str:
-    # A misspelt type is an error of its own; a name may still be wrong for every filter.
+    # A misspelt type is reported elsewhere. A name may still be wrong for every filter.
     kind = str(look(data, "filter", "type", default=DEFAULT_FILTER))
     return kind if kind in FILTERS else DEFAULT_FILTER
 
@@ -125,7 +125,7 @@ def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
 
 
 def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:
-    """Faults of bounds that the number `name` itself could not be set to."""
+    """Faults of bounds beyond the limits of the number `name`."""
     path, lower, upper = ("fit", "parameters", name), look(parameter, "lower"), look(parameter, "upper")
     if is_number(lower) and limits.undercut_by(lower):
         yield (*path, "lower"), fault(f"is {lower}", f"a number {limits.least}, as for {name}", "raise it")
@@ -134,6 +134,6 @@ def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Confli
 
 
 def _limits_of(data: Any, name: str) -> Limits:
-    """Those of the numbers that the key `name` may be set to."""
+    """The limits of the key `name`."""
     holder, _, key = name.rpartition(".")
     return Limits.of(marked(_holders(data)[holder].model_fields[key])[1])

@@ -1,4 +1,4 @@
-"""Sections that say what light falls on the scene."""
+"""Sections of the lights."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
@@ -29,10 +29,10 @@ from ._section import (
 class LightOrbit(Section):
     """A light placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Turn = Field(default=60.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    azimuth: Turn = Field(default=60.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
     elevation: Degrees = Field(default=60.0, ge=-90, le=90, description="height above the horizon, in degrees")
     distance: Radii = Field(
-        default=4.0, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
+        default=4.0, gt=0, description="distance from the mesh's middle, in radii of its bounding sphere"
     )
 
 
@@ -44,19 +44,19 @@ class DirectionalLightConfig(Section):
         default=None, description="where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"
     )
     elevation: Degrees | None = Field(
-        default=None, ge=-90, le=90, description="height above the horizon the light comes from, in degrees; default 45"
+        default=None, ge=-90, le=90, description="angle above the horizon it comes from, in degrees; default 45"
     )
     direction: Direction | None = Field(
-        default=None, description="the way the light travels, of any length; instead of azimuth and elevation"
+        default=None, description="direction of travel, of any length; instead of azimuth and elevation"
     )
     angular_radius: Degrees = Field(
         default=1.0,
         ge=0,
         le=90 - NARROWEST,
-        description="half the angle under which the light is seen, in degrees; 0 is a hard light",
+        description="half the angular diameter of the light, in degrees; 0 casts hard shadows",
     )
     frame: Literal["scene", "casters"] = Field(
-        default="scene", description="what the map is just wide enough for; pixels beside casters then do not count"
+        default="scene", description="what the map is fitted to; with casters, pixels outside the map do not count"
     )
 
     @property
@@ -77,16 +77,18 @@ class DirectionalLightConfig(Section):
 
 
 class _PlacedLightConfig(Section):
-    """A light that stands somewhere."""
+    """A light at a finite position."""
 
     orbit: LightOrbit | None = Field(
-        default=None, description="place by angles about the first mesh, instead of position"
+        default=None, description="placement by angles about the first mesh, instead of position"
     )
-    position: Position | None = Field(default=None, description="where the light stands, in world units")
+    position: Position | None = Field(default=None, description="position of the light, in world units")
     near: WorldUnits | None = Field(
-        default=None, gt=0, description="where the map begins, in world units; default: tight"
+        default=None, gt=0, description="near plane of the map, in world units; default: tight"
     )
-    far: WorldUnits | None = Field(default=None, gt=0, description="where the map ends, in world units; default: tight")
+    far: WorldUnits | None = Field(
+        default=None, gt=0, description="far plane of the map, in world units; default: tight"
+    )
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -99,16 +101,16 @@ class _PlacedLightConfig(Section):
 
 
 class _AimedLightConfig(_PlacedLightConfig):
-    """A light that shines one way."""
+    """A light with a direction."""
 
     target: Position | None = Field(
-        default=None, description="point the light is turned to, in world units; default: the scene's middle"
+        default=None, description="point the light is aimed at, in world units; default: the scene's middle"
     )
     outer_angle: Degrees | None = Field(
         default=None,
         ge=NARROWEST,
         le=90 - NARROWEST,
-        description="half the map's opening, in degrees; default: just holds the scene",
+        description="half the map's field of view, in degrees; default: just wide enough for the scene",
     )
 
 
@@ -120,9 +122,9 @@ class SpotLightConfig(_AimedLightConfig):
         default=None,
         ge=0,
         le=90 - NARROWEST,
-        description="half the cone's part of full light, in degrees; default: shading does not obey the cone",
+        description="half angle of the cone's fully lit part, in degrees; default: shading ignores the cone",
     )
-    radius: WorldUnits = Field(default=0.0, ge=0, description="of the disk that shines, in world units; 0 is a point")
+    radius: WorldUnits = Field(default=0.0, ge=0, description="radius of the disk, in world units; 0 is a point")
 
     @property
     def has_size(self) -> bool:
@@ -134,8 +136,8 @@ class SpotLightConfig(_AimedLightConfig):
         yield from super().conflicts(data)
         inner, outer = data.get("inner_angle"), data.get("outer_angle")
         if is_number(inner) and is_number(outer) and inner > outer:
-            said = f"is {inner} and outer_angle is {outer}"
-            yield ("inner_angle",), fault(said, "inner_angle at most outer_angle", "make it smaller")
+            message = f"is {inner} and outer_angle is {outer}"
+            yield ("inner_angle",), fault(message, "inner_angle at most outer_angle", "make it smaller")
 
 
 class RectangleLightConfig(_AimedLightConfig):
@@ -145,7 +147,7 @@ class RectangleLightConfig(_AimedLightConfig):
     size: Annotated[Extent, Unit("world units")] = Field(
         default=(0.5, 0.5), description="[width, height], in world units"
     )
-    up: Direction = Field(default=(0.0, 1.0, 0.0), description="the way its height runs")
+    up: Direction = Field(default=(0.0, 1.0, 0.0), description="direction of its height")
 
     @property
     def has_size(self) -> bool:
@@ -154,15 +156,15 @@ class RectangleLightConfig(_AimedLightConfig):
 
 
 class PointLightConfig(_PlacedLightConfig):
-    """Light from a point or a sphere in all directions, with a map of six faces."""
+    """Light from a point or a sphere in all directions, with a cube map."""
 
     type: Literal["point"] = "point"
-    radius: WorldUnits = Field(default=0.0, ge=0, description="of the sphere that shines, in world units; 0 is a point")
+    radius: WorldUnits = Field(default=0.0, ge=0, description="radius of the sphere, in world units; 0 is a point")
     guard: float = Field(
         default=0.1,
         ge=0,
         le=1,
-        description="margin for filters round each face of the map, as a share of half the face's width",
+        description="margin for filters round each face of the map, as a fraction of half the face's width",
     )
 
     @property

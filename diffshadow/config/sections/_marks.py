@@ -1,4 +1,4 @@
-"""What the annotation of a value says: its bare type, and marks such as its limits."""
+"""Splits an annotation into its bare type and its marks, such as limits."""
 
 import types
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 
 
 def bare(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
-    """`annotation` without its marks and without `None`, and the marks."""
+    """The type in `annotation`, without marks and `None`; and the marks."""
     if get_origin(annotation) is Annotated:
         inside, *marks = get_args(annotation)
         kind, inner = bare(inside)
@@ -22,18 +22,18 @@ def bare(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def marked(field: FieldInfo) -> tuple[Any, tuple[Any, ...]]:
-    """The bare type of `field`'s value, and all of its marks."""
+    """The bare type of `field`, and all of its marks."""
     kind, marks = bare(field.annotation)
     return kind, (*_flat(field.metadata), *marks)
 
 
 def is_union(annotation: Any) -> bool:
-    """Whether `annotation` is one of several types."""
+    """Whether `annotation` is a union."""
     return get_origin(annotation) in (Union, types.UnionType)
 
 
 class Limits(NamedTuple):
-    """The least and the greatest number that may stand somewhere, and whether they themselves may not."""
+    """The limits of a number. `above_low` and `below_high` exclude the limits themselves."""
 
     low: int | float | None = None
     high: int | float | None = None
@@ -42,7 +42,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, marks: Sequence[Any]) -> "Limits":
-        """Those of `marks`, the tightest where there are several."""
+        """The tightest limits among `marks`."""
         low, high = cls(), cls()
         for mark in marks:
             match mark:
@@ -56,20 +56,20 @@ class Limits(NamedTuple):
 
     @property
     def least(self) -> str:
-        """The lower limit in words, or nothing."""
+        """The lower limit in words; empty if there is none."""
         return "" if self.low is None else f"{'greater than' if self.above_low else 'at least'} {_text(self.low)}"
 
     @property
     def most(self) -> str:
-        """The upper limit in words, or nothing."""
+        """The upper limit in words; empty if there is none."""
         return "" if self.high is None else f"{'less than' if self.below_high else 'at most'} {_text(self.high)}"
 
     def undercut_by(self, value: int | float) -> bool:
-        """Whether `value` lies beyond the lower limit."""
+        """Whether `value` is below the lower limit."""
         return self.low is not None and (value <= self.low if self.above_low else value < self.low)
 
     def exceeded_by(self, value: int | float) -> bool:
-        """Whether `value` lies beyond the upper limit."""
+        """Whether `value` is above the upper limit."""
         return self.high is not None and (value >= self.high if self.below_high else value > self.high)
 
 

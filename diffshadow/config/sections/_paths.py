@@ -1,4 +1,4 @@
-"""Paths that a configuration names."""
+"""Paths in a configuration."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from ._section import fault
 
 
 def path_of(text: str) -> Path:
-    """The path that `text` names. A first `~` is the present user's home folder; no other user's is looked up.
+    """The path `text`, with a leading `~` expanded to the current user's home folder.
 
     **Raises** `PydanticCustomError`, a `ValueError`, if `text` names another user's home folder or holds U+0000.
     """
@@ -18,11 +18,11 @@ def path_of(text: str) -> Path:
     if first == "~":
         home = os.path.expanduser("~")
         if home == "~":
-            said = f"is {show(text)}, and the present user has no home folder"
-            raise fault(said, "a path without ~", "write the folder out, or set the variable HOME")
+            message = f"is {show(text)}, and the current user has no home folder"
+            raise fault(message, "a path without ~", "write the folder out, or set the variable HOME")
         return Path(home + text[1:])
     if first.startswith("~"):
-        said = f"is {show(text)}, which begins with the home folder of another user"
-        mend = f"write that folder out, or ./{first} for one of this very name"
-        raise fault(said, "a path, in which ~/ is the present user's home folder", mend)
+        message = f"is {show(text)}, which begins with the home folder of another user"
+        mend = f"write that folder out, or ./{first} for a folder of that name"
+        raise fault(message, "a path, in which ~/ is the current user's home folder", mend)
     return Path(text)

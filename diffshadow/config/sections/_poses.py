@@ -1,4 +1,4 @@
-"""Which numbers of a scene a fit may move: where lights stand and shine, how large they are, where meshes stand."""
+"""Which numbers of a scene can be fitted: positions, directions and sizes of lights, and poses of meshes."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -19,16 +19,16 @@ _OF_LIGHTS = {
     "point": {**_POSITION, "radius": _WORLD},
     "rectangle": {**_POSITION},
 }
-"""The keys that can be fitted, and their units, by the light's type."""
+"""The keys that can be fitted, with their units, by the light's type."""
 _OF_MESHES = {**{f"translate.{a}": _WORLD for a in _AXES}, **{f"turn.{a}": _DEGREES for a in _AXES}}
 _SIZES = ("radius", "angular_radius")
 
 
 class Pose(NamedTuple):
-    """A number of the scene that a fit may move.
+    """A number of the scene that can be fitted.
 
-    - `path`: where it is in a `fit.Arrangement`; `unit`: its own.
-    - `vertex`: the mesh and the vertex that it places, where it does.
+    - `path`: its dotted path in a `fit.Arrangement`; `unit`: its unit.
+    - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
     """
 
     path: str
@@ -37,7 +37,7 @@ class Pose(NamedTuple):
 
     @property
     def limits(self) -> Limits:
-        """Those of the bounds of its fit, which are the same as the limits of the keys of such numbers."""
+        """The limits of its bounds, equal to the limits of the keys that set such numbers."""
         if self.unit == _DEGREES:
             return Limits(0, 90 - NARROWEST) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
         return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
@@ -54,7 +54,7 @@ def is_pose(name: str) -> bool:
 
 
 def poses(data: Any) -> dict[str, Pose]:
-    """The numbers of the scene that can be fitted, by name; but for single vertices, which are too many."""
+    """The numbers of the scene that can be fitted, by name. Vertices are left out: there are too many."""
     found = {}
     for i, (key, light) in enumerate(_lights(data)):
         for name, unit in _OF_LIGHTS.get(str(look(light, "type", default="directional")), {}).items():
@@ -65,7 +65,7 @@ def poses(data: Any) -> dict[str, Pose]:
 
 
 def pose_of(data: Any, name: str) -> Pose | None:
-    """The number of the scene that `name` means, or `None` if there is none."""
+    """The number of the scene named `name`, or `None` if there is none."""
     match name.split("."):
         case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
             if axis in _AXES and int(mesh) < _count(data, "meshes"):
@@ -74,7 +74,7 @@ def pose_of(data: Any, name: str) -> Pose | None:
 
 
 def could_be_pose(name: str) -> bool:
-    """Whether `name` is a number of some scene, if not of this one."""
+    """Whether some scene, not necessarily this one, has a number `name`."""
     words = name.split(".")
     match words:
         case ["scene", "light", *key]:
@@ -89,7 +89,7 @@ def could_be_pose(name: str) -> bool:
 
 
 def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
-    """What is wrong with fitting the number of the scene that `name` means."""
+    """What is wrong with fitting the number of the scene named `name`."""
     pose = pose_of(data, name)
     if pose is None:
         known = [*poses(data), "scene.meshes.0.vertices.0.x"]
@@ -98,8 +98,8 @@ def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
     if not pose.is_size:
         return
     if look(data, "filter", "type") != "pcss" or look(data, "filter", "light_size") is not None:
-        said = "cannot be fitted with a filter that does not see the light's size"
-        yield fault(said, "filter type pcss without a light_size", "change the filter, or leave the parameter out")
+        message = "cannot be fitted with a filter that does not use the light's size"
+        yield fault(message, "filter type pcss without a light_size", "change the filter, or remove the parameter")
 
 
 def _lights(data: Any) -> list[tuple[str, Any]]:

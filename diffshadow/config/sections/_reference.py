@@ -1,4 +1,4 @@
-"""The section that says what the truth is."""
+"""Sections of the reference."""
 
 from typing import Annotated, Literal
 
@@ -8,21 +8,23 @@ from ._section import Section, Unit, by_type
 
 
 class TracedReferenceConfig(Section):
-    """Ray-traced truth."""
+    """A ray-traced reference."""
 
     type: Literal["traced"] = "traced"
-    samples: Annotated[int, Unit("rays a pixel")] = Field(default=64, ge=1, le=65536, description="shadow rays a pixel")
+    samples: Annotated[int, Unit("rays a pixel")] = Field(
+        default=64, ge=1, le=65536, description="shadow rays per pixel"
+    )
     sampler: Literal["sobol", "stratified"] = Field(default="sobol", description="how points of the light are chosen")
     supersampling: Annotated[int, Unit("camera rays a pixel's side")] = Field(
         default=1,
         ge=1,
         le=8,
-        description="4 gives each pixel the mean over 4 x 4 points; fits of poses want it",
+        description="camera rays along a pixel's side: 4 averages 4 x 4 per pixel; recommended for fits of poses",
     )
 
 
 class ImageReferenceConfig(Section):
-    """Truth from a file."""
+    """A reference from an image file."""
 
     type: Literal["image"] = "image"
     path: str = Field(

@@ -1,4 +1,4 @@
-"""Sections that say what is drawn, from where, and lit by what."""
+"""Sections of the scene: meshes, camera and lights."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
@@ -34,14 +34,14 @@ from ._section import (
 )
 
 BUILTIN = "builtin:"
-"""How the path of a mesh from the library begins."""
+"""The prefix of paths that name a mesh of the library."""
 
 # The names in geometry.LIBRARY, kept here so that a misspelling is found without loading JAX.
 BUILTIN_MESHES = ("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot", "fence", "thin_wall", "blob")
 
 
 class MeshConfig(Section):
-    """A mesh, and where it stands: made to `size`, dropped to the ground, then scaled, turned and moved."""
+    """A mesh and its placement: fitted to `size`, dropped to the ground, then scaled, rotated and translated."""
 
     path: str = Field(
         min_length=1,
@@ -54,24 +54,26 @@ class MeshConfig(Section):
     drop_to_ground: bool = Field(
         default=False, description="whether to move the mesh up or down until it stands on y = 0"
     )
-    translate: Position = Field(default=(0.0, 0.0, 0.0), description="shift, after scale and rotate, in world units")
+    translate: Position = Field(
+        default=(0.0, 0.0, 0.0), description="translation, after scale and rotate, in world units"
+    )
     rotate: Angles = Field(
-        default=(0.0, 0.0, 0.0), description="turn about the x, then the y, then the z axis, in degrees"
+        default=(0.0, 0.0, 0.0), description="rotation about the x, then the y, then the z axis, in degrees"
     )
-    # From the largest scenes to the smallest, and back.
-    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="factor about the origin")
+    # Enough to scale the largest scenes to the smallest, and back.
+    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="scale factor about the origin")
     crease_angle: Degrees = Field(
-        default=30.0, ge=0, le=180, description="angle between faces of a file from which an edge is sharp, in degrees"
+        default=30.0, ge=0, le=180, description="edges of a mesh file bent by more are shaded sharp, in degrees"
     )
-    albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each share in [0, 1]")
+    albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each component in [0, 1]")
     casts: bool = Field(
         default=True,
-        description="whether the technique lets it cast shadows, or only receive them; the reference lets all cast",
+        description="whether it casts shadows with the technique, or only receives them; in the reference all cast",
     )
 
     @property
     def builtin(self) -> str | None:
-        """The name in the library, or `None` for a file."""
+        """The name of a library mesh, or `None` for a file."""
         return self.path.removeprefix(BUILTIN) if self.path.startswith(BUILTIN) else None
 
     @classmethod
@@ -92,16 +94,18 @@ class MeshConfig(Section):
 class CameraOrbit(Section):
     """A camera placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Turn = Field(default=30.0, description="0 on +z of the mesh, 90 on +x, in degrees")
+    azimuth: Turn = Field(default=30.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
     elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
     distance: Radii = Field(
-        default=2.5, gt=0, description="from the mesh's middle, in radii of the first mesh's bounding sphere"
+        default=2.5, gt=0, description="distance from the mesh's middle, in radii of its bounding sphere"
     )
 
 
 class _CameraConfig(Section):
     resolution: Annotated[Size, Unit("pixels")] = Field(default=(512, 512), description="[height, width] in pixels")
-    orbit: CameraOrbit | None = Field(default=None, description="place by angles about the first mesh, instead of eye")
+    orbit: CameraOrbit | None = Field(
+        default=None, description="placement by angles about the first mesh, instead of eye"
+    )
     eye: Position | None = Field(default=None, description="position, in world units")
     target: Position | None = Field(default=None, description="point in the middle of the image, in world units")
     up: Direction = Field(default=(0.0, 1.0, 0.0), description="direction that is upright in the image")
@@ -126,20 +130,26 @@ class PinholeCameraConfig(_CameraConfig):
         default=40.0, ge=NARROWEST, le=180 - NARROWEST, description="full vertical field of view, in degrees"
     )
     near: WorldUnits | None = Field(
-        default=None, gt=0, description="where seeing begins, in world units; default: tight"
+        default=None, gt=0, description="distance of the near plane, in world units; default: tight"
     )
-    far: WorldUnits | None = Field(default=None, gt=0, description="where seeing ends, in world units; default: tight")
+    far: WorldUnits | None = Field(
+        default=None, gt=0, description="distance of the far plane, in world units; default: tight"
+    )
 
 
 class OrthographicCameraConfig(_CameraConfig):
-    """A parallel camera."""
+    """An orthographic camera."""
 
     type: Literal["orthographic"] = "orthographic"
     height: WorldUnits | None = Field(
-        default=None, gt=0, description="height of what is seen, in world units; default: the whole scene"
+        default=None, gt=0, description="height of the view, in world units; default: the whole scene"
     )
-    near: Coordinate | None = Field(default=None, description="where seeing begins, in world units; default: tight")
-    far: Coordinate | None = Field(default=None, description="where seeing ends, in world units; default: tight")
+    near: Coordinate | None = Field(
+        default=None, description="distance of the near plane, in world units; default: tight"
+    )
+    far: Coordinate | None = Field(
+        default=None, description="distance of the far plane, in world units; default: tight"
+    )
 
 
 CameraConfig = Annotated[
@@ -149,20 +159,20 @@ CameraConfig = Annotated[
 
 
 class SceneConfig(Section):
-    """What is drawn, from where, and lit by what."""
+    """Meshes, camera and lights."""
 
     meshes: Annotated[tuple[MeshConfig, ...], as_list, Form("a list of meshes, each with a path")] = Field(
         description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
     )
-    camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="where the image is drawn from")
-    light: LightConfig | None = Field(default=None, description="what casts the shadows")
+    camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="camera of the image")
+    light: LightConfig | None = Field(default=None, description="light that casts the shadows")
     lights: Annotated[tuple[LightConfig, ...], as_list, Form("a list of lights")] | None = Field(
         default=None, description="several lights instead of one"
     )
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:
-        """All lights, by their keys inside this section."""
+        """All lights, by their key paths inside this section."""
         if self.lights is None:
             assert self.light is not None
             return {("light",): self.light}
@@ -170,7 +180,7 @@ class SceneConfig(Section):
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        # A light that is written as null is an error of its own, unless several are given instead.
+        # `light: null` is reported in `conflicts`, unless `lights` is given instead.
         return data if "light" in data or given(data, "lights") else {**data, "light": {}}
 
     @classmethod
@@ -180,10 +190,10 @@ class SceneConfig(Section):
             yield ("meshes",), fault("is an empty list", "at least one mesh", "add '- path: builtin:torus_knot'")
         if isinstance(meshes, list | tuple) and meshes and all(look(mesh, "casts") is False for mesh in meshes):
             mend = "remove casts from one of them"
-            yield ("meshes",), fault("hold nothing that casts a shadow", "at least one mesh that casts", mend)
+            yield ("meshes",), fault("hold no mesh that casts a shadow", "at least one mesh that casts", mend)
         yield from exclusive(data, "light", "lights")
         lights = data.get("lights")
         if isinstance(lights, list | tuple) and not lights:
             yield ("lights",), fault("is an empty list", "at least one light", "add '- type: directional'")
         if lights is None and "light" in data and data["light"] is None:
-            yield ("light",), fault("is empty", "a light", "remove the key to have its default")
+            yield ("light",), fault("is empty", "a light", "remove the key to get its default")

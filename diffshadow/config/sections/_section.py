@@ -1,4 +1,4 @@
-"""What all sections of a configuration share: strictness, units, vectors, and checks across keys."""
+"""The base of all sections of a configuration: strict validation, units, vectors, and checks across keys."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -19,11 +19,11 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from .._errors import show
 
-# More vertices than 32-bit integers count.
+# Enough digits for any 32-bit index.
 _LONGEST_INDEX = 10
 
 FAULT = "diffshadow"
-"""The type of the errors that `fault` makes, among pydantic's own."""
+"""The type of the errors made by `fault`, to tell them from pydantic's own."""
 
 Conflict = tuple[tuple[str | int, ...], PydanticCustomError]
 """A key inside a section, and what is wrong with it."""
@@ -38,23 +38,23 @@ class Unit:
 
 @dataclass(frozen=True)
 class Form:
-    """How a value that is no plain number, text or choice is written."""
+    """How to write a value that is not a plain number, text or choice."""
 
     words: str
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Marks a number as fittable: visibility has a gradient with respect to it.
+    """Marks a field as fittable: visibility has a gradient with respect to it.
 
-    - `path`: dotted, to the number in the module that its section stands for; its key if left out.
+    - `path`: the dotted path of the number in the module that its section builds; by default its key.
     """
 
     path: str | None = None
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
-    """An error of validation that says what was given, what was expected, and how to mend it."""
+    """A validation error: what was given, what was expected, and how to mend it."""
     words = {"given": given, "expected": expected, "mend": mend}
     return PydanticCustomError(FAULT, "{given}; expected {expected}; {mend}", words)
 
@@ -70,32 +70,32 @@ def _list_of(count: int, words: str, example: str) -> tuple[BeforeValidator, For
 
 
 as_list = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-"""Lets a tuple be written as YAML's list, which pydantic's strict mode refuses."""
+"""Accepts a YAML list for a tuple, which pydantic's strict mode rejects."""
 
 MOST_TEXELS = 8192
-"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach further."""
+"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach farther."""
 FARTHEST = 1e9
-"""The greatest coordinate and length, world units. Normals are cross products of edges, and their lengths are squared:
-the fourth power of a length must stay within single precision, which ends at 3e38."""
+"""The greatest coordinate and length, in world units. Normals are cross products of edges, and their lengths are
+squared, so the fourth power of a length must be representable in float32, which ends at 3e38."""
 SMALLEST = 1e-6
-"""The least size of a mesh, world units: those same powers, of edges a thousandth as long, end at 1e-38."""
+"""The least size of a mesh, in world units: the fourth power of an edge a thousandth as long must exceed 1e-38."""
 MOST_DEGREES = 3600.0
-"""The greatest angle of a turn: ten turns. Single precision tells angles of this size to 0.0002 degrees."""
+"""The greatest angle: ten turns. Float32 resolves angles of this size to 0.0002 degrees."""
 NARROWEST = 0.01
-"""The least opening of a view, and the least by which one stays short of all that is ahead, degrees: its matrix holds
-the tangent and one over it."""
-# Colours are products of several factors, whose product must stay within single precision.
+"""The narrowest field of view, and the least by which one stays below 180 degrees, in degrees: the projection matrix
+holds the tangent of the half angle and its reciprocal."""
+# Colours are products of several factors, and must be representable in float32.
 MOST_FACTOR = 1e6
 
-# Pydantic obeys only one of two lower or upper limits: keys of these types give those that are missing here.
+# Pydantic applies only one of two lower or upper limits, so each field adds only limits that its type does not have.
 Degrees = Annotated[float, Unit("degrees")]
 Turn = Annotated[float, Field(ge=-MOST_DEGREES, le=MOST_DEGREES), Unit("degrees")]
 WorldUnits = Annotated[float, Field(le=FARTHEST), Unit("world units")]
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Unit("world units")]
 Texels = Annotated[float, Field(le=MOST_TEXELS), Unit("texels")]
-# Farther off, a light or a camera is as good as infinitely far, and single precision sees no mesh.
+# Beyond this distance a mesh vanishes in the rounding of float32.
 Radii = Annotated[float, Field(le=1e4), Unit("radii")]
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 
 _XYZ = _list_of(3, "three numbers [x, y, z]", "[0, 1, 0]")
 Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], *_XYZ, Unit("world units")]
@@ -103,7 +103,7 @@ _Step = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 
 def _not_zero(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    # Its length is found from squares.
+    # Normalizing it squares the components.
     if math.hypot(*direction) < 1 / FARTHEST:
         expected = f"a vector at least {1 / FARTHEST:g} long"
         raise fault(f"is {show(direction)}", expected, "give a direction such as [0, -1, 0]")
@@ -113,7 +113,8 @@ def _not_zero(direction: tuple[float, float, float]) -> tuple[float, float, floa
 Direction = Annotated[tuple[_Step, _Step, _Step], *_XYZ, AfterValidator(_not_zero)]
 Angles = Annotated[tuple[Turn, Turn, Turn], *_list_of(3, "three angles [x, y, z]", "[0, 90, 0]"), Unit("degrees")]
 Colour = Annotated[
-    tuple[Share, Share, Share], *_list_of(3, "three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]")
+    tuple[Fraction, Fraction, Fraction],
+    *_list_of(3, "three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]"),
 ]
 Factor = Annotated[float, Field(ge=0, le=MOST_FACTOR)]
 Radiance = Annotated[
@@ -131,30 +132,30 @@ Size = Annotated[tuple[Count, Count], *_list_of(2, "two whole numbers [height, w
 
 
 class Section(BaseModel):
-    """A mapping of a configuration. Nothing is coerced, no key is ignored, and what is read never changes.
+    """A mapping in a configuration. Values are not coerced, unknown keys are errors, and sections are immutable.
 
-    A section that depends on several of its keys at once says so in `conflicts`, on the data as it was given, so
-    that such faults are reported together with those of single keys.
+    `conflicts` checks several keys against each other. It works on the data as given, so that its faults are reported
+    together with those of single keys.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """`data` with the defaults that depend on which other keys are given."""
+        """`data` with the defaults that depend on other keys."""
         return data
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        """Faults that lie between keys of `data`, whose values may be of any type."""
+        """Faults between keys of `data`, whose values may have any type."""
         yield from ()
 
     def faults(self) -> Iterator[Conflict]:
-        """Faults that lie between keys whose values are right by themselves."""
+        """Faults between keys that are valid on their own."""
         yield from ()
 
     def units(self) -> Mapping[str, str]:
-        """The units that depend on other keys of the section, by key."""
+        """Units that depend on other keys of the section, by key."""
         return {}
 
     @model_validator(mode="wrap")
@@ -177,12 +178,12 @@ class Section(BaseModel):
         raise ValidationError.from_exception_data(cls.__name__, faults)
 
 
-# The range of numbers in single precision, in which all is computed; what is nearer to 0 is taken for 0.
+# The range of normal float32 numbers, in which everything is computed. Numbers closer to 0 are flushed to 0.
 _MOST, _LEAST = math.ldexp(2 - 2.0**-23, 127), math.ldexp(1, -126)
 
 
 def _beyond_single_precision(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[Conflict]:
-    """A fault for each number in `value` that single precision has not; sections inside it answer for themselves."""
+    """A fault for each number in `value` that float32 cannot represent. Inner sections check themselves."""
     if isinstance(value, Section) and not path:
         entries: Any = ((key, getattr(value, key)) for key in type(value).model_fields)
     elif isinstance(value, Mapping):
@@ -191,7 +192,7 @@ def _beyond_single_precision(value: Any, path: tuple[str | int, ...] = ()) -> It
         entries = enumerate(value)
     else:
         if isinstance(value, int | float) and value and not _LEAST <= abs(value) <= _MOST:
-            expected = f"0, or a number of a size from {_LEAST:.2g} to {_MOST:.2g}, as single precision has them"
+            expected = f"0, or a magnitude from {_LEAST:.2g} to {_MOST:.2g}, the range of single precision"
             yield path, fault(f"is {show(value)}", expected, "check its exponent")
         return
     for step, entry in entries:
@@ -205,7 +206,7 @@ def _again(error: Any) -> InitErrorDetails:
 
 
 def by_type(default: str) -> Discriminator:
-    """Tells the variants of a section apart by their key `type`, which is `default` where left out."""
+    """Selects the variant of a section by its key `type`, which defaults to `default`."""
 
     def kind(value: Any) -> str:
         return str(look(value, "type", default=default))
@@ -219,13 +220,13 @@ def type_of(section: type[Section]) -> str:
 
 
 def variants_of(union: Any) -> dict[str, type[Section]]:
-    """The variants of a section that `by_type` tells apart, by their `type`."""
+    """The variants of a section, by their `type`."""
     marked = get_args(get_args(union)[0])
     return {type_of(variant): variant for variant in (get_args(kind)[0] for kind in marked)}
 
 
 def look(data: Any, *path: str, default: Any = None) -> Any:
-    """The value at `path` of nested mappings or sections, or `default` where there is none."""
+    """The value at `path` in nested mappings or sections, or `default` if there is none."""
     for step in path:
         data = data.get(step) if isinstance(data, Mapping) else getattr(data, step, None)
     return default if data is None else data
@@ -240,12 +241,12 @@ def is_number(value: Any) -> TypeGuard[int | float]:
 
 
 def is_index(word: str) -> bool:
-    """Whether `word` numbers an entry of a list, or a vertex."""
+    """Whether `word` is an index of a list entry or a vertex."""
     return word.isascii() and word.isdigit() and len(word) <= _LONGEST_INDEX
 
 
 def given(data: Mapping[str, Any], *keys: str) -> list[str]:
-    """Those of `keys` that `data` gives a value."""
+    """Those of `keys` that have a value in `data`."""
     return [key for key in keys if data.get(key) is not None]
 
 
@@ -263,9 +264,9 @@ def exclusive(data: Mapping[str, Any], key: str, *others: str) -> Iterator[Confl
 def ordered(
     section: type[Section], data: Mapping[str, Any], low: str, high: str, *, equal: bool = False
 ) -> Iterator[Conflict]:
-    """A conflict unless `low` is less than `high`, or `equal` to it, where both are numbers.
+    """A conflict unless `low` is less than `high`, or `equal` to it if that is allowed.
 
-    They are those of `data`, and otherwise the defaults of `section`, which may be what a given number conflicts with.
+    Values missing from `data` are taken from the defaults of `section`. Values that are not numbers are not compared.
     """
     fields = section.model_fields
     a, b = (data.get(key, fields[key].default if key in fields else None) for key in (low, high))

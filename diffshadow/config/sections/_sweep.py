@@ -1,4 +1,4 @@
-"""The section that makes many runs of one configuration."""
+"""Sections of a sweep, which makes many runs from one configuration."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,21 +10,21 @@ from .._errors import KeyPath, did_you_mean, dotted, listing, show
 from ._section import Conflict, Form, Section, Unit, as_list, exclusive, fault, is_number, look, ordered
 
 LABEL = "label"
-"""The key that names an entry of `list`, beside those that it sets."""
+"""The key in an entry of `list` that names the entry; all others are set in the run."""
 _FIXED = ("name", "output", "sweep")
 _ERRORS = ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate")
 LIMIT_ERROR = "rmse_to_limit"
-"""The RMSE against the filter's own limit, by its name among the errors."""
+"""The name of the RMSE against the filter's limit of many samples."""
 
 Values = Annotated[tuple[Any, ...], as_list, Form("a list of values")]
 
 
 class QuasiRandomAxisConfig(Section):
-    """The range of a key whose values a quasi-random sequence chooses."""
+    """The range of a key whose values come from a quasi-random sequence."""
 
     lower: float = Field(description="least value")
     upper: float = Field(description="greatest value")
-    log: bool = Field(default=False, description="whether the logarithm is what is evenly spread")
+    log: bool = Field(default=False, description="whether values are spread evenly on a logarithmic scale")
     integer: bool = Field(default=False, description="whether values are rounded to whole numbers")
 
     @classmethod
@@ -36,11 +36,11 @@ class QuasiRandomAxisConfig(Section):
 
 
 class QuasiRandomConfig(Section):
-    """Points that fill the box of several ranges evenly."""
+    """Quasi-random points in the box of several ranges."""
 
     sequence: Literal["sobol", "halton"] = Field(default="sobol", description="the sequence, scrambled")
     count: Annotated[int, Unit("points")] = Field(ge=1, le=65536, description="number of points")
-    seed: int = Field(default=0, ge=0, lt=2**32, description="of the scrambling")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of the scrambling")
     axes: dict[str, QuasiRandomAxisConfig] = Field(description="ranges, by dotted key")
 
     @classmethod
@@ -50,18 +50,18 @@ class QuasiRandomConfig(Section):
 
 
 class PlotConfig(Section):
-    """The figure at the end: a metric against an axis, over which all axes not named here are averaged."""
+    """The figure of a sweep: a metric against an axis. Results are averaged over all axes not named here."""
 
-    x: str = Field(description="the axis along which the metric is drawn")
-    y: str = Field(default="rmse", description="the metric")
-    lines: str | None = Field(default=None, description="the axis whose values have a curve each")
-    panels: str | None = Field(default=None, description="the axis whose values have a panel each")
-    log: bool = Field(default=True, description="whether both scales are logarithmic, and slopes are fitted")
+    x: str = Field(description="axis of the horizontal scale")
+    y: str = Field(default="rmse", description="metric of the vertical scale")
+    lines: str | None = Field(default=None, description="axis with one curve per value")
+    panels: str | None = Field(default=None, description="axis with one panel per value")
+    log: bool = Field(default=True, description="whether both scales are logarithmic, with fitted slopes")
 
 
 class SweepConfig(Section):
     """Many runs: every combination of an entry of `list`, a value of each key of `grid`, a row of `zip`, a point of
-    `qmc` and a seed, in this order, the last of which changes first."""
+    `qmc` and a seed. They are nested in this order, and the seed varies fastest."""
 
     run: Literal["render", "fit"] = Field(default="render", description="what each run does")
     list: Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")] | None = Field(
@@ -69,20 +69,20 @@ class SweepConfig(Section):
     )
     grid: dict[str, Values] | None = Field(default=None, description="values to combine, by dotted key")
     zip: dict[str, Values] | None = Field(
-        default=None, description="values to go through side by side, by dotted key; lists of one length"
+        default=None, description="values to step through together, by dotted key; lists of equal length"
     )
     qmc: QuasiRandomConfig | None = Field(default=None, description="quasi-random points")
     repeats: int | None = Field(
         default=None, ge=1, le=65536, description="seeds for each combination, from the configuration's own upwards"
     )
     seeds: Annotated[tuple[int, ...], as_list, Form("a list of whole numbers")] | None = Field(
-        default=None, description="the seeds themselves, instead of repeats"
+        default=None, description="explicit seeds, instead of repeats"
     )
     limit_samples: Annotated[int | None, Unit("taps a pixel")] = Field(
         default=None,
         ge=1,
         le=2**20,
-        description=f"taps for the limit of a random disk, against which {LIMIT_ERROR} is measured; default: none",
+        description=f"taps of the converged random disk that {LIMIT_ERROR} is measured against; default: not measured",
     )
     plot: PlotConfig | None = Field(default=None, description="a figure of the results; default: none")
     figures: bool = Field(default=False, description="whether each run also writes its own figures")
@@ -90,7 +90,7 @@ class SweepConfig(Section):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """What is swept, each key once, in the order of the runs' nesting; the seed, swept or not, comes last."""
+        """The swept keys, once each, from slowest to fastest. The seed is always last, even if it is not swept."""
         labels = any(LABEL in entry for entry in self.list or ())
         found = [key for _, key in _settings(self.model_dump()) if key != "seed"]
         return tuple(dict.fromkeys([*([LABEL] if labels else []), *found, "seed"]))
@@ -100,7 +100,7 @@ class SweepConfig(Section):
         settings = [*_settings(data)]
         if not settings and not data.get("list"):
             mend = "add 'grid: {filter.radius: [1, 2, 4]}'"
-            yield (), fault("names nothing that changes", "list, grid, zip, qmc, repeats or seeds", mend)
+            yield (), fault("sweeps no key", "list, grid, zip, qmc, repeats or seeds", mend)
         yield from exclusive(data, "repeats", "seeds")
         yield from _fixed(settings)
         yield from _set_twice(settings)
@@ -108,12 +108,12 @@ class SweepConfig(Section):
         yield from _bad_labels(data)
         yield from _bad_plot(data, settings)
         if data.get("limit_samples") is not None and data.get("run") == "fit":
-            what = fault("is given with fits, whose radius changes", "it with run: render only", "remove one of them")
+            what = fault("is given with run: fit", "run: render, where the radius is fixed", "remove one of them")
             yield ("limit_samples",), what
 
 
 def _settings(data: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str]]:
-    """Every key that is swept, in the order in which a run sets them, and where it stands in the section."""
+    """Every swept key in the order in which runs set them, after its path in the section."""
     entries = data.get("list")
     for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):
         yield from ((("list", i, key), key) for key in _keys(entry) if key != LABEL)
@@ -129,21 +129,21 @@ def _keys(section: Any) -> list[str]:
 def _fixed(settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
     for path, key in settings:
         if key.split(".")[0] in _FIXED:
-            what = fault("is one for all runs", "keys that change what a run computes", "set it outside of sweep")
+            what = fault("is the same for all runs", "keys that affect a run's results", "set it outside of sweep")
             yield path, what
 
 
 def _set_twice(settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-    """Faults of keys that would undo what an earlier one sets."""
+    """Faults of keys that would overwrite what an earlier key sets."""
     for i, (path, key) in enumerate(settings):
         for earlier, other in settings[:i]:
-            # Entries of the list never meet in one run; repeats and seeds exclude each other.
+            # A run uses only one entry of the list, and `exclusive` reports repeats together with seeds.
             apart = path[0] == earlier[0] == "list" and path[1] != earlier[1]
             if apart or {path[0], earlier[0]} == {"repeats", "seeds"}:
                 continue
             if other == key or other.startswith(f"{key}."):
-                said = f"sets {key}, and {dotted(('sweep', *earlier))} sets {other}"
-                yield path, fault(said, "every value set once", "remove one of them")
+                message = f"sets {key}, and {dotted(('sweep', *earlier))} sets {other}"
+                yield path, fault(message, "every value set once", "remove one of them")
                 break
 
 
@@ -164,8 +164,8 @@ def _bad_lists(data: Mapping[str, Any]) -> Iterator[Conflict]:
     for key, length in lengths.items():
         first, expected = next(iter(lengths.items()))
         if length != expected and length:
-            said = f"has {length} values, and {first} has {expected}"
-            yield ("zip", key), fault(said, "lists of one length", "make them equally long, or use grid")
+            message = f"has {length} values, and {first} has {expected}"
+            yield ("zip", key), fault(message, "lists of equal length", "make them equally long, or use grid")
 
 
 def _bad_labels(data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -177,11 +177,11 @@ def _bad_labels(data: Mapping[str, Any]) -> Iterator[Conflict]:
         if LABEL in entries[i] and not isinstance(label, str):
             yield path, fault(f"is {show(label)}", "text", "put it in quotes")
         elif isinstance(label, str) and not label.isprintable():
-            yield path, fault(f"is {show(label)}", "text on one line", "remove what is not printable")
+            yield path, fault(f"is {show(label)}", "text on one line", "remove the unprintable characters")
         elif LABEL not in entries[i] and any(other is not None for other in labels):
-            yield ("list", i), fault("has no label, and others have", "a label for all or none", "add one")
+            yield ("list", i), fault("has no label, but others have one", "a label for all or none", "add one")
         elif label is not None and label in labels[:i]:
-            yield path, fault(f"is {show(label)} once more", "labels that differ", "change one of them")
+            yield path, fault(f"is {show(label)} again", "labels that differ", "change one of them")
 
 
 def _bad_plot(data: Mapping[str, Any], settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:

@@ -1,1 +1,1 @@
-"""The whole configuration: all sections together, and the faults that lie between them."""
+"""The whole configuration: all sections, and the checks across them."""

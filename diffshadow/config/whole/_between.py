@@ -1,4 +1,4 @@
-"""Faults that lie between sections whose values are right by themselves."""
+"""Faults between sections that are valid on their own."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -15,22 +15,22 @@ from ._parts import Parts
 
 
 def run_faults(config: Parts) -> Iterator[Conflict]:
-    """Faults that concern every run of `config`."""
+    """Faults of any run of `config`."""
     yield from cost_faults(config)
     if isinstance(config.technique, ShadowMappingConfig):
         yield from _beyond_guards(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
     if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
-        said = "projects shadows on meshes that cast none, and all of scene.meshes cast"
-        yield ("technique", "type"), fault(said, "one that does not", "set casts: false for those that receive")
+        message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
+        yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
-        said = f"is one image, for {len(config.scene.each_light)} lights"
-        yield ("reference", "type"), fault(said, "one light, or a traced reference", "set it to traced")
+        message = f"is a single image, for {len(config.scene.each_light)} lights"
+        yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")
 
 
 def fit_faults(config: Parts) -> Iterator[Conflict]:
-    """Faults that concern a fit of `config` alone, beside those of `data_faults_of_fit`."""
+    """Faults that only a fit of `config` has, in addition to those of `data_faults_of_fit`."""
     yield from fit_cost_faults(config)
     yield from _beyond_the_greatest_radius(config)
     if isinstance(config.technique, ShadowMappingConfig):
@@ -42,28 +42,28 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from _uneven_levels(config)
     for key, light in config.scene.each_light.items():
         if isinstance(light, DirectionalLightConfig) and light.frame == "casters":
-            said = "is casters in a fit of lights or meshes, whose shadows may leave what they cast at the start"
-            yield ("scene", *key, "frame"), fault(said, "scene", "remove it")
+            message = "is casters in a fit of lights or meshes, whose shadows may move outside the initial frame"
+            yield ("scene", *key, "frame"), fault(message, "scene", "remove it")
 
 
 def data_faults_of_fit(data: Any) -> Iterator[Conflict]:
-    """Faults that concern a fit alone, of a configuration or the data of one, which may hold others as well."""
+    """Faults that only a fit has, of a configuration or the unchecked data of one."""
     parameters = look(data, "fit", "parameters", default={})
     if isinstance(parameters, Mapping):
         yield from parameter_faults(data, parameters)
 
 
 def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:
-    """A fault of bounds within which a disk's least radius may pass its greatest."""
+    """A fault if the fit's bounds let a disk's least radius exceed its greatest."""
     bounds, section = config.fit.parameters.get("filter.min_radius"), config.filter
     if bounds is not None and isinstance(section, PercentageCloserSoftConfig) and bounds.upper > section.max_radius:
-        said = f"is {bounds.upper:g}, and filter.max_radius is {section.max_radius:g}"
-        what = fault(said, "at most that", "lower it, or raise filter.max_radius")
+        message = f"is {bounds.upper:g}, and filter.max_radius is {section.max_radius:g}"
+        what = fault(message, "at most filter.max_radius", "lower it, or raise filter.max_radius")
         yield ("fit", "parameters", "filter.min_radius", "upper"), what
 
 
 def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
-    """Faults of a map with silhouettes that does not hold the nearest of all faces."""
+    """Faults of a map with silhouettes that does not store the nearest of all faces."""
     section = config.shadow_map
     for key, value, plain in (("layer", section.layer, "nearest"), ("cull", section.cull, "none")):
         if value != plain:
@@ -78,13 +78,13 @@ def _uneven_levels(config: Parts) -> Iterator[Conflict]:
     for i, level in enumerate(config.fit.levels or ()):
         for name, resolution in sides.items():
             if any(side % level for side in resolution):
-                said = f"is {level}, and {name} is {list(resolution)}"
-                yield ("fit", "levels", i), fault(said, "a level that divides all sides", f"change it, or {name}")
+                message = f"is {level}, and {name} is {list(resolution)}"
+                yield ("fit", "levels", i), fault(message, "a level that divides both sides", f"change it, or {name}")
                 break
 
 
 def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of look-ups that reach further than the faces of a point light's map go, once numbers are at `bounds`."""
+    """Faults of filters that read beyond the faces of a point light's map, with fitted numbers at their `bounds`."""
     section = config.filter
     offset, radius = config.bias.normal_offset, getattr(section, section.radius_key, None)
     reach, path = section.reach + offset, _key_of_reach(config)
@@ -93,7 +93,7 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
             path: KeyPath = ("fit", "parameters", name, "upper")
             reach += bounds[name].upper - now
     if bounds and path[0] != "fit":
-        # `run_faults` names a reach that every run has.
+        # `run_faults` reports a reach that does not depend on the bounds.
         return
     half = min(config.shadow_map.resolution) / 2
     for key, light in config.scene.each_light.items():
@@ -105,7 +105,7 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
         yield (
             path,
             fault(
-                f"lets the filter read {reach:g} texels away, across a face's edge of a point light's map",
+                f"lets the filter read {reach:g} texels away, beyond the edge of a face of a point light's map",
                 f"at most {light.guard / (1 + light.guard) * half:.3g} texels, which {guard} = {light.guard:g} allows",
                 f"{', '.join(mends[:-1])}, or {mends[-1]}",
             ),
@@ -113,7 +113,7 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
 
 
 def _key_of_reach(config: Parts) -> KeyPath:
-    """The key that most of the look-ups' reach comes from."""
+    """The key that contributes most to the filter's reach."""
     section = config.filter
     if config.bias.normal_offset > section.reach:
         return ("bias", "normal_offset")
@@ -123,6 +123,6 @@ def _key_of_reach(config: Parts) -> KeyPath:
 
 
 def _rounded_up(value: float) -> float:
-    """`value` with two digits, and no less."""
+    """`value` rounded up to two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.ceil(value / step) * step

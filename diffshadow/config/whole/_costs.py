@@ -1,4 +1,4 @@
-"""What a run may take of memory and time, where that follows from several keys together."""
+"""Limits on the memory and time of a run that depend on several keys."""
 
 from collections.abc import Iterator
 
@@ -7,21 +7,21 @@ from ..sections._section import Conflict, fault
 from ..sections._technique import ProjectiveTextureConfig, ShadowMappingConfig
 from ._parts import Parts
 
-# Some 300 bytes each while an image is worked on: 5 GB.
+# About 300 bytes each while an image is processed: 5 GB.
 _MOST_PIXELS = 1 << 24
-# Some 64 bytes each where four moments of a map are blurred: 4 GB. One map of 8192 x 8192.
+# About 64 bytes each while four moments of a map are blurred: 4 GB. This is one map of 8192 x 8192.
 _MOST_TEXELS = 1 << 26
-# 36 bytes each, all at once: 2.4 GB.
+# 36 bytes each, all in memory at once: 2.4 GB.
 _MOST_CAMERA_RAYS = 1 << 26
-# At ten million a second, two hours.
+# Two hours at ten million per second.
 _MOST_SHADOW_RAYS = 1 << 36
-# Single-precision entries of the Jacobian, a residual of each pixel by each parameter: 1 GB.
+# Float32 entries of the Jacobian, one per pixel and parameter: 1 GB.
 _MOST_DERIVATIVES = 1 << 28
 _FACES_OF_A_CUBE = 6
 
 
 def cost_faults(config: Parts) -> Iterator[Conflict]:
-    """What in `config` would take more memory or time than a computer has."""
+    """Faults of a `config` that would take too much memory or time."""
     lights = tuple(config.scene.each_light.values())
     yield from _too_many_pixels(config)
     yield from _too_many_texels(config, lights)
@@ -30,12 +30,12 @@ def cost_faults(config: Parts) -> Iterator[Conflict]:
 
 
 def fit_cost_faults(config: Parts) -> Iterator[Conflict]:
-    """As `cost_faults`, of a fit."""
+    """`cost_faults` that only a fit has."""
     pixels, count = _pixels(config) * len(config.scene.each_light), len(config.fit.parameters)
     if pixels * count > _MOST_DERIVATIVES:
-        said = f"has {count} parameters, and their derivatives at {pixels:,} pixels are {pixels * count:,} numbers"
+        message = f"has {count} parameters, whose derivatives at {pixels:,} pixels are {pixels * count:,} numbers"
         mend = "fit fewer, or lower scene.camera.resolution"
-        yield ("fit", "parameters"), fault(said, f"at most {_MOST_DERIVATIVES:,}, which take 1 GB", mend)
+        yield ("fit", "parameters"), fault(message, f"at most {_MOST_DERIVATIVES:,}, which take 1 GB", mend)
 
 
 def _pixels(config: Parts) -> int:
@@ -46,9 +46,9 @@ def _pixels(config: Parts) -> int:
 def _too_many_pixels(config: Parts) -> Iterator[Conflict]:
     pixels = _pixels(config)
     if pixels > _MOST_PIXELS:
-        said = f"is {list(config.scene.camera.resolution)}, which makes {pixels:,} pixels"
+        message = f"is {list(config.scene.camera.resolution)}, which makes {pixels:,} pixels"
         expected = f"at most {_MOST_PIXELS:,}, which take 5 GB"
-        yield ("scene", "camera", "resolution"), fault(said, expected, "make it smaller, such as [4096, 4096]")
+        yield ("scene", "camera", "resolution"), fault(message, expected, "make it smaller, such as [4096, 4096]")
 
 
 def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:
@@ -61,9 +61,9 @@ def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator
             return
     maps = sum(_FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else 1 for light in lights)
     if maps * height * width > _MOST_TEXELS:
-        said = f"is [{height}, {width}], and {maps} such maps hold {maps * height * width:,} texels"
-        expected = f"at most {_MOST_TEXELS:,}, which take 4 GB where they are blurred"
-        yield path, fault(said, expected, "make it smaller, or have fewer lights; a point light has six maps")
+        message = f"is [{height}, {width}], and {maps} such maps hold {maps * height * width:,} texels"
+        expected = f"at most {_MOST_TEXELS:,}, which take 4 GB while they are blurred"
+        yield path, fault(message, expected, "make it smaller, or use fewer lights; a point light has six maps")
 
 
 def _too_many_rays(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:
@@ -71,12 +71,12 @@ def _too_many_rays(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[C
     assert traced.type == "traced"
     points = _pixels(config) * traced.supersampling**2 * len(lights)
     if points > _MOST_CAMERA_RAYS:
-        said = f"is {traced.supersampling}, which makes {points:,} camera rays of all pixels and lights"
+        message = f"is {traced.supersampling}, which makes {points:,} camera rays over all pixels and lights"
         mend = "lower it, or scene.camera.resolution"
-        yield ("reference", "supersampling"), fault(said, f"at most {_MOST_CAMERA_RAYS:,}, which take 2.4 GB", mend)
+        yield ("reference", "supersampling"), fault(message, f"at most {_MOST_CAMERA_RAYS:,}, which take 2.4 GB", mend)
     sized = sum(light.has_size for light in lights)
     rays = _pixels(config) * max(traced.samples, traced.supersampling**2) * sized
     if rays > _MOST_SHADOW_RAYS:
-        said = f"is {traced.samples}, which makes {rays:,} shadow rays of all pixels and lights"
+        message = f"is {traced.samples}, which makes {rays:,} shadow rays over all pixels and lights"
         mend = "lower it, or scene.camera.resolution"
-        yield ("reference", "samples"), fault(said, f"at most {_MOST_SHADOW_RAYS:,}, which take hours", mend)
+        yield ("reference", "samples"), fault(message, f"at most {_MOST_SHADOW_RAYS:,}, which take hours", mend)

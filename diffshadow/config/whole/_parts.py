@@ -25,7 +25,7 @@ from ..sections._technique import (
     TechniqueConfig,
 )
 
-# File systems take names of up to 255 bytes. A run's draft has up to 25 more than its name.
+# File systems allow names of up to 255 bytes. A run's draft folder has up to 25 more than its name.
 _LONGEST_NAME = 200
 
 
@@ -34,7 +34,7 @@ def _file_name(name: str) -> str:
         raise fault(f"is {show(name)}", "text that can name a folder", "use letters, digits, '-' and '_'")
     size = len(name.encode())
     if size > _LONGEST_NAME:
-        expected = f"at most {_LONGEST_NAME}, for file systems end names at 255 with all that a run adds"
+        expected = f"at most {_LONGEST_NAME}, since file systems allow 255 and a run adds to the name"
         raise fault(f"has {size} bytes", expected, "shorten it")
     return name
 
@@ -42,54 +42,54 @@ def _file_name(name: str) -> str:
 def _folder(output: str) -> str:
     path_of(output)
     if not output.isprintable():
-        raise fault(f"is {show(output)}", "text that can name a folder", "remove what is not printable")
+        raise fault(f"is {show(output)}", "text that can name a folder", "remove the unprintable characters")
     return output
 
 
 class Parts(Section):
-    """Everything that a run depends on, each section right by itself."""
+    """All sections of a run, each valid on its own."""
 
     name: Annotated[str, AfterValidator(_file_name)] = Field(
-        default="unnamed", description="names the run's folder; default: the file's name without its ending"
+        default="unnamed", description="name of the run's folder; default: the file's name without its suffix"
     )
-    seed: int = Field(default=0, ge=0, lt=2**32, description="of everything random")
-    scene: SceneConfig = Field(description="what is drawn, from where, and lit by what")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of everything random")
+    scene: SceneConfig = Field(description="meshes, camera and lights")
     technique: TechniqueConfig = Field(default_factory=ShadowMappingConfig, description="how shadows are drawn")
     shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
-    bias: BiasConfig = Field(default_factory=BiasConfig, description="how far receivers move towards the light")
+    bias: BiasConfig = Field(default_factory=BiasConfig, description="bias of receivers towards the light")
     compare: CompareConfig = Field(default_factory=HardCompareConfig, description="how depths are compared")
     filter: FilterConfig = Field(default_factory=RandomDiskConfig, description="how compares are averaged")
-    shading: ShadingConfig = Field(default_factory=PhongConfig, description="how the pictures are shaded")
-    reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="the truth to fit to")
-    fit: FitConfig = Field(default_factory=FitConfig, description="what is fitted, and how")
+    shading: ShadingConfig = Field(default_factory=PhongConfig, description="how images are shaded")
+    reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="visibility to fit to")
+    fit: FitConfig = Field(default_factory=FitConfig, description="parameters and settings of the fit")
     sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
     output: Annotated[str, AfterValidator(_folder)] = Field(
-        default="runs", min_length=1, description="folder for the runs' folders, from the current folder"
+        default="runs", min_length=1, description="folder of the runs' folders, relative to the current folder"
     )
 
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
     @property
     def origin(self) -> Origin:
-        """Where the keys were written, for errors that are found later."""
+        """Where the keys were written, for errors found after loading."""
         return self._origin
 
     def initial(self, name: str) -> float:
-        """Where the fit of the parameter `name` starts."""
+        """The start of the fit of the parameter `name`."""
         initial = self.fit.parameters[name].initial
         return float(start_of(self, name) if initial is None else initial)
 
     @property
     def moves(self) -> bool:
-        """Whether its fit moves lights or meshes."""
+        """Whether the fit changes lights or meshes."""
         return any(is_pose(name) for name in self.fit.parameters)
 
     @property
     def has_silhouettes(self) -> bool:
-        """Whether the maps of its fit hold silhouettes."""
+        """Whether the maps of the fit store silhouettes."""
         return self.moves if self.shadow_map.silhouettes is None else self.shadow_map.silhouettes
 
     @property
     def output_folder(self) -> Path:
-        """The folder `output`, in which `~` is the present user's home folder."""
+        """The folder `output`, with `~` expanded to the current user's home folder."""
         return path_of(self.output)

@@ -11,14 +11,14 @@ from ._parts import Parts
 
 
 class Config(Parts):
-    """Everything that a run depends on."""
+    """The configuration of a run, with all checks across sections."""
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         section = data.get("fit", {})
         if not isinstance(section, Mapping) or "parameters" in section:
             return data
-        # The default bounds hold the value that the fit starts from.
+        # The default bounds contain the start.
         start = look(data, "bias", "constant", default=0)
         upper = min(max(UPPER, 2 * start), MOST_TEXELS) if is_number(start) else UPPER
         return {**data, "fit": {**section, "parameters": {"bias.constant": {"lower": 0.0, "upper": float(upper)}}}}
@@ -33,6 +33,6 @@ class Config(Parts):
         yield from run_faults(self)
 
     def fit_faults(self) -> Iterator[Conflict]:
-        """Faults that concern a fit alone: no render uses what they are about."""
+        """Faults that only a fit has: a render does not use these keys."""
         yield from data_faults_of_fit(self)
         yield from fit_faults(self)

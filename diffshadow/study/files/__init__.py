@@ -1,1 +1,1 @@
-"""A run's folder: how it is written whole, what it must hold, and how it is read again."""
+"""Run folders: writing them atomically, the schema of their files, and reading them."""

@@ -1,4 +1,4 @@
-"""A run's folder, which is there whole or not at all."""
+"""Atomic writes of a run's folder: it is written completely or not at all."""
 
 import contextlib
 import os
@@ -14,18 +14,18 @@ from ._schema import read_json
 RESULT = "result.json"
 
 
-# What `write_whole` adds to a folder's name: a dot, and a token with its dash and the ending of an older run.
+# What `write_whole` adds to a folder's name: a dot, a dash with a token, and the suffix of an older run.
 _TOKEN_BYTES = 6
 _OLD = "-old"
 _ADDED = len(f".-{'0' * 2 * _TOKEN_BYTES}{_OLD}")
-# The longest name of a file in a run's folder, of any light, while it is written.
+# The longest name of a file in a run's folder, including its temporary names.
 _LONGEST_FILE = 80
 
 
 def folder_of(config: Config, suffix: str = "") -> Path:
-    """Where the run of `config` is to be written: `<output>/<name><suffix>`.
+    """The folder of the run of `config`: `<output>/<name><suffix>`.
 
-    **Raises** `ConfigError` if it cannot be written there, or something lies there that is no run.
+    **Raises** `ConfigError` if it cannot be written, or if something other than a run is there.
     """
     output = config.output_folder
     folder = output / f"{config.name}{suffix}"
@@ -36,38 +36,41 @@ def folder_of(config: Config, suffix: str = "") -> Path:
     except io.FileError as error:
         raise _error(config, "output", str(error)) from error
     except OSError as error:
-        said = f"{folder} cannot be read ({error.strerror}); expected a run's folder, or none; move it, or change name"
-        raise _error(config, "name", said) from error
+        message = (
+            f"{folder} cannot be read ({error.strerror}); expected a run's folder, or none; move it, or change name"
+        )
+        raise _error(config, "name", message) from error
     if taken:
         raise _error(
             config,
             "name",
-            f"{folder} exists and is no run's folder: it has no {RESULT}; expected a free name: move it, or change "
-            "name or output",
+            f"{folder} exists and is not a run's folder: it has no {RESULT}; expected an unused name: move it, or "
+            "change name or output",
         )
     return folder
 
 
 def _check_length(config: Config, folder: Path) -> None:
-    """**Raises** `ConfigError` if the file system takes no names or paths as long as those of the run in `folder`."""
+    """**Raises** `ConfigError` if names or paths of the run in `folder` are too long for the file system."""
     absolute = Path(os.path.abspath(folder))
-    there = next(level for level in absolute.parents if os.path.isdir(level))
+    existing = next(level for level in absolute.parents if os.path.isdir(level))
     longest, path = len(os.fsencode(absolute.name)) + _ADDED, len(os.fsencode(absolute)) + _ADDED + _LONGEST_FILE
     for key, what, length, limit in (
         ("name", "names of folders", longest, "PC_NAME_MAX"),
         ("output", "paths of files", path, "PC_PATH_MAX"),
     ):
-        most = os.pathconf(there, limit)
-        # Negative where there is no limit.
+        most = os.pathconf(existing, limit)
+        # Negative if there is no limit.
         if 0 <= most < length:
-            raise _error(config, key, f"makes {what} of {length} bytes; expected at most {most} in {there}; shorten it")
+            message = f"makes {what} of {length} bytes; expected at most {most} in {existing}; shorten it"
+            raise _error(config, key, message)
 
 
 def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
-    """Makes `folder` of what `write` puts into the empty folder that it is given.
+    """Writes `folder` atomically: calls `write` with an empty draft folder, then renames that to `folder`.
 
-    Until `write` has ended, an earlier run at `folder` stays as it was; then its files go, and any others that lie
-    beside them move over. Where `write` raises, nothing is left of it. A link to a folder stays one.
+    An earlier run at `folder` is kept until `write` has returned. Then its files are removed, and any other files in
+    the folder are moved to the new one. If `write` raises, its files are removed. A link to a folder remains a link.
     """
     folder = folder.resolve() if folder.is_dir() else folder
     made = [level for level in folder.parents if not level.exists()]
@@ -97,7 +100,7 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
 
 
 def remove(path: Path) -> None:
-    """Removes a file, a link or a folder with all that it holds, as far as that can be done."""
+    """Removes a file, a link, or a folder with its content. Errors are ignored."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -110,7 +113,7 @@ def _is_run(folder: Path) -> bool:
 
 
 def _keep_others(old: Path, new: Path) -> None:
-    """Moves what `old` holds beside the files of its run to `new`."""
+    """Moves the files in `old` that its run did not write to `new`."""
     try:
         written = set(read_json(old / RESULT)["files"])
     except (io.FileError, LookupError, TypeError):

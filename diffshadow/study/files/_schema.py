@@ -1,6 +1,6 @@
-"""What `result.json` must hold, checked as strictly as a configuration, so that what reads it need not doubt it.
+"""The schema of `result.json`, checked as strictly as a configuration, so that readers can rely on it.
 
-Keys that are not named here are left alone: a later version, or a person, may have added them.
+Unknown keys are ignored, since a later version or a user may have added them.
 """
 
 import json
@@ -15,12 +15,12 @@ from pydantic_core import PydanticCustomError, from_json
 from ... import io
 from ...config import SweepConfig
 
-# No run comes near this.
+# Far more than any run writes.
 _MOST_BYTES = 64 << 20
 _LONGEST_SHOWN = 60
 _DISAGREES = "disagrees"
 _PYDANTIC = "Input should be "
-# Pydantic's own words speak of Python.
+# Plain words for pydantic's messages, which name Python's types.
 _EXPECTED = {
     "model_type": "a section with keys",
     "dict_type": "a section with keys",
@@ -32,19 +32,19 @@ _EXPECTED = {
     "less_than_equal": "at most {le:g}",
 }
 SLACK = 1e-3
-"""How far out of its range rounding may take an error or a visibility."""
+"""How far rounding may move an error or a visibility out of its range."""
 
-Share = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
+Fraction = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
 Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
-# What a fit computes with.
+# The range of float32, in which fits are computed.
 Single = Annotated[float, Field(ge=-3.4e38, le=3.4e38)]
 Numbers = dict[str, Single]
 
 
 class _Part(BaseModel):
-    """A part of a result. Nothing is coerced, and every number is finite."""
+    """A part of a result. Values are not coerced, and every number is finite."""
 
     model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -52,21 +52,21 @@ class _Part(BaseModel):
 class _Errors(_Part):
     """Errors of one state, over all lights."""
 
-    rmse: Share
-    mae: Share
+    rmse: Fraction
+    mae: Fraction
     ssim: Similarity
-    false_shadow_rate: Share
-    false_light_rate: Share
+    false_shadow_rate: Fraction
+    false_light_rate: Fraction
 
 
 class _LightErrors(_Part):
-    """Errors of one state under one light, for which perhaps no pixel counts."""
+    """Errors of one state under one light; `None` if no pixel counts."""
 
-    rmse: Share | None
-    mae: Share | None
+    rmse: Fraction | None
+    mae: Fraction | None
     ssim: Similarity | None
-    false_shadow_rate: Share | None
-    false_light_rate: Share | None
+    false_shadow_rate: Fraction | None
+    false_light_rate: Fraction | None
 
 
 class _RenderedLight(_Part):
@@ -82,7 +82,7 @@ class _FittedLight(_Part):
 
 class _Metrics(_Part):
     compare: str
-    reference_noise_floor: Share | None
+    reference_noise_floor: Fraction | None
     pixels: Count
 
 
@@ -161,7 +161,7 @@ class _Fit(_Run):
 
     @model_validator(mode="after")
     def _agrees(self) -> "_Fit":
-        """The parts speak of the same parameters and phases."""
+        """Checks that all parts have the same parameters and phases."""
         poses = self.poses or _Poses()
         named = {
             "initial": self.initial,
@@ -171,7 +171,7 @@ class _Fit(_Run):
         }
         for key, numbers in named.items():
             if list(numbers) != list(self.fitted):
-                raise _fault(key, f"names {_listed(numbers)}", f"{_listed(self.fitted)}, as fitted does")
+                raise _fault(key, f"has the keys {_listed(numbers)}", f"those of fitted, {_listed(self.fitted)}")
         for name, bounds in self.bounds.items():
             if bounds.lower >= bounds.upper:
                 raise _fault(f"bounds.{name}", f"are {bounds.lower:g} and {bounds.upper:g}", "lower less than upper")
@@ -201,16 +201,18 @@ _KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "sweep": _S
 
 
 def read_json(file: Path) -> Any:
-    """What the JSON file holds.
+    """The content of a JSON file.
 
-    **Raises** `FileError` if it cannot be read, is no JSON, or is far larger than any run's.
+    **Raises** `FileError` if it cannot be read, is not JSON, or is far larger than any run's.
     """
     try:
-        # To read anything else, such as a pipe, might take for ever.
+        # Reading anything else, such as a pipe, could block forever.
         if not file.is_file():
             raise io.FileError(f"there is no file {file}; expected what a run wrote: run it again")
         if file.stat().st_size > _MOST_BYTES:
-            raise io.FileError(f"{file} has {file.stat().st_size:,} bytes; expected what a run wrote: run it again")
+            raise io.FileError(
+                f"{file} has {file.stat().st_size:,} bytes; expected at most {_MOST_BYTES:,}: run it again"
+            )
         return from_json(file.read_bytes(), allow_inf_nan=False)
     except io.FileError:
         raise
@@ -219,19 +221,19 @@ def read_json(file: Path) -> Any:
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Writes `value` to the JSON file, as `read_json` reads it."""
+    """Writes `value` to a JSON file, as `read_json` reads it."""
     text = json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
     file.write_text(text + "\n", encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
-    """`value` as JSON can hold it. A number that is not finite becomes null; of text, what is no Unicode is escaped."""
+    """`value` in a form that JSON can hold: non-finite numbers become null, and lone surrogates are escaped."""
     if isinstance(value, Mapping):
         return {_plain(str(key)): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
     if isinstance(value, str):
-        # Python has lone surrogates for the bytes of paths that are no UTF-8.
+        # Python uses lone surrogates for bytes of paths that are not UTF-8.
         return value.encode("utf-8", "backslashreplace").decode("utf-8")
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -239,9 +241,9 @@ def _plain(value: Any) -> Any:
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """What is read of the result of a fit, a render or a sweep, which came from `file`.
+    """The known keys of the result of a fit, a render or a sweep. `file` is where it came from.
 
-    **Raises** `FileError` with the key that is at fault.
+    **Raises** `FileError` that names the first invalid key.
     """
     try:
         return _KINDS[result["kind"]].model_validate(result).model_dump(exclude_unset=True)
@@ -250,12 +252,13 @@ def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: str) -> bool:
-    """Whether `stored` is what the run `id` of a sweep writes.
+    """Whether `stored` is a valid outcome of the run `id` of a sweep.
 
     **Arguments:**
 
-    - `kinds`: of the metrics that a good run has, by their names.
-    - `others`: begins the names of further metrics; none if it is empty.
+    - `stored`: the content of the run's `result.json`.
+    - `kinds`: the types of the metrics of a successful run, by name.
+    - `others`: the prefix of the names of further metrics; if empty, there are none.
     """
     try:
         outcome = _Outcome.model_validate(stored)
@@ -279,7 +282,7 @@ def _fault(key: str, given: str, expected: str) -> PydanticCustomError:
 
 
 def _first(error: ValidationError) -> str:
-    """The first fault in words, and how many more there are."""
+    """The first fault in words, and the number of further ones."""
     details = error.errors(include_url=False)
     first, more = details[0], f", and {len(details) - 1} more such faults" if len(details) > 1 else ""
     key, message = ".".join(map(str, first["loc"])), first["msg"]
@@ -293,7 +296,7 @@ def _first(error: ValidationError) -> str:
     elif message.startswith(_PYDANTIC):
         expected = message.removeprefix(_PYDANTIC)
     else:
-        # A fault of a section of the configuration, which says what was expected.
+        # A fault of a section of the configuration, whose message says what was expected.
         return f"{key}: {message}{more}"
     return f"{key} is {_short(json.dumps(first['input'], default=str))}; expected {expected}{more}"
 

@@ -1,4 +1,4 @@
-"""A run as its folder holds it: what reports, comparisons and figures are made of."""
+"""Stored runs: what reports, comparisons and figures are made from."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,16 +15,16 @@ from ._schema import SLACK, checked_result, read_json, write_json
 
 ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
-"""The images of each kind of run: their titles, and the arrays that hold them."""
+"""The images of each kind of run: their titles, and the names of their arrays."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
 
 
 class LightImages(NamedTuple):
-    """What a run made of one light.
+    """The images of one light.
 
-    - `key`: of the light, such as `"scene.light"`; `end`: what tells its files from other lights'.
-    - `images`: title and visibility (h, w) of each state, the result last; `errors`: of each, by name.
+    - `key`: the light's key, such as `"scene.light"`; `end`: the suffix of its files.
+    - `images`: title and visibility (h, w) of each state, the result last; `errors`: errors of each state, by name.
     - `mask`: (h, w), the pixels that count.
     """
 
@@ -39,9 +39,9 @@ class LightImages(NamedTuple):
 class StoredRun(NamedTuple):
     """A finished fit or render.
 
-    - `folder`: that holds it.
-    - `result`: what `result.json` holds, or will; `arrays`: of `arrays.npz`, those that figures are made of.
-    - `settings`: every one, with its unit.
+    - `folder`: the run's folder.
+    - `result`: the content of `result.json`; `arrays`: those arrays of `arrays.npz` that figures are made from.
+    - `settings`: all settings, with their units.
     """
 
     folder: Path
@@ -51,7 +51,7 @@ class StoredRun(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As the configuration has it."""
+        """The run's name."""
         return self.result["name"]
 
     @property
@@ -61,13 +61,13 @@ class StoredRun(NamedTuple):
 
     @property
     def errors(self) -> list[tuple[str, Mapping[str, float | None]]]:
-        """Title and errors, over all lights, of each state, the result last."""
+        """Title and errors over all lights of each state, the result last."""
         measured = self.result["metrics"]
         return [(title, measured[_errors_key(self.kind, name)]) for title, name in KINDS[self.kind]]
 
     @property
     def lights(self) -> list[LightImages]:
-        """The images, light by light."""
+        """The images of each light."""
         lights = self.result["metrics"]["lights"]
         each = lambda name, i: self.arrays[name] if len(lights) == 1 else self.arrays[name][i]
         states = KINDS[self.kind]
@@ -85,21 +85,21 @@ class StoredRun(NamedTuple):
 
     @property
     def shaded(self) -> list[tuple[str, HostArray]]:
-        """Title and sRGB picture (h, w, 3) of the reference and each state under all lights, the result last."""
+        """Title and sRGB image (h, w, 3) of the reference and each state, under all lights, the result last."""
         names = [("Reference", "reference"), *KINDS[self.kind]]
         return [(title, self.arrays[f"shaded_{name}"]) for title, name in names if f"shaded_{name}" in self.arrays]
 
 
 def read_run(folder: Path) -> StoredRun:
-    """The run in `folder`.
+    """Reads the run in `folder`.
 
-    **Raises** `FileError` if there is no folder, or it holds no finished fit or render, only a part of one, or files
-    that are damaged or of different runs; `ConfigError` if its configuration cannot be read.
+    **Raises** `FileError` if the folder is missing, holds no complete fit or render, or holds files that are damaged
+    or belong to different runs; `ConfigError` if its configuration cannot be read.
     """
     result = read_result(folder)
     if result["kind"] not in KINDS:
         raise io.FileError(f"{folder} holds a {result['kind']}; expected the folder of a {' or a '.join(KINDS)}")
-    # A report is made of the run's own files: meshes and reference images may have gone.
+    # A report needs only the run's own files: meshes and reference images may no longer exist.
     config = load_config(_existing(folder, CONFIG), [], files=False)
     _check_same(folder, result, config)
     file = _existing(folder, ARRAYS)
@@ -109,9 +109,9 @@ def read_run(folder: Path) -> StoredRun:
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
-    """What `result.json` in `folder` holds, all of which that is read anywhere is as a run writes it.
+    """The content of `result.json` in `folder`, checked against its schema.
 
-    **Raises** `FileError` if there is none, it is not that of a fit, a render or a sweep, or it is damaged.
+    **Raises** `FileError` if there is none, if it is damaged, or if it is not of a fit, a render or a sweep.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -123,19 +123,19 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     kind = result.get("kind") if isinstance(result, dict) else None
     if kind not in (*KINDS, SWEEP):
         raise io.FileError(
-            f"{file} is of no fit, render or sweep; expected one of them: of the runs inside a sweep only numbers are "
-            "kept, unless sweep.figures is true"
+            f"{file} is not of a fit, render or sweep; expected one of these: runs inside a sweep keep only numbers, "
+            "unless sweep.figures is true"
         )
     return checked_result(result, file)
 
 
 def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], config: Config) -> StoredRun:
-    """The run that `folder` is about to hold."""
+    """The run that is about to be written to `folder`."""
     return StoredRun(folder, result, {name: np.asarray(array) for name, array in arrays.items()}, describe(config))
 
 
 def add_files(folder: Path, names: Sequence[str]) -> None:
-    """Has the result in `folder` name more files as its own, so that its next run replaces them with the others."""
+    """Adds `names` to the files listed in the result in `folder`, so that the next run there replaces them too."""
     result = read_json(folder / RESULT)
     result["files"] = sorted({*result.get("files", ()), *names})
     with io.atomic_path(folder / RESULT) as temporary:
@@ -143,18 +143,18 @@ def add_files(folder: Path, names: Sequence[str]) -> None:
 
 
 def to_bytes(picture: Float[HostArray, "h w 3"]) -> UInt8[HostArray, "h w 3"]:
-    """A picture of values from 0 to 1 with 8 bits a channel, as `arrays.npz` keeps it."""
+    """An image of values from 0 to 1 in 8 bits per channel, as stored in `arrays.npz`."""
     return np.rint(picture * 255).astype(np.uint8)
 
 
 def _existing(folder: Path, name: str) -> Path:
     if not (folder / name).is_file():
-        raise io.FileError(f"{folder} holds only a part of a run: it has no {name}; expected all files: run it again")
+        raise io.FileError(f"{folder} holds an incomplete run: it has no {name}; expected all files: run it again")
     return folder / name
 
 
 def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None:
-    """Checks that result and configuration are of one run."""
+    """Checks that result and configuration belong to the same run."""
     lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
     named = {"lights": (lights, [light["light"] for light in result["metrics"]["lights"]])}
     if result["kind"] == "fit":
@@ -168,7 +168,7 @@ def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None
 
 
 def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
-    """What the arrays that reports and figures need look like."""
+    """The layouts of the arrays that reports and figures need."""
     height, width = config.scene.camera.resolution
     lights = len(result["metrics"]["lights"])
     images = (height, width) if lights == 1 else (lights, height, width)
@@ -192,10 +192,10 @@ def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
 
 
 def _check_values(file: Path, result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> None:
-    """Checks what the arrays hold."""
+    """Checks the values of the arrays."""
     for name in ("reference", *(name for _, name in KINDS[result["kind"]])):
         low, high = float(arrays[name].min()), float(arrays[name].max())
-        # Not a number is in no range.
+        # Written so that NaN fails.
         if not (low >= -SLACK and high <= 1 + SLACK):
             raise _damaged(file, f"the array {name} holds values from {low:g} to {high:g}; expected 0 to 1")
     counted, pixels = int(arrays["mask"].sum()), result["metrics"]["pixels"]
@@ -204,11 +204,12 @@ def _check_values(file: Path, result: Mapping[str, Any], arrays: Mapping[str, Ho
     if result["kind"] == "fit":
         lengths = {name: len(array) for name, array in arrays.items() if name.startswith("history_")}
         if len(set(lengths.values())) > 1:
-            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise _damaged(file, f"the arrays differ in length: {told}; expected one length")
+            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise _damaged(file, f"the arrays differ in length: {listed}; expected equal lengths")
         phases = len(result["solver"]["phases"])
         if not ((arrays["history_phase"] >= 0) & (arrays["history_phase"] < phases)).all():
-            raise _damaged(file, f"the array history_phase names phases beyond the {phases} of {RESULT}")
+            message = f"the array history_phase has phases that {RESULT} does not list; expected 0 to {phases - 1}"
+            raise _damaged(file, message)
 
 
 def _errors_key(kind: str, name: str) -> str:

@@ -1,1 +1,1 @@
-"""Figures, tables and pages of what runs stored."""
+"""Figures, tables and pages of stored runs."""

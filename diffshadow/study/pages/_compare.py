@@ -1,4 +1,4 @@
-"""Runs side by side: a page, and a table of what differs."""
+"""Compares runs: a page with their images side by side, and a table of their differences."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,13 +11,13 @@ from ... import io
 from ..files._stored import StoredRun, read_run
 from ._table import ERRORS, UNITS, number, print_comparison
 
-# Where a run is written and what it is called makes no difference.
-_NO_SETTINGS = ("name", "output")
+# A run's name and folder do not count as differences.
+_NOT_COMPARED = ("name", "output")
 _NONE = "–"
 
 
 class Line(NamedTuple):
-    """One row of the comparison: what it is of, its unit, a text for each run, and which of the runs are best."""
+    """One row of the comparison: its name and unit, a text for each run, and the indices of the best runs."""
 
     name: str
     unit: str
@@ -26,12 +26,12 @@ class Line(NamedTuple):
 
 
 def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
-    """Prints what differs between the finished runs in `folders`, and writes it with their images to `page`.
+    """Prints the differences between the finished runs in `folders`, and writes them with the images to `page`.
 
     **Returns** the page.
 
     **Raises** `FileError` if a folder holds no finished run, or the page cannot be written, and `ValueError` if there
-    are fewer than two folders, or one is named twice.
+    are fewer than two folders, or a folder is given twice.
     """
     resolved = [folder.resolve() for folder in folders]
     if len(set(resolved)) < max(len(resolved), 2):
@@ -54,19 +54,19 @@ def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
 
 
 def _labels(folders: Sequence[Path]) -> list[str]:
-    """Names that tell the runs apart: those of their folders, or else the whole paths."""
+    """Unique names of the runs: the names of their folders, or the whole paths where these are not unique."""
     names = [folder.resolve().name for folder in folders]
     return [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)]
 
 
 def _settings(runs: Sequence[StoredRun]) -> list[Line]:
-    held = [{row.key: row for row in run.settings if row.key not in _NO_SETTINGS} for run in runs]
+    settings = [{row.key: row for row in run.settings if row.key not in _NOT_COMPARED} for run in runs]
     kinds = [run.kind for run in runs]
     lines = [Line("kind of run", "", kinds)] if len(set(kinds)) > 1 else []
-    for key in dict.fromkeys(key for each in held for key in each):
-        cells = [each[key].value if key in each else _NONE for each in held]
+    for key in dict.fromkeys(key for each in settings for key in each):
+        cells = [each[key].value if key in each else _NONE for each in settings]
         if len(set(cells)) > 1:
-            lines.append(Line(key, next(each[key].unit for each in held if key in each), cells))
+            lines.append(Line(key, next(each[key].unit for each in settings if key in each), cells))
     return lines
 
 
@@ -80,21 +80,21 @@ def _fitted(runs: Sequence[StoredRun]) -> list[Line]:
 
 
 def _errors(runs: Sequence[StoredRun]) -> list[Line]:
-    """The errors of the results; the better of them are marked."""
+    """The errors of the results, with the best runs marked."""
     last = [run.errors[-1][1] for run in runs]
     lines = []
     for name, label in ERRORS.items():
         values = np.asarray([np.nan if errors.get(name) is None else errors[name] for errors in last], np.float64)
         cells = [number(name, value) for value in values]
         cost = np.where(np.isnan(values), np.inf, -values if name == "ssim" else values)
-        # Those that read alike are equally good.
+        # Values that print the same are equally good.
         best = frozenset(i for i, cell in enumerate(cells) if cell == cells[int(np.argmin(cost))])
         lines.append(Line(label, UNITS[name], cells, best if len(best) < len(runs) else frozenset()))
     return lines
 
 
 def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]]) -> None:
-    # Here, since they load Matplotlib.
+    # Imported here, since they load Matplotlib.
     from .. import style
     from . import _figures as figures
     from ._page import difference_scale, picture, write_page
@@ -111,10 +111,10 @@ def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: 
         "compare.html.j2",
         labels=labels,
         folders=[str(run.folder) for run in runs],
-        # What came out is read first.
+        # Results come first.
         parts_of_table=dict(reversed(parts.items())),
         warnings=[
-            f"{label}: {said}" for label, run in _named(labels, runs) for said in run.result.get("warnings") or []
+            f"{label}: {warning}" for label, run in _named(labels, runs) for warning in run.result.get("warnings") or []
         ],
         slides=pictures[-2:],
         groups=groups,
@@ -129,7 +129,7 @@ def _named(labels: Sequence[str], runs: Sequence[StoredRun]) -> Iterator[tuple[s
 
 
 def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> Iterator[dict[str, Any]]:
-    """The pictures light by light: references, one where all are equal, and each run's result and its difference."""
+    """The images of each light: the distinct references, and each run's result and its difference."""
     from .. import style
     from ._page import picture
 

@@ -1,4 +1,4 @@
-"""The figures of a run. This file loads Matplotlib, so only what draws figures imports it."""
+"""The figures of a run. This module loads Matplotlib, so import it only to draw figures."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,22 +17,22 @@ from ..files._stored import LightImages, StoredRun
 
 Image = Float[HostArray, "h w"]
 Pixels = Bool[HostArray, "h w"]
-# The ways that the views of a point light look.
+# The directions of a point light's six views.
 _FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
-# Differences are shown up to the least of these that all but the most extreme pixels keep within.
+# The colour scale of differences ends at the least of these limits that is exceeded by at most `_CLIPPED` of pixels.
 _LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
-_MOST_EXTREME = 0.01
+_CLIPPED = 0.01
 DIFFERENCE_LABEL = "too dark (−), too light (+) [visibility]"
-# More parameters than this are not drawn one by one.
+# The most parameters that are drawn.
 _MOST_PARAMETERS = 16
 FEW_PARAMETERS = 6
-"""As many parameters are drawn below each other; more take two columns."""
-# A phase whose share of the steps is smaller is too narrow for its width to be written.
+"""Up to this many parameters are drawn in one column; more take two columns."""
+# A phase with a smaller fraction of the steps is too narrow for a label.
 _NARROW = 0.05
 
 
 def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = style.DPI) -> list[Path]:
-    """Writes what can be drawn of `run` from its arrays to `folder`, as files that end in `form`. **Returns** them."""
+    """Writes all figures of `run` that its arrays suffice for to `folder`, in the format `form`. **Returns** them."""
     written = []
     for name, made in _figures(run):
         written.append(folder / f"{name}.{form}")
@@ -57,7 +57,7 @@ def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
 
 
 def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
-    """The reference and each state, below each its signed difference; below the reference the shaded `result`."""
+    """The reference and each state; below each state its signed difference, below the reference the shaded `result`."""
     height, width = light.reference.shape
     panel = 2.9
     columns = 1 + len(light.images)
@@ -82,7 +82,7 @@ def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> F
 
 
 def visibility(title: str, image: Image, mask: Pixels) -> Figure:
-    """A visibility image alone."""
+    """A single visibility image."""
     figure, axes = single(image)
     shown = _visibility(axes, image, mask)
     style.title(axes, title)
@@ -91,7 +91,7 @@ def visibility(title: str, image: Image, mask: Pixels) -> Figure:
 
 
 def difference(light: LightImages) -> Figure:
-    """The result's signed difference alone."""
+    """The signed difference of the result."""
     limit, extend = difference_limit([light])
     title, image = light.images[-1]
     figure, axes = single(image)
@@ -102,7 +102,7 @@ def difference(light: LightImages) -> Figure:
 
 
 def shaded(images: Sequence[tuple[str, HostArray]]) -> Figure:
-    """Shaded pictures side by side."""
+    """Shaded images side by side."""
     height, width = images[0][1].shape[:2]
     panel = 3.6
     figure, axes = style.figure(panel * len(images), panel * height / width + 0.3, 1, len(images))
@@ -113,16 +113,16 @@ def shaded(images: Sequence[tuple[str, HostArray]]) -> Figure:
 
 
 def difference_limit(lights: Sequence[LightImages], states: slice = slice(None)) -> tuple[float, str]:
-    """The greatest difference that all pictures of `lights` show, and whether some go beyond: `"both"`, `"neither"`."""
+    """The limit of the colour scale for all images of `lights`, and whether some exceed it: `"both"`, `"neither"`."""
     differences = [np.abs(image - light.reference)[light.mask] for light in lights for _, image in light.images[states]]
     together = np.concatenate([*differences, np.zeros(1)])
-    wanted = np.quantile(together, 1 - _MOST_EXTREME)
-    limit = next((limit for limit in _LIMITS if limit >= wanted), 1.0)
+    least = np.quantile(together, 1 - _CLIPPED)
+    limit = next((limit for limit in _LIMITS if limit >= least), 1.0)
     return limit, "both" if together.max() > limit else "neither"
 
 
 def write_from_light(folder: Path, end: str, from_light: Any) -> None:
-    """What a technique drew from a light: its map or its texture; edges have no picture."""
+    """Writes what a technique drew from a light: a shadow map or a texture. Shadow volumes have no image."""
     match from_light:
         case shadow.ShadowMap():
             write_shadow_map(folder / f"shadow_map{end}.png", from_light)
@@ -131,7 +131,7 @@ def write_from_light(folder: Path, end: str, from_light: Any) -> None:
 
 
 def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
-    """The shadow map's distances along the light's axis; empty texels stay blank."""
+    """Writes the shadow map as distances along the light's axis; empty texels are blank."""
     view, depth = shadow_map.view, np.asarray(shadow_map.depth)
     distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)
     near, far = float(view.near), float(view.far)
@@ -142,14 +142,14 @@ def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
 
 
 def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
-    """The texture as it is projected."""
+    """Writes the texture as it is projected."""
     margin = texture.margin
     inside = np.asarray(texture.coverage)[..., margin:-margin, margin:-margin]
     write_map(path, "Projective texture", 1 - inside, "light let through (0 none, 1 all)", vmin=0.0, vmax=1.0)
 
 
 def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: str = "gray", **limits: float) -> None:
-    """A light's map (h, w), or the maps of several views side by side, (l, h, w), with texels along the axes."""
+    """Writes a light's map (h, w), or the maps of several views side by side, (l, h, w), with axes in texels."""
     layers = values if values.ndim > 2 else values[None]
     height, width = values.shape[-2:]
     columns = min(len(layers), 3)
@@ -175,32 +175,32 @@ def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: st
 
 
 def loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
-    """The error over a fit: step by step as the solver sees it, and under the hard compare between phases."""
+    """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
     figure, (axes,) = style.figure(5.2, 3.1)
     style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
-    told = history(arrays)
-    ends = _mark_phases(axes, result, told)
-    for steps in _by_phase(told):
-        axes.plot(steps, told["error"][steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
+    recorded = history(arrays)
+    ends = _mark_phases(axes, result, recorded)
+    for steps in _by_phase(recorded):
+        axes.plot(steps, recorded["error"][steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
     hard = _hard_errors(result)
     chosen = result["solver"]["chosen_phase"] + 1
     marks = {"color": style.VERMILION, "marker": "D", "markersize": 5, "linestyle": "none", "zorder": 3}
-    axes.plot([], [], color=style.BLUE, marker="o", markersize=2.5, label="as the solver sees it")
-    axes.plot(ends, hard, markerfacecolor=style.PAPER, label="under the hard compare", **marks)
-    axes.plot(ends[chosen], hard[chosen], label="the result", **marks)
+    axes.plot([], [], color=style.BLUE, marker="o", markersize=2.5, label="solver's loss")
+    axes.plot(ends, hard, markerfacecolor=style.PAPER, label="hard compare", **marks)
+    axes.plot(ends[chosen], hard[chosen], label="result", **marks)
     style.log_scale(axes)
     style.legend(axes)
     return figure
 
 
 def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
-    """The error over several fits: lines as the solver sees it, diamonds under the hard compare between phases."""
+    """The error over several fits: lines for the solver's loss, diamonds for the hard compare between phases."""
     figure, (axes,) = style.figure(6.4, 3.6)
     style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
     for i, (label, run) in enumerate(runs):
-        colour, told = style.CYCLE[i % len(style.CYCLE)], history(run.arrays)
-        ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(told))]
-        axes.plot(told["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
+        colour, recorded = style.CYCLE[i % len(style.CYCLE)], history(run.arrays)
+        ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(recorded))]
+        axes.plot(recorded["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
         hard = _hard_errors(run.result)[: len(ends)]
         axes.plot(ends[: len(hard)], hard, color=colour, marker="D", markersize=4.5, linestyle="none")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -210,8 +210,8 @@ def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
 
 
 def history(arrays: Mapping[str, HostArray]) -> dict[str, HostArray]:
-    """The evaluations of a fit, of the best of its starts alone: `phase`, `error` and `values`."""
-    # Only the best is gone on with to the last phase.
+    """The evaluations of a fit for the best of its starts: `phase`, `error` and `values`."""
+    # Only the best start is continued to the last phase.
     start = arrays.get("history_start", np.zeros_like(arrays["history_phase"]))
     best = start == start[-1:]
     error = np.sqrt(np.maximum(arrays["history_loss"][best], 1e-16))
@@ -226,19 +226,19 @@ def _hard_errors(result: Mapping[str, Any]) -> list[float]:
 
 
 def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
-    """Every parameter over a fit, with its bounds where they are near, the truth where it is known, and the result."""
-    names, told = list(result["fitted"])[:_MOST_PARAMETERS], history(arrays)
+    """Every parameter over a fit, with its bounds if they are near, the truth if it is known, and the result."""
+    names, recorded = list(result["fitted"])[:_MOST_PARAMETERS], history(arrays)
     truth = (result.get("poses") or {}).get("truth", {})
     columns = 1 if len(names) <= FEW_PARAMETERS else 2
     rows = -(-len(names) // columns)
     figure, axes = style.figure(5.2 * columns, max(1.4 * rows + 0.7, 2.2), rows, columns, sharex=True)
     for i, (one, name) in enumerate(zip(axes, names, strict=False)):
-        bounds, values, final = result["bounds"][name], told["values"][:, i], result["fitted"][name]
+        bounds, values, final = result["bounds"][name], recorded["values"][:, i], result["fitted"][name]
         is_last = i >= len(names) - columns
         style.chart(one, "evaluations of the loss" if is_last else "", f"[{bounds['unit']}]")
         one.tick_params(labelbottom=is_last)
-        ends = _mark_phases(one, result, told, widths=i < columns)
-        for steps in _by_phase(told):
+        ends = _mark_phases(one, result, recorded, widths=i < columns)
+        for steps in _by_phase(recorded):
             one.plot(steps, values[steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
         one.plot(ends[result["solver"]["chosen_phase"] + 1], final, color=style.VERMILION, marker="D", markersize=5)
         known_truth = [truth[name]] if name in truth else []
@@ -252,55 +252,55 @@ def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Fi
 
 
 def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float) -> None:
-    """Marks the bounds that lie near `values`, and shows what lies between."""
+    """Marks the bounds that are near `values`, and sets the limits of the y-axis."""
     low, high = float(np.min(values)), float(np.max(values))
-    room = max(high - low, 1e-3 * (upper - lower)) * 0.5
-    for bound, near in ((lower, lower >= low - room), (upper, upper <= high + room)):
+    margin = max(high - low, 1e-3 * (upper - lower)) * 0.5
+    for bound, near in ((lower, lower >= low - margin), (upper, upper <= high + margin)):
         if near:
             axes.axhline(bound, color=style.INK, linewidth=0.9, linestyle=(0, (4, 3)))
-    bottom, top = max(lower, low - room), min(upper, high + room)
+    bottom, top = max(lower, low - margin), min(upper, high + margin)
     axes.set_ylim(bottom - 0.06 * (top - bottom), top + 0.06 * (top - bottom))
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
 def _mark_phases(
-    axes: Axes, result: Mapping[str, Any], told: Mapping[str, HostArray], *, widths: bool = True
+    axes: Axes, result: Mapping[str, Any], recorded: Mapping[str, HostArray], *, widths: bool = True
 ) -> list[float]:
-    """Shades every other phase, and writes above how soft its compare is, and how coarse its images.
+    """Shades every other phase, and writes the width of its compare and the scale of its images above it.
 
-    **Returns** where the fit starts and each phase ends.
+    **Returns** the x-coordinates of the start of the fit and the end of each phase.
     """
     ends, words = [-0.5], "width "
-    count = max(len(told["phase"]), 1)
+    count = max(len(recorded["phase"]), 1)
     axes.set_xlim(-0.5 - 0.02 * count, count - 0.5 + 0.02 * count)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for number, phase in enumerate(result["solver"]["phases"]):
         first = ends[-1]
-        ends.append(first + int((told["phase"] == number).sum()))
+        ends.append(first + int((recorded["phase"] == number).sum()))
         if number % 2 == 0:
             axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
         if widths and ends[-1] - first > _NARROW * count:
             coarse = f" 1/{phase['level']}" if phase.get("level", 1) > 1 else ""
-            said = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"hard{coarse}"
-            style.text(axes, (first + ends[-1]) / 2, said)
+            label = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"hard{coarse}"
+            style.text(axes, (first + ends[-1]) / 2, label)
             words = ""
     return ends
 
 
-def _by_phase(told: Mapping[str, HostArray]) -> list[HostArray]:
-    """The numbers of the evaluations of each phase."""
-    return [np.flatnonzero(told["phase"] == number) for number in np.unique(told["phase"])]
+def _by_phase(recorded: Mapping[str, HostArray]) -> list[HostArray]:
+    """The indices of the evaluations of each phase."""
+    return [np.flatnonzero(recorded["phase"] == number) for number in np.unique(recorded["phase"])]
 
 
 def single(image: HostArray, ticks: bool = False) -> tuple[Figure, Axes]:
-    """A figure for one picture of the shape of `image`, and its axes."""
+    """A figure for one image of the shape of `image`, and its axes."""
     height, width = image.shape
     figure, (axes,) = style.figure(5.4, min(max(4.3 * height / width, 1.6), 12.0) + (0.6 if ticks else 0.3))
     return figure, axes
 
 
 def known(value: float | None) -> bool:
-    """Whether an error is a number: it is none where no pixel counts."""
+    """Whether an error is a number; it is not if no pixel counts."""
     return value is not None and bool(np.isfinite(value))
 
 

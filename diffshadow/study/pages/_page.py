@@ -1,4 +1,4 @@
-"""Pages that need no other file, and the pictures in them."""
+"""Self-contained pages, and the pictures in them."""
 
 import base64
 import struct
@@ -14,9 +14,9 @@ from ..._types import HostArray
 from ...config import printable
 from .. import style
 
-# A picture with more pixels along a side is shown smaller, so that pages stay a few megabytes.
+# Pictures with more pixels along a side are downsampled, so that pages stay a few megabytes.
 _MOST_PIXELS = 768
-# Of CSS.
+# Pixels per inch in CSS.
 _SCREEN_DPI = 96
 _MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 
@@ -24,9 +24,9 @@ _MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 class Picture(NamedTuple):
     """A picture of a page.
 
-    - `name`: what the slider calls it; `title`, `note`: below it.
-    - `data`: the picture itself, as an address; `width`, `height`: in pixels.
-    - `slides`: whether the slider offers it.
+    - `name`: its name in the slider; `title`, `note`: its caption.
+    - `data`: the picture as a data URI; `width`, `height`: in pixels.
+    - `slides`: whether it can be chosen in the slider.
     """
 
     name: str
@@ -50,7 +50,7 @@ def picture(
 
 
 def _smaller(image: HostArray) -> HostArray:
-    """`image`, or the means of its blocks of n × n pixels where it is large."""
+    """`image`, downsampled by averaging blocks of n × n pixels if it is large."""
     n = -(-max(image.shape[:2]) // _MOST_PIXELS)
     if n == 1:
         return image
@@ -60,7 +60,7 @@ def _smaller(image: HostArray) -> HostArray:
 
 
 class Scale(NamedTuple):
-    """What the colours of differences mean; `beyond`: whether some differences go further."""
+    """The colour scale of differences; `beyond`: whether some differences exceed it."""
 
     low: str
     middle: str
@@ -75,13 +75,13 @@ def difference_scale(limit: float, beyond: bool) -> Scale:
 
 
 def file_pictures(paths: Sequence[Path]) -> list[Picture]:
-    """Pictures from PNG and SVG files, named after them; a PNG as large as on paper."""
+    """Pictures from PNG and SVG files, named after the files. A PNG is shown at its printed size."""
     return [_from_file(path) for path in paths]
 
 
 def _from_file(path: Path) -> Picture:
     content = path.read_bytes()
-    # A PNG's width and height follow its signature and the head of its first chunk.
+    # A PNG's width and height follow its signature and the header of its first chunk.
     size = struct.unpack(">II", content[16:24]) if path.suffix == ".png" and len(content) > 24 else (0, 0)
     width, height = (round(side * _SCREEN_DPI / style.DPI) for side in size)
     title = path.stem.removeprefix("debug_").replace("_", " ")
@@ -89,17 +89,17 @@ def _from_file(path: Path) -> Picture:
 
 
 def data_uri(content: bytes, suffix: str) -> str:
-    """`content` as an address that holds all of it."""
+    """`content` as a data URI."""
     return f"data:{_MEDIA[suffix]};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _shown(value: Any) -> Any:
-    """`value` with what is not printable escaped, unless it is a part of the page already."""
+    """`value` with unprintable characters escaped, unless it is markup."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
-    """Writes the page that `template` makes of `values` to `path`, whole or not at all.
+    """Renders `template` with `values`, and writes the page to `path` atomically.
 
     **Raises** `FileError` if it cannot be written.
     """

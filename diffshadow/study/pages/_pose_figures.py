@@ -1,4 +1,4 @@
-"""Pictures of how a fit moved lights and meshes. This file loads Matplotlib, so only a run's end imports it."""
+"""Figures of how a fit moved lights and meshes. This module loads Matplotlib, so import it only to draw figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,14 +18,14 @@ from ...geometry import Mesh, Scene
 from .. import style
 
 Track = Float[HostArray, "n 3"]
-# Room round what is drawn, as a share of its extent.
+# Margin round the drawing, as a fraction of its extent.
 _MARGIN = 0.06
 
 
 def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) -> None:
-    """The scene from above and from the side, with the way that each light and each mesh took, from start to end.
+    """Draws the scene from above and from the side, with the path of each light and mesh from start to end.
 
-    A light at infinity is drawn on a dome over the scene, in the direction that it comes from.
+    A light at infinity is drawn on a dome round the scene, in the direction it comes from.
     """
     arrangement = result.arrangement
     assert arrangement is not None
@@ -46,7 +46,7 @@ def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) 
         for number, (key, track) in enumerate(tracks.items()):
             _track(each, track, truth.get(key), across, up, style.CYCLE[number % len(style.CYCLE)], key)
         if up == 2:
-            # The viewer looks down with +x to the right, so +z comes towards the bottom.
+            # Seen from above with +x to the right, +z points down.
             each.invert_yaxis()
         each.set_aspect("equal")
         style.chart(each, "x [world units]", f"{'xyz'[up]} [world units]")
@@ -58,7 +58,7 @@ def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) 
 
 
 def _steps_of_best(result: fit.FitResult) -> list[HostArray]:
-    """The values along the way of the start that was gone on with."""
+    """The values at each step of the start that was continued."""
     initial = tuple(result.initial.values())
     firsts = {step.start: step.values for step in reversed(result.history)}
     best = min(firsts, key=lambda start: float(np.abs(np.subtract(firsts[start], initial)).max()), default=0)
@@ -66,14 +66,14 @@ def _steps_of_best(result: fit.FitResult) -> list[HostArray]:
 
 
 def _movers(names: Sequence[str]) -> list[str]:
-    """The lights and meshes that are moved, such as `lights.0`."""
+    """The lights and meshes that the fit moves, such as `lights.0`."""
     return list(dict.fromkeys(".".join(n.split(".")[:2]) for n in names if not n.startswith("technique.")))
 
 
 def _places(
     arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, scene: Scene
 ) -> list[Float[Any, "3"]]:
-    """Where the light or mesh `key` is with each of `values` (n, p)."""
+    """The position of the light or mesh `key` for each of `values` (n, p)."""
     kind, index = key.split(".")
     everything = scene.mesh.bounds
     middle, reach = everything.mean(axis=0), jnp.linalg.norm(everything[1] - everything[0]) / 2
@@ -95,7 +95,7 @@ def _places(
 def _scene(axes: Axes, meshes: Sequence[Mesh], across: int, up: int) -> None:
     corners = np.concatenate([np.asarray(mesh.vertices)[np.asarray(mesh.faces)] for mesh in meshes])
     colours = np.concatenate([np.asarray(mesh.albedo) for mesh in meshes])
-    # What is nearer to the viewer covers the rest.
+    # Draw back to front.
     order = np.argsort(corners.mean(axis=1)[:, 3 - across - up])
     faces = corners[order][:, :, [across, up]]
     axes.add_collection(PolyCollection(list(faces), facecolors=colours[order], edgecolors="none", alpha=0.55))

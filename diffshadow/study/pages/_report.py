@@ -1,4 +1,4 @@
-"""The report of a fit or a render: one page that needs no other file."""
+"""The report of a fit or a render: one self-contained page."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,22 +9,22 @@ import numpy as np
 from ..files._stored import REPORT, StoredRun
 from ._table import ERRORS, UNITS, noise_text, number
 
-# Pictures of the folder that the page shows in another way.
+# Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
-# As many parameters are counted rather than named.
+# If this many parameters precede the last one, the summary counts them instead of naming them.
 _MANY = 3
 _HEADINGS = {
     "paths": "How lights and meshes moved",
-    "landscape": "Landscape of the error",
-    "shadow_map": "What the light sees",
-    "texture": "What the light sees",
-    "debug": "What the technique works with",
+    "landscape": "Error landscape",
+    "shadow_map": "View from the light",
+    "texture": "View from the light",
+    "debug": "Intermediate results",
 }
 
 
 def write_report(run: StoredRun) -> Path:
     """Writes the page of `run` to its folder. **Returns** the page."""
-    # Here, since they load Matplotlib.
+    # Imported here, since they load Matplotlib.
     from . import _figures as figures
     from ._page import difference_scale, file_pictures, write_page
 
@@ -60,7 +60,7 @@ def write_report(run: StoredRun) -> Path:
 
 
 def _fit_summary(result: Mapping[str, Any]) -> str:
-    """What the fit did, in a sentence."""
+    """The result of the fit in one sentence."""
     before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
     *most, last = result["fitted"]
     names = f"{', '.join(most)} and {last}" if most else last
@@ -69,8 +69,8 @@ def _fit_summary(result: Mapping[str, Any]) -> str:
     if result["solver"]["chosen_phase"] < 0:
         return f"Fitting {names} found nothing better than the start, whose error is {number('rmse', before)} RMSE."
     return (
-        f"Fitting {names} took the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE, "
-        f"{before / max(after, 1e-12):.1f} times less, in {result['solver']['steps']} steps."
+        f"Fitting {names} reduced the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE, "
+        f"by a factor of {before / max(after, 1e-12):.1f}, in {result['solver']['steps']} steps."
     )
 
 
@@ -83,7 +83,7 @@ def _render_summary(run: StoredRun) -> str:
 
 
 def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Each parameter from start to end; of poses also the truth, and the value's standard deviation."""
+    """Each parameter before and after the fit; for poses also the truth and the standard deviation."""
     poses = result.get("poses") or {}
     truth, deviations = poses.get("truth", {}), (poses.get("precision") or {}).get("deviations", {})
     return [
@@ -102,7 +102,7 @@ def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _errors(run: StoredRun) -> list[dict[str, Any]]:
-    """Each error of every state, and the reference's own."""
+    """Each error of every state, and of the reference itself."""
     own = {"rmse": run.result["metrics"]["reference_noise_floor"]}
     return [
         {
@@ -116,7 +116,7 @@ def _errors(run: StoredRun) -> list[dict[str, Any]]:
 
 
 def _light(run: StoredRun, index: int, limit: float) -> dict[str, Any]:
-    """The pictures of one light, each with a name of its own on the page."""
+    """The pictures of one light, with names that are unique on the page."""
     from .. import style
     from ._page import picture
 
@@ -147,13 +147,13 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
     return [
         (
             style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
-            "The error over the fit, phase by phase: above each the width of its soft compare in texels, or that it is "
-            "hard, and how coarse its images are. What judges is the hard compare at full size.",
+            "The error over the fit. The label of each phase is the width of its soft compare in texels, or hard, and "
+            "the scale of its images. The result is chosen by the hard compare at full resolution.",
         ),
         (
             style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
-            "The parameters over the fit. Dashed lines are bounds, where they are near, and dotted ones the truth, "
-            "where it is known; diamonds mark the result.",
+            "The parameters over the fit. Dashed lines are bounds, if they are near; dotted lines are the truth, if it "
+            "is known. Diamonds mark the result.",
         ),
     ]
 
@@ -176,7 +176,7 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Where each of several starts began and what error it came to, best first."""
+    """The initial values and the final error of each of several starts, best first."""
     starts = (result.get("poses") or {}).get("starts") or []
     return [
         {"error": number("rmse", start["loss"] ** 0.5), "numbers": [f"{v:.4g}" for v in start["initial"].values()]}
@@ -185,7 +185,7 @@ def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _files(folder: Path) -> dict[str, list[Path]]:
-    """The folder's other pictures, by heading; of one that is there as SVG and PNG, the first."""
+    """The folder's other pictures, by heading. If a picture exists as SVG and PNG, the SVG is used."""
     found: dict[str, list[Path]] = {}
     for suffix in (".svg", ".png"):
         for path in sorted(folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):

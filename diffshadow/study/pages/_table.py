@@ -1,4 +1,4 @@
-"""The tables that a run prints at its end. They read as well without colour."""
+"""The tables that a run prints at its end. They are readable without colour."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ ERRORS = {
     "false_shadow_rate": "false shadow (acne)",
     "false_light_rate": "false light (leaks, Peter-panning)",
 }
-"""Every error's name in tables and reports; all but SSIM are better the smaller they are."""
+"""The names of errors in tables and reports. Smaller is better, except for SSIM."""
 
 UNITS = {
     "rmse": "visibility",
@@ -26,25 +26,25 @@ UNITS = {
     "false_shadow_rate": "of light",
     "false_light_rate": "of light",
 }
-"""Every error's unit."""
+"""The units of errors."""
 
 
 def number(name: str, value: float | None) -> str:
-    """The error `name` as text; a dash where there is none."""
+    """The error `name` as text; a dash if there is none."""
     if value is None or math.isnan(value):
         return "–"
     return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
 
 
 def words(text: str) -> Text:
-    """`text` for a table: no markup, and nothing that a terminal would obey."""
+    """`text` for a table, without markup and control characters."""
     return Text(printable(text))
 
 
 def noise_text(noise_floor: float | None) -> str:
-    """What is known of the reference's own error."""
+    """A phrase on the error of the reference itself."""
     if noise_floor is None:
-        return "the reference's own error is not known: it was given, not traced"
+        return "the reference's own error is unknown, since it was given, not traced"
     return f"the reference's own noise is {noise_floor:.4f} RMSE"
 
 
@@ -56,7 +56,7 @@ def print_fit(
     before: Mapping[str, float],
     after: Mapping[str, float],
 ) -> None:
-    """Parameters from start to end, and errors under the hard compare before and after."""
+    """Prints the parameters and the errors under the hard compare, before and after the fit."""
     table = Table("", "before", "after", "unit", title=words(name), title_justify="left")
     for column in table.columns[1:3]:
         column.justify = "right"
@@ -69,7 +69,7 @@ def print_fit(
 
 
 def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
-    """The errors of each light's image, by the light's key."""
+    """Prints the errors of each light's image, by the light's key."""
     table = Table("", title=words(name), title_justify="left")
     for head in ["error"] if len(errors) == 1 else errors:
         table.add_column(words(head), justify="right")
@@ -79,7 +79,7 @@ def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, 
 
 
 def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:
-    """Rows of a name, a text for each of the runs called `labels`, and a unit, part by part."""
+    """Prints rows of a name, a text for each of the runs named `labels`, and a unit. Each part is a section."""
     table = Table()
     table.add_column("", overflow="fold")
     for label in labels:
@@ -93,7 +93,7 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
 
 
 def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
-    """Sentences under a table; warnings say that they are."""
+    """Prints sentences under a table, prefixed with "warning: " if `warn`."""
     for line in map(printable, lines):
         text = Text.assemble(("warning: ", "bold yellow"), line) if warn else Text(line)
         console.print(text, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""A metric of a sweep against one of its axes, and how fast it falls."""
+"""Curves of a sweep: a metric against an axis, and its slope."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,12 +10,12 @@ from ...config import PlotConfig, Row
 
 
 def unit_of(settings: Sequence[Row], key: str) -> str:
-    """A setting's unit, empty if it has none."""
+    """The unit of a setting; empty if it has none."""
     return next((row.unit for row in settings if row.key == key), "")
 
 
 def with_unit(settings: Sequence[Row], key: str) -> str:
-    """A setting's key and its unit, if it has one."""
+    """The key of a setting, followed by its unit if it has one."""
     unit = unit_of(settings, key)
     return f"{key} [{unit}]" if unit else key
 
@@ -23,11 +23,11 @@ def with_unit(settings: Sequence[Row], key: str) -> str:
 class Curve(NamedTuple):
     """A metric along an axis.
 
-    - `panel`, `line`: what it shares with no other curve.
-    - `x`, `y`: (n,); where `x` is no number, the number of the value.
-    - `ticks`: the values themselves, where they are no numbers.
-    - `slope`: of the logarithm of `y` against that of `x`, by least squares; `None` where there is none.
-    - `error`: the slope's standard error, from one slope for each seed; `None` where there is a single seed.
+    - `panel`, `line`: the values of these axes of the plot; the pair is unique to the curve.
+    - `x`, `y`: (n,). If the values on the axis are not numbers, `x` holds their indices.
+    - `ticks`: the values on the axis, if they are not numbers.
+    - `slope`: the slope of log `y` against log `x`, by least squares; `None` if there is none.
+    - `error`: the standard error of the slope, from one slope per seed; `None` for a single seed.
     """
 
     panel: str
@@ -40,22 +40,22 @@ class Curve(NamedTuple):
 
 
 def columns_for(plot: PlotConfig, table: Any) -> dict[str, list[Any]]:
-    """Those columns of an Arrow table of results that `plot` needs and the table has."""
+    """The columns of an Arrow table of results that `plot` needs, as far as they exist."""
     needed = {plot.x, plot.y, plot.lines, plot.panels, "seed"}
     return {name: table[name].to_pylist() for name in table.column_names if name in needed}
 
 
 def curves_of(columns: Mapping[str, Sequence[Any]], plot: PlotConfig) -> list[Curve]:
-    """The curves of `plot`, from a table of results by column; runs that failed are left out.
+    """The curves of `plot`, from the columns of a table of results. Failed runs are left out.
 
-    Over all axes that the plot does not name, the mean is taken, of an RMSE that of its square.
+    Results are averaged over all axes that the plot does not name. RMSEs are averaged as squares.
 
     **Raises** `ValueError` if no run has the metric.
     """
     every = columns.get(plot.y, ())
     rows = [i for i, value in enumerate(every) if value is not None and columns[plot.x][i] is not None]
     if not rows:
-        raise ValueError(f"no run has the metric {plot.y!r} that sweep.plot.y asks for; expected one of the table's")
+        raise ValueError(f"no run has the metric {plot.y!r} of sweep.plot.y; expected a metric of the table")
     of = lambda axis, i: "" if axis is None else _text(columns[axis][i])
     groups: dict[tuple[str, str], list[int]] = {}
     for i in rows:
@@ -76,7 +76,7 @@ def curves_of(columns: Mapping[str, Sequence[Any]], plot: PlotConfig) -> list[Cu
 def _mean(
     columns: Mapping[str, Sequence[Any]], plot: PlotConfig, rows: Sequence[int], place: Mapping[Any, float]
 ) -> tuple[HostArray, HostArray]:
-    """The metric's mean over `rows` at each value of the axis, in rising order."""
+    """The metric's mean over `rows` at each value of the axis, in ascending order."""
     squared = "rmse" in plot.y.rpartition(".")[2]
     at: dict[float, list[float]] = {}
     for i in rows:

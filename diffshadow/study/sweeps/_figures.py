@@ -1,4 +1,4 @@
-"""The figure of a sweep. This file loads Matplotlib, so only a sweep's end imports it."""
+"""The figure of a sweep. This module loads Matplotlib, so import it only to draw figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from .. import style
 from ._curves import Curve, with_unit
 
 _WIDTH, _HEIGHT = 4.1, 3.9
-# Panels in a row.
+# The most panels in a row.
 _MOST_COLUMNS = 3
 _METRICS = {
     "rmse": "RMSE [visibility]",
@@ -21,11 +21,14 @@ _METRICS = {
 
 
 def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: Sequence[Row]) -> None:
-    """The curves, a panel for each value of `plot.panels`, and their slopes in the legends.
+    """Draws the curves, with one panel per value of `plot.panels` and slopes in the legends.
 
     **Arguments:**
 
-    - `settings`: of any of the runs, which tell the axis' unit.
+    - `path`: the file to write.
+    - `curves`: the curves to draw.
+    - `plot`: the settings of the figure.
+    - `settings`: the settings of any of the runs, for the axis' unit.
     """
     names = with_unit(settings, plot.x), _metric(plot.y)
     panels = list(dict.fromkeys(curve.panel for curve in curves))
@@ -49,7 +52,7 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: 
 
 
 def _metric(name: str) -> str:
-    """A metric's name with its unit; those of a fit begin with `before.` or `after.`."""
+    """A metric's name with its unit. Metrics of a fit begin with `before.` or `after.`."""
     when, _, metric = name.rpartition(".")
     if metric not in _METRICS:
         return name

@@ -1,4 +1,4 @@
-"""Ctrl-C while other processes work: it waits for a place where they can be ended in order."""
+"""Defers Ctrl-C while worker processes run, until they can be stopped cleanly."""
 
 import multiprocessing
 import signal
@@ -8,19 +8,18 @@ from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
-# Seconds between looks at whether Ctrl-C was pressed.
+# Seconds between checks for Ctrl-C.
 POLL = 0.1
-# Seconds that processes are given to end: where all is done, and where that is cut short.
-_PATIENCE, _PATIENCE_CUT_SHORT = 30, 2
+# Seconds that processes get to exit: after normal completion, and after an interrupt.
+_EXIT_TIMEOUT, _EXIT_TIMEOUT_INTERRUPTED = 30, 2
 
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Callable[[], None]]:
-    """Lets Ctrl-C interrupt the block only where it calls the function that it is given, and at its end.
+    """Defers Ctrl-C in the block until it calls the yielded function, or ends.
 
-    Python raises `KeyboardInterrupt` between any two instructions of the main thread, those of libraries included,
-    which then stop half-way. Pressed twice, Ctrl-C also kills the processes that this one has started; the third time
-    it interrupts at once.
+    Otherwise Python raises `KeyboardInterrupt` between any two instructions of the main thread, including those of
+    libraries, which then stop half-way. The second Ctrl-C also kills the child processes; the third interrupts at once.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield lambda: None
@@ -49,16 +48,19 @@ def deferred_interrupts() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def out_of_reach(opened: Callable[[], AbstractContextManager[Any]], interrupted: Callable[[], None]) -> Iterator[Any]:
-    """What `opened` gives, entered and left by a thread that does not receive Ctrl-C, nor do processes it starts.
+    """Enters and exits the context manager made by `opened` in a thread that does not receive Ctrl-C, and yields its
+    value.
 
-    A terminal sends the signal to all processes of a command. Threads and processes inherit which signals are blocked.
-    Processes that do not end in time are killed.
+    Processes that the thread starts do not receive Ctrl-C either: a terminal sends the signal to all processes of a
+    command, but threads and processes inherit blocked signals. Processes that do not exit in time are killed.
 
     **Arguments:**
 
-    - `interrupted`: called while it is opened; what it raises is raised here once all is closed again.
+    - `opened`: makes the context manager.
+    - `interrupted`: called repeatedly while the context manager is entered. If it raises, the context manager is exited
+        and the error is raised here.
     """
-    # Its start unblocks the signal for the thread that starts it.
+    # Started first, since starting it unblocks the signal in the calling thread.
     resource_tracker.ensure_running()
     ready, done = threading.Event(), threading.Event()
     found, failed = [], []
@@ -77,20 +79,20 @@ def out_of_reach(opened: Callable[[], AbstractContextManager[Any]], interrupted:
 
     thread = threading.Thread(target=serve, name="diffshadow pool", daemon=True)
     thread.start()
-    patience = _PATIENCE_CUT_SHORT
+    timeout = _EXIT_TIMEOUT_INTERRUPTED
     try:
         while not ready.wait(POLL):
             interrupted()
         if failed:
             raise failed[0]
         yield found[0]
-        patience = _PATIENCE
+        timeout = _EXIT_TIMEOUT
     finally:
         done.set()
-        thread.join(patience)
+        thread.join(timeout)
         if thread.is_alive():
             _kill_children()
-            thread.join(patience)
+            thread.join(timeout)
 
 
 def _kill_children() -> None:

@@ -1,6 +1,6 @@
-"""Where a sweep's runs are done: in local worker processes, on a Dask cluster, or in this process.
+"""Does a sweep's runs in local worker processes, on a Dask cluster, or in this process.
 
-A local worker has one thread, so that as many workers as cores share the machine without getting in each other's way.
+Each local worker has one thread, so that one worker per core fills the machine without oversubscribing it.
 """
 
 import logging
@@ -16,31 +16,31 @@ from ..._xla import use_all_cores
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
 
-# XLA makes a pool of as many threads as NPROC says, and reads both when JAX is first used.
+# XLA takes the size of its thread pool from NPROC, and reads both variables when JAX is first used.
 _ONE_THREAD = {
     "NPROC": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
 }
-# What a worker may need at the most.
-_BYTES_A_WORKER = 1_500_000_000
+# The most memory that a worker may need.
+_BYTES_PER_WORKER = 1_500_000_000
 # Seconds to wait for a scheduler, and for its first worker.
-_PATIENCE = 15
-# Seconds to wait for whatever is at the address of a scheduler to answer at all.
-_SILENCE = 60
-# Seconds to wait for a worker once all have died: a busy machine takes long to start one.
-_WORKERS_PATIENCE = 120
-# Batches for each worker that are under way at once: enough that none waits, few enough that a million runs fit.
-_AHEAD = 4
+_CONNECT_TIMEOUT = 15
+# Seconds to wait for any answer from the address of a scheduler.
+_ANSWER_TIMEOUT = 60
+# Seconds to wait for a new worker after all have died. A busy machine is slow to start one.
+_WORKERS_TIMEOUT = 120
+# Batches per worker that are submitted at once: enough to keep workers busy, few enough for sweeps of a million runs.
+_BATCHES_AHEAD = 4
 
 
 class InProcess:
-    """Does the runs here, one after another."""
+    """Does the runs in this process, one after another."""
 
     workers = 1
 
     def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
-        """The outcomes of all runs, as they come."""
+        """The outcomes of all runs, in order of completion."""
         for batch in batches:
             for run in batch.runs:
                 yield from work(batch._replace(runs=(run,)))
@@ -51,7 +51,8 @@ class OnCluster:
 
     **Arguments:**
 
-    - `interrupted`: called while it waits, to raise what ends it.
+    - `client`: the Dask client.
+    - `interrupted`: called while waiting; it raises to stop the sweep.
     """
 
     def __init__(self, client: Any, interrupted: Callable[[], None] = lambda: None):
@@ -59,14 +60,14 @@ class OnCluster:
 
     @property
     def workers(self) -> int:
-        """Runs that can be under way at once."""
+        """The number of runs that can be done at once."""
         return sum(self._client.nthreads().values())
 
     def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
-        """The outcomes of all runs, as they come. What a worker that dies had begun is done by another.
+        """The outcomes of all runs, in order of completion. If a worker dies, another one does its runs.
 
-        **Raises** `OSError` if the scheduler or all workers are lost or one cannot write, `ValueError` if one lacks
-        this package.
+        **Raises** `OSError` if the scheduler or all workers are lost, or if a worker cannot write; `ValueError` if a
+        worker does not have this package.
         """
         from distributed import KilledWorker, as_completed
 
@@ -80,7 +81,7 @@ class OnCluster:
             finished.add(future)
 
         def fill() -> None:
-            while len(waiting) < _AHEAD * max(self.workers, 1) and (batch := next(to_come, None)) is not None:
+            while len(waiting) < _BATCHES_AHEAD * max(self.workers, 1) and (batch := next(to_come, None)) is not None:
                 self._interrupted()
                 submit(batch)
 
@@ -95,56 +96,56 @@ class OnCluster:
                     if len(batch.runs) == 1:
                         yield _killed(batch)
                     else:
-                        # One of them kills its worker; alone, the others get through.
+                        # One of the runs kills its worker. Submitted one by one, the others succeed.
                         for run in batch.runs:
                             submit(batch._replace(runs=(run,)))
                 except CancelledError:
                     raise ConnectionError(
-                        "the Dask scheduler is gone; expected it to stay until the sweep ends: start the sweep again, "
-                        "and only what is missing is done"
+                        "the Dask scheduler is gone; expected it to run until the sweep ends: start the sweep again, "
+                        "and only the missing runs are done"
                     ) from None
                 except ModuleNotFoundError as error:
                     raise ValueError(
-                        f"a Dask worker cannot load this package ({error}); expected diffshadow of this version to be "
-                        "installed wherever workers run"
+                        f"a Dask worker cannot import this package ({error}); expected the same version of diffshadow "
+                        "on all workers: install it there"
                     ) from error
                 fill()
         finally:
             self._client.cancel(list(waiting))
 
     def _next(self, finished: Any) -> Any:
-        """The next run's future. **Raises** `OSError` if workers die and none comes: Dask would wait for ever."""
+        """The next finished future. **Raises** `OSError` if all workers are lost, since Dask would wait forever."""
         last_seen = time.monotonic()
         while not finished.has_ready():
             self._interrupted()
             time.sleep(POLL)
             if self.workers:
                 last_seen = time.monotonic()
-            elif time.monotonic() - last_seen > _WORKERS_PATIENCE:
+            elif time.monotonic() - last_seen > _WORKERS_TIMEOUT:
                 raise ConnectionError(
-                    f"all Dask workers are gone, and for {_WORKERS_PATIENCE} seconds none has come; expected at least "
-                    "one: see why they died (too little memory?), then start the sweep again, and only what is missing "
-                    "is done"
+                    f"all Dask workers are gone, and no new one started within {_WORKERS_TIMEOUT} seconds; expected "
+                    "at least one: find out why they died (too little memory?), then start the sweep again, and only "
+                    "the missing runs are done"
                 )
         return next(finished)
 
 
 def _work_in_worker(batch: Batch) -> list[Outcome]:
-    """`work`, by a process of its own, whose programs are compiled as the command's are."""
+    """`work` in a worker process, with XLA set up as in the command."""
     use_all_cores()
     return work(batch)
 
 
 @contextmanager
 def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InProcess | OnCluster]:
-    """Where runs are to be done.
+    """Opens the pool that does the runs.
 
     **Arguments:**
 
-    - `scheduler`: address of a Dask scheduler; local workers if left out.
-    - `workers`: local worker processes: by default one for each core, as far as there is memory for them. With 0, all
-        runs are done in this process.
-    - `most`: how many of them are worth starting by default.
+    - `scheduler`: address of a Dask scheduler; by default local workers are started.
+    - `workers`: number of local worker processes; by default one per core, as far as memory allows. With 0, all runs
+        are done in this process.
+    - `most`: the most local workers to start by default.
 
     **Raises** `ValueError` if there is no scheduler at the address, or it has no workers.
     """
@@ -156,9 +157,9 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
 
         def wait() -> None:
             interrupted()
-            # Dask sets no limit to how long it waits for the first answer.
-            if scheduler is not None and time.monotonic() - begun > _SILENCE:
-                raise _no_scheduler(scheduler, "what is there does not answer")
+            # Dask has no timeout for the first answer.
+            if scheduler is not None and time.monotonic() - begun > _ANSWER_TIMEOUT:
+                raise _no_scheduler(scheduler, "the server there does not answer")
 
         opened = lambda: _local(most, workers) if scheduler is None else _reached(scheduler)
         with out_of_reach(opened, wait) as client:
@@ -176,7 +177,7 @@ def _local(most: int, workers: int | None) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             memory_limit=0,
-            # Any free port, seen from here alone: several sweeps may run on one machine.
+            # Any free port, on this machine only: several sweeps may run at once.
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
             env={**_ONE_THREAD, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_ONE_THREAD['XLA_FLAGS']}".strip()},
@@ -190,7 +191,7 @@ def _workers() -> int:
     from dask.system import CPU_COUNT
     from distributed.system import MEMORY_LIMIT
 
-    return max(1, min(CPU_COUNT, MEMORY_LIMIT // _BYTES_A_WORKER))
+    return max(1, min(CPU_COUNT, MEMORY_LIMIT // _BYTES_PER_WORKER))
 
 
 @contextmanager
@@ -199,18 +200,18 @@ def _reached(scheduler: str) -> Iterator[Any]:
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout=_PATIENCE)
-    except Exception as error:  # Dask takes the answer of another server for the length of a message, for one.
+        client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
+    except Exception as error:  # many types: Dask may read another server's answer as the length of a message
         raise _no_scheduler(scheduler, str(error)) from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
         except TimeoutError as error:
             raise ValueError(
                 f"the Dask scheduler at {scheduler} has no workers; expected at least one: start it with dask worker "
                 f"{scheduler} --nthreads 1"
             ) from error
-        # XLA asks the C library for it. Too late, and harmless, where a worker has used JAX before.
+        # `putenv`, since XLA reads the C environment. No effect if the worker has already used JAX.
         for name, value in _ONE_THREAD.items():
             client.run(os.putenv, name, value)
         yield client
@@ -219,13 +220,13 @@ def _reached(scheduler: str) -> Iterator[Any]:
 def _no_scheduler(address: str, reason: str) -> ValueError:
     return ValueError(
         f"there is no Dask scheduler at {address!r} ({reason}); expected an address such as tcp://host:8786: start one "
-        "with dask scheduler, or leave --scheduler out to work on this machine alone"
+        "with dask scheduler, or leave out --scheduler to use only this machine"
     )
 
 
 def _killed(batch: Batch) -> Outcome:
     (run,) = batch.runs
-    error = "its worker died each time that it was tried, perhaps for lack of memory"
+    error = "its worker died at every attempt, perhaps for lack of memory"
     outcome = Outcome(run.id, FAILED, error, {}, {})
     write_outcome(batch.folder, run, outcome)
     return outcome

@@ -1,4 +1,4 @@
-"""The report of a sweep: what came out for each combination of values, its figure, and what failed."""
+"""The report of a sweep: the results of each combination of values, the figure, and the failures."""
 
 import contextlib
 import math
@@ -21,24 +21,26 @@ from ._table import MISSING, RESULTS, metric_columns
 from ._work import FAILED, FIGURES, OK, RUNS
 
 Runs = Any
-"""A data frame with a row for each run; pandas' own types tell a checker too little."""
+"""A data frame with one row per run. Pandas' types are too vague for type checkers."""
 _SEED = "seed"
-# As a folder of a run is called.
+# The name of a run's folder.
 _ID = re.compile("[0-9a-f]{16}")
-# No sweep has more. What a table claims is not believed beyond this.
+# Far more than any sweep has. A table with more rows is damaged.
 _MOST_RUNS = 1 << 24
-# The greatest number of single precision.
+# The greatest float32.
 _MOST = float(np.finfo(np.float32).max)
-# More combinations, pictures of runs, values of an axis and errors than these are not shown.
+# The most combinations, pictures of runs, values of an axis, and errors that are shown.
 _MOST_ROWS, _MOST_PICTURES, _MOST_VALUES, _MOST_ERRORS = 2000, 24, 12, 50
-# What stands for a run among the figures that it wrote.
+# The figures that represent a run.
 _RUN_PICTURES = ("comparison*.png", "difference*.png")
 
 
 class Summary(NamedTuple):
-    """The results by combination: names of axes and metrics, and for each combination their texts and its runs.
+    """The results by combination.
 
-    - `total`: how many combinations there are; perhaps more than `rows`.
+    - `axes`, `metrics`: the names of the columns.
+    - `rows`: for each combination, the texts of its axes and metrics, and the number of its runs.
+    - `total`: the number of combinations, which may exceed the number of rows.
     """
 
     axes: list[str]
@@ -48,9 +50,9 @@ class Summary(NamedTuple):
 
 
 def report_sweep(folder: Path, form: str | None = None) -> Path:
-    """Writes the page of the sweep in `folder`, and where `form` says so its figure. **Returns** the page.
+    """Writes the page of the sweep in `folder`, and its figure if a format `form` is given. **Returns** the page.
 
-    **Raises** `FileError` if the sweep's table is missing, damaged or another sweep's.
+    **Raises** `FileError` if the sweep's table is missing, damaged, or that of another sweep.
     """
     from ..pages._page import file_pictures, write_page
 
@@ -95,7 +97,9 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
 def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
     file = folder / RESULTS
     if not file.is_file():
-        raise io.FileError(f"{folder} holds only a part of a sweep: it has no {RESULTS}; expected it: sweep again")
+        raise io.FileError(
+            f"{folder} holds an incomplete sweep: it has no {RESULTS}; expected a table of results: sweep again"
+        )
     try:
         with file.open("rb") as stream, parquet.ParquetFile(stream) as stored:
             if stored.metadata.num_rows > _MOST_RUNS:
@@ -104,7 +108,7 @@ def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
             runs = stored.read().to_pandas()
         _check_values(runs)
         return runs
-    except Exception as error:  # Arrow raises what it likes
+    except Exception as error:  # Arrow raises many types
         reason = " ".join(str(error).split()) or type(error).__name__
         raise io.FileError(f"{file} is damaged ({reason}); expected a sweep's table: sweep again") from error
 
@@ -112,7 +116,7 @@ def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
 def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
     """**Raises** `ValueError` unless a table has the columns of a sweep."""
     if len(set(schema.names)) < len(schema.names):
-        raise ValueError("it has two columns of one name")
+        raise ValueError("it has two columns with the same name")
     for name in ("id", "status", "error", *sweep.axes):
         if name not in schema.names:
             raise ValueError(f"it has no column {name}")
@@ -120,7 +124,7 @@ def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
     for name in schema.names:
         kind = schema.field(name).type
         if name in ("id", "status", "error"):
-            # Where no run has failed, there is no telling.
+            # If no run has failed, the column may have any type.
             if not pa.types.is_string(kind) and name != "error":
                 raise ValueError(f"its column {name} holds {kind}; expected text")
         elif not (numbers(kind) or (name in sweep.axes and (pa.types.is_string(kind) or pa.types.is_boolean(kind)))):
@@ -128,19 +132,19 @@ def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
 
 
 def _check_values(runs: Runs) -> None:
-    """**Raises** `ValueError` unless identifiers, errors and numbers of a table are such."""
+    """**Raises** `ValueError` unless the identifiers, errors and numbers of a table are valid."""
     if not all(_ID.fullmatch(id) for id in runs["id"]):
-        raise ValueError("its column id holds something else than identifiers of runs")
+        raise ValueError("its column id holds values that are not identifiers of runs")
     if not all(isinstance(error, str) or pd.isna(error) for error in runs["error"]):
-        raise ValueError("its column error holds something else than text")
+        raise ValueError("its column error holds values that are not text")
     for name in runs.select_dtypes("number").columns:
         if (runs[name].abs() > _MOST).any():
             raise ValueError(f"its column {name} holds {runs[name].abs().max():g}; expected numbers up to {_MOST:g}")
 
 
 def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
-    """Means over all runs of one combination, which differ in their seeds, and the standard errors of these means."""
-    # Without axes, all runs are of one combination.
+    """Means over the seeds of each combination, and their standard errors."""
+    # Without axes, all runs belong to one combination.
     by = list(axes) or [np.zeros(len(good))]
     groups = good.groupby(by, sort=False, dropna=False)
     runs = groups.size()
@@ -154,7 +158,7 @@ def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary
 
 
 def _mean(mean: float, error: float) -> str:
-    """A mean with its standard error, which has two digits, and the mean as many decimals."""
+    """A mean and its standard error. The error has two digits, and the mean has the same number of decimals."""
     if pd.isna(mean):
         return "–"
     if pd.isna(error) or error <= 0:
@@ -165,7 +169,7 @@ def _mean(mean: float, error: float) -> str:
 
 def _text(value: Any) -> str:
     if pd.isna(value):
-        # An entry of the list leaves it as it is.
+        # An entry of the list that does not set this key.
         return "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -176,7 +180,7 @@ def _listed(values: Sequence[Any]) -> str:
 
 
 def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
-    """Each error, how many runs it befell, and the first of these; and how many more errors there are."""
+    """Each error with its number of runs and the first of these; and the number of errors not shown."""
     failed = runs[runs["status"] == FAILED]
     counts = failed["error"].value_counts(sort=False)
     firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
@@ -192,7 +196,7 @@ def _values(run: Runs, axes: Sequence[str]) -> str:
 
 
 def _settings(folder: Path, runs: Runs) -> list[Row]:
-    """The settings of the first run that has been done, and whose configuration can be read."""
+    """The settings of the first run whose configuration can be read."""
     for id in runs["id"]:
         file = folder / RUNS / id / "config.yaml"
         if file.is_file():
@@ -202,7 +206,7 @@ def _settings(folder: Path, runs: Runs) -> list[Row]:
 
 
 def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequence[Row], form: str | None) -> str | None:
-    """The sweep's figure for the page, if it has one; written to the folder, too, where `form` says so."""
+    """The sweep's figure for the page, if it has one. Also written to the folder if a format `form` is given."""
     from .. import style
     from ._figures import write_plot
 
@@ -213,7 +217,7 @@ def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequenc
     try:
         curves = curves_of(columns, plot)
     except ValueError:
-        # No run has what is to be drawn; the failures say why.
+        # No run has the metric; the failures explain why.
         return None
     if form is not None:
         write_plot(folder / f"plot.{form}", curves, plot, settings)
@@ -223,12 +227,12 @@ def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequenc
 
 
 def _pictures(folder: Path) -> list[Path]:
-    """All pictures that lie in the folder itself."""
+    """All pictures directly in the folder."""
     return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
 
 
 def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:
-    """A picture of each run that wrote some, and the run's values; no more than a page has place for."""
+    """Pictures of the runs, with the runs' values; at most `_MOST_PICTURES`."""
     found = []
     for number in range(len(runs) if (folder / FIGURES).is_dir() else 0):
         run = runs.iloc[number]

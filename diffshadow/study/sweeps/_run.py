@@ -1,4 +1,4 @@
-"""Many runs from one file, to a folder of results that can be taken up again wherever it was left."""
+"""Does the runs of a sweep. An interrupted sweep can be resumed."""
 
 import contextlib
 import fcntl
@@ -30,18 +30,18 @@ from ._table import MISSING, RESULTS, gather, metric_columns, write_tables
 from ._work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, shape_of
 
 SUFFIX = "-sweep"
-"""Ends the name of a sweep's folder."""
+"""The suffix of a sweep's folder."""
 PLOT = "plot.png"
 _LOCK = ".lock"
-# Runs of a batch at most: what a worker does in one go, and for how long the bar may stand still.
+# The most runs in a batch, which a worker does without progress reports in between.
 _BATCH = 16
-# Batches for each worker at least, so that none is left with much to do when the others have ended.
-_BATCHES_A_WORKER = 8
-# Runs that are made at a time, to be shared out among the workers.
+# The least number of batches per worker, so that all workers finish at about the same time.
+_BATCHES_PER_WORKER = 8
+# Configurations of runs that are made at a time.
 _MOST_AT_ONCE = 4096
 _MOST_SHOWN = 8
 MOST_LISTED = 4096
-"""Runs of a sweep whose plan says of each whether it is done."""
+"""The most runs for which a plan looks up whether each is done."""
 
 
 def run_sweep(
@@ -52,21 +52,23 @@ def run_sweep(
     workers: int | None = None,
     limit: int | None = None,
 ) -> Path:
-    """Does every run of `sweep` that is not done yet, prints what came out, and writes tables and a figure.
+    """Does every run of `sweep` that is not done yet, prints the results, and writes tables and a figure.
 
-    A run that fails is recorded with its error, and tried again next time; so is one whose folder is damaged. Runs that
-    share programs and drawings are done by the same worker, one after another.
+    A run that fails is recorded with its error, and tried again next time. A run whose folder is damaged is also done
+    again. Runs that share compiled programs and drawings are done by the same worker, one after another.
 
     **Arguments:**
 
+    - `sweep`: the sweep.
+    - `console`: where results are printed.
     - `scheduler`: address of a Dask scheduler, whose workers have this package and see the same files; by default local
         workers are started. They import the calling script, which must do its work under `if __name__ == "__main__"`.
-    - `workers`: local worker processes; by default one for each core. With 0, the runs are done in this process.
-    - `limit`: runs to do at most, the first that are missing.
+    - `workers`: number of local worker processes; by default one per core. With 0, the runs are done in this process.
+    - `limit`: the most runs to do, starting with the first missing one.
 
     **Returns** the folder, `<output>/<name>-sweep`.
 
-    **Raises** `ValueError` if the folder is another sweep's that is under way, or the scheduler cannot be reached;
+    **Raises** `ValueError` if another process is doing the sweep in this folder, or the scheduler cannot be reached;
     `ConfigError` if the folder cannot be written.
     """
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
@@ -79,9 +81,9 @@ def run_sweep(
             try:
                 _work(folder, sweep, todo, console, scheduler, workers)
             finally:
-                # Those of workers that have died.
+                # Drafts of workers that have died.
                 _remove_drafts(folder)
-        with counting(console, "gathering results", len(sweep.runs)) as progress:
+        with counting(console, "collecting results", len(sweep.runs)) as progress:
             tables = gather(sweep, folder, progress)
         write_tables(folder, sweep, tables)
         curves, remarks = _plotted(folder, sweep, tables.results)
@@ -89,17 +91,18 @@ def run_sweep(
         _write_record(folder, sweep, counts)
         report_sweep(folder)
     _print(console, sweep, tables.results, curves)
-    table.print_lines(console, _said(sweep, counts, len(todo)))
+    table.print_lines(console, _summary(sweep, counts, len(todo)))
     table.print_lines(console, [*remarks, *_failures(tables.results)], warn=True)
     return folder
 
 
 def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> list[int]:
-    """The numbers of the runs that have no good result in `folder`; of equal runs, the first.
+    """The indices of the runs without a valid result in `folder`. Of equal runs, only the first is listed.
 
     **Arguments:**
 
-    - `progress`: called with how many runs have been looked for.
+    - `sweep`, `folder`: the sweep and its folder.
+    - `progress`: called with the number of runs checked so far.
     """
     seen, missing = set(), []
     for index in range(len(sweep.runs)):
@@ -112,9 +115,9 @@ def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = l
 
 
 def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None:
-    """What `run_sweep` would do: the axes, and the first of the runs that are missing. Writes nothing.
+    """Prints what `run_sweep` would do: the axes, and the first missing runs. Writes no files.
 
-    Of a large sweep, neither all runs are checked nor their results looked for, which would take minutes.
+    For a large sweep, runs are not checked and results not looked up, since that would take minutes.
     """
     folder = sweep.runs[0].config.output_folder / f"{sweep.name}{SUFFIX}"
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
@@ -131,20 +134,20 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None
         missing = missing_runs(sweep, folder)
         unique = len({sweep.runs.id(index) for index in range(count)})
         number = len(missing[:limit])
-        said = f"{count:,} runs, of which {unique - len(missing):,} are done; {number:,} would be done now"
+        message = f"{count:,} runs, of which {unique - len(missing):,} are done; {number:,} would be done now"
     else:
         missing = range(count)
-        said = f"{count:,} runs, too many to look at each of them here; {_results_in(folder)}"
+        message = f"{count:,} runs, too many to check each of them here; {_results_in(folder)}"
     for run in sweep.runs.at(missing[:shown]):
         values = ", ".join(f"{axis} = {_shown(value)}" for axis, value in run.values.items() if value is not None)
         console.print(table.words(f"{run.id}  {values}"), soft_wrap=True)
-    console.print(table.words(said), soft_wrap=True)
+    console.print(table.words(message), soft_wrap=True)
 
 
 def _results_in(folder: Path) -> str:
     runs = folder / RUNS
-    there = sum(not entry.name.startswith(".") for entry in os.scandir(runs)) if runs.is_dir() else 0
-    return f"{folder} has {there:,} folders of runs"
+    count = sum(not entry.name.startswith(".") for entry in os.scandir(runs)) if runs.is_dir() else 0
+    return f"{folder} has {count:,} folders of runs"
 
 
 def _shown(value: Any) -> str:
@@ -153,9 +156,9 @@ def _shown(value: Any) -> str:
 
 
 def _begin(folder: Path, sweep: Sweep) -> None:
-    """Makes the sweep's folder, if it is not there yet.
+    """Creates the sweep's folder if it does not exist.
 
-    **Raises** `FileError` if the folder of the runs cannot be made in it.
+    **Raises** `FileError` if the folder of the runs cannot be created in it.
     """
     if not (folder / RESULT).exists():
         write_whole(folder, lambda draft: _write_record(draft, sweep, {}))
@@ -165,20 +168,20 @@ def _begin(folder: Path, sweep: Sweep) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keeps two processes from doing one sweep. The system takes the lock from a process that dies."""
+    """Keeps two processes from doing the same sweep. The system releases the lock of a process that dies."""
     with (folder / _LOCK).open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(
-                f"another process is doing the sweep in {folder}; expected none: wait for its end, or set output or "
-                "name"
+                f"another process is doing the sweep in {folder}; expected none: wait for it to finish, or change "
+                "output or name"
             ) from None
         yield
 
 
 def _remove_drafts(folder: Path) -> None:
-    """Removes what runs that were killed left half written."""
+    """Removes the drafts of runs that were killed."""
     for entry in (folder / RUNS).iterdir():
         if entry.name.startswith("."):
             remove(entry)
@@ -192,9 +195,9 @@ def _work(
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    """Does the runs of the numbers `todo`."""
+    """Does the runs with the indices `todo`."""
     failed = 0
-    # Of one batch or two, compiling is most of the work: several workers would do it twice.
+    # Compilation dominates the first batches, and every worker would repeat it, so start no more workers than batches.
     useful = len(todo) if sweep.settings.run == "fit" else -(-len(todo) // _BATCH)
     with (
         counting(console, sweep.name, len(todo)) as progress,
@@ -207,9 +210,9 @@ def _work(
 
 
 def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:
-    """The runs of the numbers `todo`, by what they share; as many at a time as there is memory for."""
-    size = max(1, min(_BATCH, len(todo) // (_BATCHES_A_WORKER * workers)))
-    # What a worker need not know may be long.
+    """The runs with the indices `todo`, in batches that share programs and drawings. Made `_MOST_AT_ONCE` at a time."""
+    size = max(1, min(_BATCH, len(todo) // (_BATCHES_PER_WORKER * workers)))
+    # Workers do not need the lists of values, which may be long.
     settings = sweep.settings.model_copy(update=dict.fromkeys(("list", "grid", "zip", "qmc", "seeds", "plot")))
     batch = Batch(str(folder), settings, (), jax.config.jax_compilation_cache_dir)
     for start in range(0, len(todo), _MOST_AT_ONCE):
@@ -218,9 +221,9 @@ def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> I
 
 
 def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tuple[SweepRun, ...]]:
-    """Up to `size` runs each that share programs, then drawings. Those that are likely to take longest come first.
+    """Batches of up to `size` runs that share programs, and drawings if possible. The slowest come first.
 
-    Workers that start together begin with different programs: what one has compiled, the others find in the cache.
+    Workers start with different programs, so that each program is compiled once and then found in the cache.
     """
     shapes: dict[str, list[SweepRun]] = {}
     for run in runs:
@@ -235,7 +238,7 @@ def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tup
 
 
 def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve], list[str]]:
-    """The curves of the sweep's figure, which is written; and what is to be said where it cannot be."""
+    """Writes the sweep's figure. **Returns** its curves, and a remark if there is no figure."""
     plot = sweep.settings.plot
     if plot is None:
         return [], []
@@ -251,7 +254,7 @@ def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve]
 
 
 def _counts_of(results: pa.Table) -> dict[str, int]:
-    """How many runs have each status."""
+    """The number of runs with each status."""
     found = results["status"].value_counts().to_pylist()
     return {each["values"]: each["counts"] for each in found}
 
@@ -274,7 +277,7 @@ def _write_record(folder: Path, sweep: Sweep, counts: Mapping[str, int]) -> None
 
 
 def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:
-    """What the sweep's figure shows, in numbers; where there is none, the range of each metric."""
+    """Prints the sweep's figure in numbers; if there is none, the range of each metric."""
     plot = sweep.settings.plot
     if plot is not None and curves:
         shown = Table(title=table.words(f"{sweep.name}: {plot.y} against {plot.x}"), title_justify="left")
@@ -300,12 +303,12 @@ def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[C
     console.print(shown)
 
 
-def _said(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
+def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
     lines = [
         f"{counts.get(OK, 0):,} of {len(sweep.runs):,} runs are done, {tried:,} of them tried now; all are in {RESULTS}"
     ]
     if counts.get(MISSING, 0):
-        lines.append("the same command does the rest")
+        lines.append("run the same command again to do the rest")
     return lines
 
 
@@ -316,4 +319,4 @@ def _failures(results: pa.Table) -> list[str]:
     first, kinds = errors[0].as_py(), len(errors.unique())
     more = f", and {kinds - 1} other errors" if kinds > 1 else ""
     first = "; ".join(first.splitlines())
-    return [f"{len(errors):,} runs failed, and are tried again by the same command: {first}{more}"]
+    return [f"{len(errors):,} runs failed; the same command tries them again: {first}{more}"]

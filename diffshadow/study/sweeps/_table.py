@@ -1,4 +1,4 @@
-"""The tables of a sweep. That of results depends on the configuration alone, whatever happened meanwhile."""
+"""The tables of a sweep. The table of results depends only on the configuration, not on the history of the sweep."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -21,11 +21,11 @@ MISSING = "missing"
 
 
 class Tables(NamedTuple):
-    """What became of a sweep's runs.
+    """The results and timings of a sweep's runs.
 
-    - `results`: a row for each run, in the sweep's order: its number, id, status and error, its values, its metrics.
-        A value that is neither text nor a number is text in JSON, and so are all values of an axis of several kinds.
-    - `timings`: seconds of each run's stages, in the same order.
+    - `results`: one row per run, in the sweep's order: its index, id, status, error, values and metrics. Values that
+        are neither text nor numbers are written as JSON, and so are all values of an axis of mixed types.
+    - `timings`: the seconds of each run's stages, in the same order.
     """
 
     results: pa.Table
@@ -33,7 +33,7 @@ class Tables(NamedTuple):
 
 
 class _Numbers:
-    """Columns of numbers that are found as the rows come, with gaps; eight bytes a number."""
+    """Columns of numbers, added as rows need them, with gaps; eight bytes per number."""
 
     def __init__(self, rows: int):
         self._rows = rows
@@ -49,7 +49,7 @@ class _Numbers:
 
 
 def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Tables:
-    """Reads how each run of `sweep` ended from its folder in `folder`; `progress` gets the number of runs read."""
+    """Reads the outcome of each run of `sweep` from `folder`. `progress` is called with the number of runs read."""
     count = len(sweep.runs)
     ids, status, errors = [], [], []
     metrics, seconds = _Numbers(count), _Numbers(count)
@@ -66,23 +66,23 @@ def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda 
         progress(row + 1)
     own = {"run": pa.array(np.arange(count)), "id": pa.array(ids, pa.string())}
     axes = {axis: _column(sweep.runs.column(axis)) for axis in sweep.settings.axes}
-    told = {"status": pa.array(status, pa.string()), "error": pa.array(errors, pa.string())}
+    outcomes = {"status": pa.array(status, pa.string()), "error": pa.array(errors, pa.string())}
     stages = seconds.arrays()
     return Tables(
-        pa.table({**own, **told, **axes, **metrics.arrays()}),
+        pa.table({**own, **outcomes, **axes, **metrics.arrays()}),
         pa.table({**own, **{name: stages[name] for name in sorted(stages)}}),
     )
 
 
 def metric_columns(settings: SweepConfig, columns: Sequence[str]) -> list[str]:
-    """Those of a table's `columns` that hold what was measured."""
+    """Those of a table's `columns` that are metrics."""
     return [name for name in columns if name not in (*_OWN, *settings.axes)]
 
 
 def write_tables(folder: Path, sweep: Sweep, tables: Tables) -> None:
     """Writes all tables to `folder`."""
     for name, table in ((RESULTS, tables.results), (TIMINGS, tables.timings)):
-        # Arrow takes paths for text, which those of some folders are not.
+        # A stream, since Arrow takes paths as text, and some paths are not valid text.
         with io.atomic_path(folder / name) as temporary, temporary.open("wb") as stream:
             parquet.write_table(table, stream)
     if sweep.settings.csv:
@@ -95,7 +95,7 @@ def _column(values: Sequence[Any]) -> pa.Array:
     if kinds == {int} and all(value is None or abs(value) < 2**63 for value in values):
         return pa.array(values, pa.int64())
     if kinds <= {int, float}:
-        # Where nothing is known of a column, it is one of numbers.
+        # A column without values counts as numbers.
         return pa.array([None if value is None else float(value) for value in values], pa.float64())
     if kinds in ({str}, {bool}):
         return pa.array(values)

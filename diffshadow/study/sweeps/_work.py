@@ -1,4 +1,4 @@
-"""What a sweep does in a worker process: runs, one after another, that share programs, drawings and limits."""
+"""The work of a sweep's worker process: runs, one after another, that share programs, drawings and limits."""
 
 import dataclasses
 import gc
@@ -30,17 +30,17 @@ from ..runs._progress import Stages
 from ..runs._setup import Drawn, draw, load, visibility_of
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
-"""The folders, inside a sweep's own, of the runs, of their figures, and of filters' limits."""
+"""The folders of runs, of their figures, and of filters' limits, inside the sweep's folder."""
 OK, FAILED = "ok", "failed"
 FITTED = "fitted."
-"""Begins the names of the metrics that are what a fit has found."""
+"""The prefix of the metrics that hold a fit's results."""
 WHOLE = frozenset({"steps", "pixels"})
 """The metrics that are whole numbers."""
-# Bytes of drawings and limits that a process keeps for further runs.
+# The most bytes of drawings and limits that a process keeps for further runs.
 _MOST_KEPT = 256 << 20
-# Programs pile up in a process, which may hold only so many mappings of memory.
+# Compiled programs accumulate, and a process has a limited number of memory mappings.
 _MOST_SHAPES = 40
-# The limit's taps: the same for all runs, whatever their pattern and seed.
+# The settings of the limit: the same for all runs, whatever their pattern and seed.
 _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
 
@@ -50,7 +50,9 @@ Measured = dict[str, float | int | None]
 class Batch(NamedTuple):
     """Runs that a worker does one after another.
 
-    - `folder`: of the sweep, absolute, which all workers see.
+    - `folder`: the sweep's folder, an absolute path that all workers see.
+    - `settings`: the sweep's settings.
+    - `runs`: the runs to do.
     - `programs`: the folder of compiled programs, if there is one.
     """
 
@@ -61,7 +63,7 @@ class Batch(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a run ended: `"ok"` or `"failed"`, with metrics or with an error, and the seconds that its stages took."""
+    """The outcome of a run: status `"ok"` or `"failed"`, with metrics or an error, and the seconds of its stages."""
 
     id: str
     status: str
@@ -73,15 +75,15 @@ class Outcome(NamedTuple):
 def work(batch: Batch) -> list[Outcome]:
     """Does the runs of `batch` that are not done yet, and writes a folder for each.
 
-    **Raises** `FileNotFoundError` if the sweep's folder cannot be seen from here.
+    **Raises** `FileNotFoundError` if the sweep's folder is not visible to this worker.
     """
     if not Path(batch.folder).is_dir():
         raise FileNotFoundError(
-            f"{socket.gethostname()}, on which a worker runs, has no folder {batch.folder}; expected a file system "
-            "that all workers share: set output to a folder on one"
+            f"the worker on {socket.gethostname()} has no folder {batch.folder}; expected a file system shared by all "
+            "workers: set output to a folder on one"
         )
     if batch.programs is not None:
-        # Another worker may be writing the very program; it is compiled here too, then.
+        # If another worker is writing the same program, it is compiled here too.
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
         jax.config.update("jax_compilation_cache_dir", batch.programs)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
@@ -91,12 +93,13 @@ def work(batch: Batch) -> list[Outcome]:
 def read_outcome(
     folder: str | os.PathLike[str], id: str, settings: SweepConfig, *, failed: bool = False
 ) -> Outcome | None:
-    """How the run `id` ended; `None` if it has not, what its folder holds is damaged, or it failed.
+    """The outcome of the run `id`; `None` if it is not done, its folder is damaged, or it failed.
 
     **Arguments:**
 
-    - `settings`: of the sweep in `folder`, which say what is measured.
-    - `failed`: whether to return the outcome of a run that failed, too.
+    - `folder`, `id`: the sweep's folder, and the run's identifier.
+    - `settings`: the sweep's settings, which determine the metrics.
+    - `failed`: whether to return the outcome of a failed run, too.
     """
     try:
         stored = read_json(Path(folder) / RUNS / id / RESULT)
@@ -109,7 +112,7 @@ def read_outcome(
 
 
 def _measured(settings: SweepConfig) -> tuple[dict[str, type], str]:
-    """The metrics that every good run of a sweep has, with their kinds, and what begins the names of others."""
+    """The metrics of every successful run of a sweep with their types, and the prefix of further metrics."""
     errors = [field.name for field in dataclasses.fields(metrics.ShadowErrors)]
     if settings.run == "fit":
         names = [*(f"{when}.{name}" for when in ("before", "after") for name in errors), "steps"]
@@ -120,28 +123,28 @@ def _measured(settings: SweepConfig) -> tuple[dict[str, type], str]:
 
 
 def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome) -> None:
-    """Writes the run's folder: its configuration and how it ended."""
+    """Writes the run's folder: its configuration and outcome."""
 
     def write(draft: Path) -> None:
         record.write_config(draft, run.config)
         record.write_result(draft, outcome._asdict())
 
     place = Path(folder) / RUNS / run.id
-    # The names of runs are the sweep's own. A file or a link to nothing in such a place is no run.
+    # Only the sweep writes here, so anything else under a run's name, such as a file or a broken link, is removed.
     if not place.is_dir():
         remove(place)
     write_whole(place, write)
 
 
 def shape_of(config: Config) -> str:
-    """What the compiled programs of a run depend on, as text: all but real numbers, the pattern and the seed."""
+    """Everything that the compiled programs of a run depend on, as text: all but real numbers, pattern and seed."""
     data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "seed", "sweep", "shading"})
     data["filter"].pop("pattern", None)
     return json.dumps(_without_reals(data), sort_keys=True)
 
 
 def drawing_of(config: Config) -> str:
-    """What the drawings and the reference of a run depend on, as text: all that comes before its taps."""
+    """Everything that a run's drawings and reference depend on, as text: all settings used before the filter's taps."""
     data = config.model_dump(
         mode="json", warnings=False, exclude={"name", "output", "sweep", "filter", "fit", "shading"}
     )
@@ -157,9 +160,9 @@ def _without_reals(value: Any) -> Any:
 
 
 def _do(batch: Batch, run: SweepRun) -> Outcome:
-    """Does one run and writes its folder. What goes wrong in the run itself is its outcome."""
+    """Does one run and writes its folder. An error in the run becomes its outcome."""
     started = time.perf_counter()
-    _make_room(shape_of(run.config))
+    _limit_programs(shape_of(run.config))
     stages = Stages(Console(quiet=True))
     try:
         config = _with_figures(batch, run) if batch.settings.figures else run.config
@@ -218,7 +221,7 @@ def _draw(config: Config, stages: Stages) -> list[Drawn]:
 def _limits(
     config: Config, samples: int, drawn: list[Drawn], folder: str, stages: Stages
 ) -> list[Float32[HostArray, "h w"]]:
-    """The visibility of each light by very many taps, the same for all patterns, numbers of taps and seeds."""
+    """The visibility of each light with very many taps; the same for all patterns, numbers of taps and seeds."""
     section = config.filter
     assert isinstance(section, RandomDiskConfig)
     limit = config.model_copy(
@@ -230,7 +233,7 @@ def _limits(
     def compute() -> list[HostArray]:
         technique = build_technique(limit, fitting=False)
         make = lambda: {str(i): visibility_of(technique, each) for i, each in enumerate(drawn)}
-        # A mesh's file may have changed since another process was here.
+        # A mesh's file may have changed since another process computed the limit, so its content is in the key.
         mesh = drawn[0].scene.mesh
         found = io.cached_arrays([key, mesh.vertices, mesh.faces], make, Path(folder) / LIMITS)
         return [found[str(i)] for i in range(len(drawn))]
@@ -240,7 +243,7 @@ def _limits(
 
 
 def _with_figures(batch: Batch, run: SweepRun) -> Config:
-    """The configuration of a run whose figures are written, too, to a folder of its own."""
+    """The configuration of a run that also writes figures, with a folder for them."""
     return run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
 
 
@@ -251,7 +254,7 @@ _lock = threading.Lock()
 
 
 def _kept(key: tuple[str, str], compute: Callable[[], Any]) -> Any:
-    """What `compute` returns, from memory if it was computed before; the least recently used goes first."""
+    """What `compute` returns, from memory if it was computed before. The least recently used entries are dropped."""
     with _lock:
         if key not in _memory:
             _memory[key] = compute()
@@ -262,13 +265,13 @@ def _kept(key: tuple[str, str], compute: Callable[[], Any]) -> Any:
 
 
 def _bytes_of(value: Any) -> int:
-    """Bytes of the arrays in `value`; one that several values share counts for each."""
+    """Bytes of the arrays in `value`. An array that several values share is counted for each."""
     inside = [vars(leaf) if isinstance(leaf, reference.Reference) else leaf for leaf in jax.tree.leaves(value)]
     return sum(getattr(array, "nbytes", 0) for array in jax.tree.leaves(inside))
 
 
-def _make_room(shape: str) -> None:
-    """Drops all compiled programs before those of one shape too many are added."""
+def _limit_programs(shape: str) -> None:
+    """Drops all compiled programs if those of `shape` would exceed the limit."""
     if shape not in _shapes and len(_shapes) >= _MOST_SHAPES:
         _shapes.clear()
         jax.clear_caches()

@@ -1,4 +1,5 @@
-// The slider: two of the page's pictures, of which the left is seen up to a cut that pointer and arrow keys move.
+// The slider: two of the page's pictures on top of each other. The left one is clipped at a cut, which pointer and
+// arrow keys move.
 for (const slider of document.querySelectorAll(".slider")) {
   const pictures = [...document.querySelectorAll("img[data-name]")];
   const frames = slider.querySelector(".frames");
