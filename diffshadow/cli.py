@@ -273,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except (ValueError, OSError) as error:
         if not _is_mistake(error):
             raise
-        _print_error(errors, map(str, error.problems) if isinstance(error, ConfigError) else [str(error)])
+        _print_error(errors, map(str, error.mistakes) if isinstance(error, ConfigError) else [str(error)])
         sys.exit(USER_ERROR)
     except (MemoryError, RuntimeError) as error:
         # XLA raises a `RuntimeError` whose text alone names the cause.

@@ -30,8 +30,8 @@ from diffshadow.config import (
     Config,
     ConfigError,
     ImageReferenceConfig,
+    Mistake,
     Place,
-    Problem,
     build_fit,
     build_scene,
     build_shadow_mapping,
@@ -93,13 +93,13 @@ def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> C
 
 def mistake(settings: Config, key: str, what: str) -> ConfigError:
     """An error that is laid to `key` of a configuration."""
-    return ConfigError([Problem(settings.origin.place(tuple(key.split("."))), key, what)])
+    return ConfigError([Mistake(settings.origin.place(tuple(key.split("."))), key, what)])
 
 
 def expect(option: str, given: Any, fine: bool, expected: str) -> None:
     """**Raises** `ConfigError` unless what was `given` for an option is `fine`."""
     if not fine:
-        raise ConfigError([Problem(Place(f"--{option}"), "", f"is {given}; expected {expected}")])
+        raise ConfigError([Mistake(Place(f"--{option}"), "", f"is {given}; expected {expected}")])
 
 
 def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]:
@@ -112,7 +112,7 @@ def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]
     except ValueError:
         what = {int: "whole numbers", float: "numbers"}[of]  # type: ignore[index]
         said = f"is {given!r}; expected {what} with commas between, such as 1,2,4"
-        raise ConfigError([Problem(Place(f"--{option}"), "", said)]) from None
+        raise ConfigError([Mistake(Place(f"--{option}"), "", said)]) from None
 
 
 def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[Name]:

@@ -154,7 +154,7 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ro
         error, deviation = result.fitted[name] - truth, deviations.get(name)
         ratio = error / deviation if deviation else None
         rows.append({"parameter": name, "truth": truth, "error": error, "deviation": deviation, "ratio": ratio})
-    return rows, result.problems[0].room  # type: ignore[union-attr]
+    return rows, result.problems[0].capacity  # type: ignore[union-attr]
 
 
 def share_within(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -6,8 +6,8 @@
 from typing import TYPE_CHECKING, Any
 
 from ._errors import ConfigError as ConfigError
+from ._errors import Mistake as Mistake
 from ._errors import Place as Place
-from ._errors import Problem as Problem
 from ._errors import printable as printable
 from .reading._dump import Row as Row
 from .reading._dump import describe as describe

@@ -48,7 +48,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Mistake:
     """One error of a configuration.
 
     - `place`: where it was written.
@@ -66,15 +66,15 @@ class Problem:
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be used; `problems` holds everything that is wrong with it, in reading order."""
+    """A configuration that cannot be used; `mistakes` holds everything that is wrong with it, in reading order."""
 
-    problems: tuple[Problem, ...]
+    mistakes: tuple[Mistake, ...]
 
-    def __init__(self, problems: Iterable[Problem]):
-        # Overrides have no line and come after the file. Two checks may find the same problem.
-        order = lambda problem: (problem.place.line is None, problem.place.line or 0)
-        self.problems = tuple(sorted(dict.fromkeys(problems), key=order))
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+    def __init__(self, mistakes: Iterable[Mistake]):
+        # Overrides have no line and come after the file. Two checks may find the same mistake.
+        order = lambda mistake: (mistake.place.line is None, mistake.place.line or 0)
+        self.mistakes = tuple(sorted(dict.fromkeys(mistakes), key=order))
+        super().__init__("\n".join(str(mistake) for mistake in self.mistakes))
 
 
 def dotted(path: Sequence[str | int]) -> str:

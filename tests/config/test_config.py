@@ -36,7 +36,7 @@ def faults(text: str, *overrides: str) -> list[str]:
     with pytest.raises(ConfigError) as caught:
         parse_config(text, overrides, source="file.yaml", fitting=True)
     said = str(caught.value).splitlines()
-    assert len(said) == len(caught.value.problems)
+    assert len(said) == len(caught.value.mistakes)
     for line in said:
         assert not any(word in line for word in JARGON), line
     return said
@@ -151,7 +151,7 @@ def test_no_override_ends_in_another_error(key, value):
     try:
         parse_config(TINY, [f"{key}={value}"])
     except ConfigError as error:
-        problems = [str(problem) for problem in error.problems]
+        problems = [str(problem) for problem in error.mistakes]
     else:
         problems = []
     assert all(problem.startswith("override ") for problem in problems)
@@ -842,7 +842,7 @@ def test_problem_is_one_line_that_no_terminal_obeys(word, shown):
         f"{TINY}fit: {{parameters: {{{quoted}: {{lower: 0, upper: 1}}}}}}\n",
     ]
     for text in texts:
-        (line,) = {str(problem) for problem in caught(text).problems}
+        (line,) = {str(problem) for problem in caught(text).mistakes}
         assert line.isprintable()
         assert shown in line.replace("\\\\", "\\")
 
@@ -855,7 +855,7 @@ def caught(text: str, *overrides: str) -> ConfigError:
 
 @pytest.mark.parametrize("parameters", ["3", "0.5", "true", "[1]"])
 def test_parameters_that_are_no_section_are_reported_beside_levels(parameters):
-    problems = caught(TINY + f"fit: {{levels: [1], parameters: {parameters}}}\n").problems
+    problems = caught(TINY + f"fit: {{levels: [1], parameters: {parameters}}}\n").mistakes
     assert any(p.key == "fit.parameters" and "expected a section" in p.message for p in problems)
 
 
@@ -865,7 +865,7 @@ def test_half_a_character_is_told():
 
 @pytest.mark.parametrize("override", ["\ud800=1", "scene.\udcff.path=x"])
 def test_half_a_character_in_the_key_of_an_override_is_reported(override):
-    (problem,) = caught(TINY, override).problems
+    (problem,) = caught(TINY, override).mistakes
     assert "has an invalid character in its key; expected UTF-8 text" in str(problem)
 
 

@@ -111,7 +111,7 @@ scene:
 """
     with pytest.raises(ConfigError) as caught:
         build(text=text)
-    first, second = (str(problem) for problem in caught.value.problems)
+    first, second = (str(problem) for problem in caught.value.mistakes)
     assert first == (
         "configuration:4: scene.meshes.0.options.sise: is no option of box; expected size; did you mean 'size'?"
     )

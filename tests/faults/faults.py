@@ -1622,10 +1622,10 @@ _CONFIG = (
         "test_config.py",
     ),
     _fault(
-        "problems: overrides before the file",
+        "mistakes: overrides before the file",
         "config/_errors.py",
-        "(problem.place.line is None, problem.place.line or 0)",
-        "(problem.place.line is not None, problem.place.line or 0)",
+        "(mistake.place.line is None, mistake.place.line or 0)",
+        "(mistake.place.line is not None, mistake.place.line or 0)",
         "test_config.py",
     ),
     _fault(

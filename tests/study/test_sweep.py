@@ -208,9 +208,9 @@ def test_faults_are_told_with_their_place_before_anything_runs(fault):
 def test_faults_of_all_runs_are_told_at_once_and_once_each():
     with pytest.raises(ConfigError) as caught:
         sweep_of("{grid: {filter.samples: [4, x], filter.radius: [-1, 1]}, repeats: 3}", "bias.slope=-1")
-    assert [problem.key for problem in caught.value.problems] == ["filter.radius", "filter.samples", "bias.slope"]
+    assert [problem.key for problem in caught.value.mistakes] == ["filter.radius", "filter.samples", "bias.slope"]
     # What is wrong in every run is not said to be of one.
-    assert "first in the run" not in caught.value.problems[-1].message
+    assert "first in the run" not in caught.value.mistakes[-1].message
 
 
 def test_overrides_reach_what_is_swept():
@@ -309,7 +309,7 @@ def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
 def test_so_many_faults_are_not_all_told():
     with pytest.raises(ConfigError) as caught:
         sweep_of(f"{{grid: {{filter.radius: {list(range(-300, 0))}}}, repeats: 9}}")
-    assert len(caught.value.problems) == 100
+    assert len(caught.value.mistakes) == 100
 
 
 def test_axes_without_a_choice_may_be_many():

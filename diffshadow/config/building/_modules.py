@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from ... import fit, geometry, shading, shadow
-from .._errors import ConfigError, KeyPath, Place, Problem, dotted
+from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
-from ..reading._problems import problems_at
+from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
 from ..sections._poses import is_pose, pose_of
@@ -65,9 +65,9 @@ def build_scene(config: Config) -> geometry.Scene:
 def _meshes_of(config: Config) -> list[geometry.Mesh]:
     """The scene's meshes one by one.
 
-    **Raises** `ConfigError` with a problem for each that cannot be made.
+    **Raises** `ConfigError` with a mistake for each that cannot be made.
     """
-    meshes, problems, triangles = [], [], 0
+    meshes, mistakes, triangles = [], [], 0
     for i, section in enumerate(config.scene.meshes):
         try:
             with _blame(config, ("scene", "meshes", i)):
@@ -80,11 +80,11 @@ def _meshes_of(config: Config) -> list[geometry.Mesh]:
                     )
                 meshes.append(mesh)
         except ConfigError as error:
-            problems += error.problems
+            mistakes += error.mistakes
             if triangles > _MOST_TRIANGLES:
                 break
-    if problems:
-        raise ConfigError(problems)
+    if mistakes:
+        raise ConfigError(mistakes)
     return meshes
 
 
@@ -147,12 +147,14 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
     **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
     """
     if config.technique.type != "shadow_map":
-        raise ConfigError([Problem(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
-    if problems := problems_at(config.fit_faults(), config.origin):
-        raise ConfigError(problems)
+        raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
+    if mistakes := mistakes_at(config.fit_faults(), config.origin):
+        raise ConfigError(mistakes)
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
-        built_solver = fit.Solver(solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate)
+        built_solver = fit.Solver(
+            solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate, solver.noise
+        )
     with _blame(config, ("fit", "anneal")):
         built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
     arrangement = None
@@ -224,9 +226,9 @@ def _blame(config: Config, path: KeyPath) -> Iterator[None]:
     except ConfigError:
         raise
     except geometry.OptionError as error:
-        raise ConfigError([Problem(*_at(config, (*path, "options", error.option)), error.what)]) from error
+        raise ConfigError([Mistake(*_at(config, (*path, "options", error.option)), error.what)]) from error
     except (ValueError, OSError) as error:
-        raise ConfigError([Problem(*_at(config, path), str(error))]) from error
+        raise ConfigError([Mistake(*_at(config, path), str(error))]) from error
 
 
 def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
@@ -242,13 +244,13 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
         "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, whose back faces "
         "can cast for them: set casts: false if it only receives, or shadow_map.cull to none"
     )
-    problems = [
-        Problem(*_at(config, ("scene", "meshes", i)), said)
+    mistakes = [
+        Mistake(*_at(config, ("scene", "meshes", i)), said)
         for i, (mesh, section) in enumerate(zip(meshes, config.scene.meshes, strict=True))
         if section.casts and not geometry.Edges.of(mesh).is_closed
     ]
-    if problems:
-        raise ConfigError(problems)
+    if mistakes:
+        raise ConfigError(mistakes)
 
 
 def _no_gradient(kind: str) -> str:

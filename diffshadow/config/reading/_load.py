@@ -9,18 +9,18 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
-from .._errors import ConfigError, KeyPath, Origin, Place, Problem, dotted, show
+from .._errors import ConfigError, KeyPath, Mistake, Origin, Place, dotted, show
 from ..sections._paths import path_of
 from ..sections._scene import BUILTIN, BUILTIN_MESHES
 from ..whole._between import data_faults_of_fit, fit_faults
 from ..whole._schema import Config
+from ._mistakes import mistakes_at, mistakes_of
 from ._overrides import apply_overrides
-from ._problems import problems_at, problems_of
 from ._yaml import read_yaml
 
 
 class Draft(NamedTuple):
-    """An unchecked configuration, and the problems found so far.
+    """An unchecked configuration, and the mistakes found so far.
 
     - `folder`: the folder that relative paths in the file start from.
     """
@@ -28,7 +28,7 @@ class Draft(NamedTuple):
     data: dict[str, Any]
     origin: Origin
     folder: Path
-    problems: list[Problem]
+    mistakes: list[Mistake]
 
 
 def load_config(
@@ -87,12 +87,12 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
-        raise ConfigError([Problem(Place(str(path), line), "", message)]) from None
+        raise ConfigError([Mistake(Place(str(path), line), "", message)]) from None
     except OSError as error:
-        raise ConfigError([Problem(Place(str(path)), "", _unreadable(file, error))]) from None
+        raise ConfigError([Mistake(Place(str(path)), "", _unreadable(file, error))]) from None
     except ValueError:  # a null character
         message = "is not the name of a file; expected a configuration in YAML; check the path"
-        raise ConfigError([Problem(Place(str(path)), "", message)]) from None
+        raise ConfigError([Mistake(Place(str(path)), "", message)]) from None
     return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
 
 
@@ -100,16 +100,16 @@ def parse_draft(
     text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
 ) -> Draft:
     """Reads YAML `text` and applies `overrides`, without checking the result. Arguments are those of `parse_config`."""
-    data, places, problems = read_yaml(text, lambda line, column: Place(source, line, column))
+    data, places, mistakes = read_yaml(text, lambda line, column: Place(source, line, column))
     places = {**places, (): Place(source, 1, 1)}
     if data is None:
         data = {}
     if not isinstance(data, dict):
         message = f"holds {show(data)}; expected a section with keys; write 'key: value' lines"
-        raise ConfigError([*problems, Problem(places[()], "", message)])
-    problems += apply_overrides(data, places, overrides)
+        raise ConfigError([*mistakes, Mistake(places[()], "", message)])
+    mistakes += apply_overrides(data, places, overrides)
     data.setdefault("name", name)
-    return Draft(data, Origin(source, places), Path(folder), problems)
+    return Draft(data, Origin(source, places), Path(folder), mistakes)
 
 
 def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Config:
@@ -123,21 +123,21 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     """
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
-    problems = [*draft.problems, *(missing if files else ())]
+    mistakes = [*draft.mistakes, *(missing if files else ())]
     # Checked on the data, so that messages quote numbers as they were written.
-    of_fit = problems_at(data_faults_of_fit(data), origin) if fitting else []
+    of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
-        found = [*problems_of(error, origin), *of_fit]
+        found = [*mistakes_of(error, origin), *of_fit]
         # A value that could not be read is missing, and must not be reported twice.
-        reported = {(problem.key, problem.place.line) for problem in problems}
-        raise ConfigError([*problems, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
+        reported = {(mistake.key, mistake.place.line) for mistake in mistakes}
+        raise ConfigError([*mistakes, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
     config._origin = origin
     if fitting:
-        problems += [*of_fit, *problems_at(fit_faults(config), origin)]
-    if problems:
-        raise ConfigError(problems)
+        mistakes += [*of_fit, *mistakes_at(fit_faults(config), origin)]
+    if mistakes:
+        raise ConfigError(mistakes)
     return config
 
 
@@ -148,12 +148,12 @@ def _single(config: Config) -> Config:
     message = (
         "makes this file a sweep of many runs; expected a single run; use diffshadow sweep, or override sweep=null"
     )
-    raise ConfigError([Problem(config.origin.place(("sweep",)), "sweep", message)])
+    raise ConfigError([Mistake(config.origin.place(("sweep",)), "sweep", message)])
 
 
-def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Problem]:
-    """Makes the paths of input files in `data` absolute. **Returns** a problem for each file that does not exist."""
-    problems = []
+def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[Mistake]:
+    """Makes the paths of input files in `data` absolute. **Returns** a mistake for each file that does not exist."""
+    mistakes = []
     for path, holder in _file_keys(data):
         place = origin.place(path)
         # Paths in overrides are relative to the current folder.
@@ -171,8 +171,8 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[P
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None:
-            problems.append(Problem(place, dotted(path), what))
-    return problems
+            mistakes.append(Mistake(place, dotted(path), what))
+    return mistakes
 
 
 def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from .._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from .._errors import ConfigError, KeyPath, Mistake, Place, dotted, show
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
 from ..sections._poses import pose_of
@@ -13,7 +13,7 @@ from ..sections._sweep import QuasiRandomAxisConfig
 from ._yaml import has_surrogate, read_yaml
 
 
-def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Problem]:
+def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Mistake]:
     """Writes `overrides`, each `key=value` with a dotted key and a YAML value, into `data`. Later ones win.
 
     Missing sections are created. Whether the keys exist in the schema is checked later.
@@ -22,26 +22,26 @@ def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], override
 
     - `data`, `places`: as returned by `read_yaml`; both are modified.
 
-    **Returns:** the problems of overrides that cannot be applied; all others are applied.
+    **Returns:** the mistakes of overrides that cannot be applied; all others are applied.
     """
-    problems = []
+    mistakes = []
     for override in overrides:
         place = Place(f"override {override!r}")
         try:
-            problems += _apply(data, places, override, place)
+            mistakes += _apply(data, places, override, place)
         except ConfigError as error:
-            problems += error.problems
-    return problems
+            mistakes += error.mistakes
+    return mistakes
 
 
-def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, place: Place) -> list[Problem]:
+def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, place: Place) -> list[Mistake]:
     key, equals, text = override.partition("=")
     words = key.strip().split(".")
     if not equals or not all(words):
-        raise ConfigError([Problem(place, "", "is no KEY=VALUE; expected a dotted key; write filter.radius=2")])
+        raise ConfigError([Mistake(place, "", "is no KEY=VALUE; expected a dotted key; write filter.radius=2")])
     if has_surrogate(key):
-        raise ConfigError([Problem(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
-    value, inner, problems = read_yaml(text, lambda line, column: place)
+        raise ConfigError([Mistake(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
+    value, inner, mistakes = read_yaml(text, lambda line, column: place)
     words = _with_whole_names(data, words, value)
     # Walk to the section that holds the value, and create missing sections.
     holder: Any = data
@@ -60,7 +60,7 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, pl
     for stale in [other for other in places if other[: len(path)] == path]:
         del places[stale]
     places.update({(*path, *below): place for below in [(), *inner]})
-    return [replace(problem, key=dotted((*path, problem.key) if problem.key else path)) for problem in problems]
+    return [replace(mistake, key=dotted((*path, mistake.key) if mistake.key else path)) for mistake in mistakes]
 
 
 def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
@@ -102,15 +102,15 @@ def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
         message = (
             f"is inside {dotted(path)}, which is {show(holder)}; expected a section; set {dotted(path)} as a whole"
         )
-        raise ConfigError([Problem(place, key, message)])
+        raise ConfigError([Mistake(place, key, message)])
     if not is_index(word):
         message = (
             f"{word!r} is not an index of the list {dotted(path)}; expected a number from 0; write {dotted(path)}.0"
         )
-        raise ConfigError([Problem(place, key, message)])
+        raise ConfigError([Mistake(place, key, message)])
     if int(word) >= len(holder):
         entries = f"only {dotted((*path, 0))}" if len(holder) == 1 else f"indices from 0 to {len(holder) - 1}"
         have = f"{len(holder)} {'entry' if len(holder) == 1 else 'entries'}"
         message = f"index {word} is out of range: the list {dotted(path)} has {have}; expected {entries}"
-        raise ConfigError([Problem(place, key, f"{message}; set {dotted(path)} as a whole to make it longer")])
+        raise ConfigError([Mistake(place, key, f"{message}; set {dotted(path)} as a whole to make it longer")])
     return int(word)

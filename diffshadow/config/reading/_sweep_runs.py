@@ -15,15 +15,15 @@ from typing import Any, NamedTuple, overload
 
 from pydantic import ValidationError
 
-from .._errors import ConfigError, Origin, Place, Problem, show
+from .._errors import ConfigError, Mistake, Origin, Place, show
 from ..sections._filters import MOST_TAPS, RandomDiskConfig
 from ..sections._reference import ImageReferenceConfig
 from ..sections._sweep import LABEL, SweepConfig
 from ..sections._technique import ShadowMappingConfig
 from ..whole._schema import Config
 from ._load import Draft, checked, load_draft
+from ._mistakes import mistakes_of
 from ._overrides import apply_overrides
-from ._problems import problems_of
 from ._sweep_choices import Choice, count_of, levels_of
 
 # Part of every id. Increase it when the same configuration gives different numbers.
@@ -127,15 +127,15 @@ class SweepRuns(Sequence[SweepRun]):
         if self._ids is not None:
             return
         # For each fault, the first run that has it, and the number of runs that have it.
-        faults: dict[Problem, tuple[int, int]] = {}
+        faults: dict[Mistake, tuple[int, int]] = {}
         ids, kept, checked = bytearray(), [], 0
         for index, draft in self._drafts(range(self._count)):
             try:
                 run = self._made(index, draft)
             except ConfigError as error:
-                for problem in error.problems:
-                    first, count = faults.get(problem, (index, 0))
-                    faults[problem] = first, count + 1
+                for mistake in error.mistakes:
+                    first, count = faults.get(mistake, (index, 0))
+                    faults[mistake] = first, count + 1
             else:
                 ids += bytes.fromhex(run.id)
                 if self._count <= _MOST_KEPT:
@@ -148,8 +148,8 @@ class SweepRuns(Sequence[SweepRun]):
         if faults:
             # A fault of every run does not depend on the values.
             raise ConfigError(
-                problem if count == checked else _with_values(problem, self._values(first))
-                for problem, (first, count) in faults.items()
+                mistake if count == checked else _with_values(mistake, self._values(first))
+                for mistake, (first, count) in faults.items()
             )
         self._ids, self._kept = bytes(ids), kept or None
 
@@ -233,7 +233,7 @@ def load_sweep(
             f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and gets a folder; shorten "
             "its lists, or split it into several sweeps"
         )
-        raise ConfigError([Problem(draft.origin.place(("sweep",)), "sweep", message)])
+        raise ConfigError([Mistake(draft.origin.place(("sweep",)), "sweep", message)])
     runs = SweepRuns(settings, draft)
     if check:
         runs.check(progress)
@@ -244,29 +244,29 @@ def _settings_of(draft: Draft) -> SweepConfig:
     """The section `sweep` of `draft`. The other sections are checked with each run's values filled in."""
     if draft.data.get("sweep") is None:
         message = "is missing; expected a section of what to vary; add it, or use diffshadow render or fit"
-        raise ConfigError([*draft.problems, Problem(draft.origin.place(()), "sweep", message)])
+        raise ConfigError([*draft.mistakes, Mistake(draft.origin.place(()), "sweep", message)])
     try:
         Config.model_validate(draft.data)
     except ValidationError as error:
-        problems = problems_of(error, draft.origin)
-        if any(problem.key.split(".")[0] == "sweep" for problem in problems):
-            raise ConfigError([*draft.problems, *problems]) from None
+        mistakes = mistakes_of(error, draft.origin)
+        if any(mistake.key.split(".")[0] == "sweep" for mistake in mistakes):
+            raise ConfigError([*draft.mistakes, *mistakes]) from None
     return SweepConfig.model_validate(draft.data["sweep"])
 
 
 def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
     """`draft` with the values of `choice`. Their places are those in the section `sweep`, taken from `origin`."""
-    data, places, problems = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.problems)
+    data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
     for key, value in choice.values.items():
         # JSON is YAML, so an override preserves the value.
         override = f"{key}={json.dumps(value, ensure_ascii=False)}"
         passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
-        problems += [
-            replace(problem, place=place) if problem.place == passed else problem
-            for problem in apply_overrides(data, places, [override])
+        mistakes += [
+            replace(mistake, place=place) if mistake.place == passed else mistake
+            for mistake in apply_overrides(data, places, [override])
         ]
         places = {path: place if at == passed else at for path, at in places.items()}
-    return Draft(data, Origin(draft.origin.source, places), draft.folder, problems)
+    return Draft(data, Origin(draft.origin.source, places), draft.folder, mistakes)
 
 
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
@@ -284,12 +284,12 @@ def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
         )
     else:
         return
-    raise ConfigError([Problem(origin.place(("sweep", "limit_samples")), "sweep.limit_samples", message)])
+    raise ConfigError([Mistake(origin.place(("sweep", "limit_samples")), "sweep.limit_samples", message)])
 
 
-def _with_values(problem: Problem, values: Mapping[str, Any]) -> Problem:
+def _with_values(mistake: Mistake, values: Mapping[str, Any]) -> Mistake:
     shown = ", ".join(f"{key} = {value if key == LABEL else show(value)}" for key, value in values.items())
-    return replace(problem, message=f"{problem.message} (first in the run with {shown})")
+    return replace(mistake, message=f"{mistake.message} (first in the run with {shown})")
 
 
 def _id_of(config: Config, settings: SweepConfig) -> str:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from .._errors import ConfigError, KeyPath, Place, Problem, dotted, show
+from .._errors import ConfigError, KeyPath, Mistake, Place, dotted, show
 
 _NULL = re.compile(r"~|null|Null|NULL|")
 _TRUE = re.compile(r"true|True|TRUE")
@@ -50,14 +50,14 @@ _WORDS = {
 
 
 class Document(NamedTuple):
-    """Plain data (dicts, lists, str, int, float, bool, `None`), the places of keys and list entries, and problems.
+    """Plain data (dicts, lists, str, int, float, bool, `None`), the places of keys and list entries, and mistakes.
 
     An invalid value is `None` in `data`. A key that is given twice has its first value.
     """
 
     data: Any
     places: dict[KeyPath, Place]
-    problems: list[Problem]
+    mistakes: list[Mistake]
 
 
 def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
@@ -67,7 +67,7 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
 
     - `locate`: makes a place from a line and a column, each counted from 1.
 
-    **Returns:** the document. Its problems include keys that are given twice, are not text or have a tag.
+    **Returns:** the document. Its mistakes include keys that are given twice, are not text or have a tag.
 
     **Raises** `ConfigError` on a syntax error.
     """
@@ -78,22 +78,22 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         message = f"holds the character U+{int(error.character):04X}; expected printable text; remove it"
-        raise ConfigError([Problem(locate(line, 1), "", message)]) from None
+        raise ConfigError([Mistake(locate(line, 1), "", message)]) from None
     except RecursionError:
         message = "sections or lists are nested hundreds deep; expected a handful of levels; check the brackets"
-        raise ConfigError([Problem(locate(1, 1), "", message)]) from None
+        raise ConfigError([Mistake(locate(1, 1), "", message)]) from None
     reader = _Reader(locate)
     data = None if root is None else reader.value(root, (), ())
-    return Document(data, reader.places, reader.problems)
+    return Document(data, reader.places, reader.mistakes)
 
 
 class _Reader:
-    """Converts nodes to data, and collects `places` and `problems`."""
+    """Converts nodes to data, and collects `places` and `mistakes`."""
 
     def __init__(self, locate: Callable[[int, int], Place]):
         self.locate = locate
         self.places: dict[KeyPath, Place] = {}
-        self.problems: list[Problem] = []
+        self.mistakes: list[Mistake] = []
         self.count = 0
 
     def value(self, node: yaml.Node, path: KeyPath, within: tuple[int, ...]) -> Any:
@@ -152,7 +152,7 @@ class _Reader:
         return self.locate(node.start_mark.line + 1, node.start_mark.column + 1)
 
     def report(self, node: yaml.Node, path: KeyPath, message: str) -> None:
-        self.problems.append(Problem(self.place(node), dotted(path), message))
+        self.mistakes.append(Mistake(self.place(node), dotted(path), message))
 
 
 def has_surrogate(text: str) -> bool:
@@ -190,4 +190,4 @@ def _syntax_error(error: yaml.MarkedYAMLError, locate: Callable[[int, int], Plac
     everything = f"{error.context} {error.problem}"
     mend = next((hint for words, hint in _HINTS.items() if words in everything), "check the brackets and quotes")
     column = "" if place.column is None else f" (column {place.column})"
-    return ConfigError([Problem(place, "", f"is not YAML: {message}{column}; {mend}")])
+    return ConfigError([Mistake(place, "", f"is not YAML: {message}{column}; {mend}")])

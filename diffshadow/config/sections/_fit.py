@@ -49,6 +49,12 @@ class SolverConfig(Section):
         le=math.pi,
         description="for adam only: length of its first steps, in units where the bounds are pi apart",
     )
+    noise: float | None = Field(
+        default=None,
+        ge=0,
+        lt=1,
+        description="fraction of the loss by which it jumps; default: 0.25 in fits that move lights or meshes, else 0",
+    )
 
 
 class AnnealConfig(Section):

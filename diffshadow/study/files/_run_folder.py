@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ... import io
-from ...config import Config, ConfigError, Problem
+from ...config import Config, ConfigError, Mistake
 from ._schema import read_json
 
 RESULT = "result.json"
@@ -124,4 +124,4 @@ def _keep_others(old: Path, new: Path) -> None:
 
 
 def _error(config: Config, key: str, what: str) -> ConfigError:
-    return ConfigError([Problem(config.origin.place((key,)), key, what)])
+    return ConfigError([Mistake(config.origin.place((key,)), key, what)])

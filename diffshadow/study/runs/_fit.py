@@ -104,9 +104,10 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
             before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
             seen = drawn, drawn
         else:
-            moving = [each for each in result.problems if isinstance(each, fit.PoseProblem)]
             subjects = fit.with_values(result.arrangement, paths, start), result.arrangement
-            (before, *seen_before), (after, *seen_after) = (poses.images_at(moving, drawn, s) for s in subjects)
+            (before, *seen_before), (after, *seen_after) = (
+                poses.images_at(result.problems, drawn, s) for s in subjects
+            )
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
     lit = [each.scene for each in drawn]

@@ -57,7 +57,7 @@ def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit
 
 
 def images_at(
-    problems: Sequence[fit.PoseProblem], drawn: Sequence[Drawn], arrangement: fit.Arrangement
+    problems: Sequence[Any], drawn: Sequence[Drawn], arrangement: fit.Arrangement
 ) -> tuple[list[Float32[HostArray, "h w"]], list[Drawn]]:
     """What is compared with each reference in an arrangement, and the scene in it as light and camera see it."""
     images, seen = [], []

@@ -13,7 +13,7 @@ from ...config import (
     Config,
     ConfigError,
     ImageReferenceConfig,
-    Problem,
+    Mistake,
     TracedReferenceConfig,
     build_scene,
     build_shading,
@@ -174,4 +174,4 @@ def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.
 
 
 def _error(config: Config, path: tuple[str | int, ...], what: str) -> ConfigError:
-    return ConfigError([Problem(config.origin.place(path), ".".join(map(str, path)), what)])
+    return ConfigError([Mistake(config.origin.place(path), ".".join(map(str, path)), what)])

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .._errors import KeyPath, Origin, Problem, did_you_mean, dotted, listing, nearest, show
+from .._errors import KeyPath, Mistake, Origin, did_you_mean, dotted, listing, nearest, show
 from ..sections._section import FAULT, Conflict, fault, look, type_of
 from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
 
@@ -16,18 +16,18 @@ _MOST_COUNTED = 2**53
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
-def problems_of(error: ValidationError, origin: Origin) -> list[Problem]:
+def mistakes_of(error: ValidationError, origin: Origin) -> list[Mistake]:
     """Every fault in `error`, with the place where it was written."""
-    problems = []
+    mistakes = []
     for details in error.errors(include_url=False):
         path, message = _explain(details, origin)
-        problems.append(Problem(origin.place(path), dotted(path), message))
-    return problems
+        mistakes.append(Mistake(origin.place(path), dotted(path), message))
+    return mistakes
 
 
-def problems_at(conflicts: Iterable[Conflict], origin: Origin) -> list[Problem]:
-    """The problems of `conflicts`, with the places where their keys were written."""
-    return [Problem(origin.place(path), dotted(path), what.message()) for path, what in conflicts]
+def mistakes_at(conflicts: Iterable[Conflict], origin: Origin) -> list[Mistake]:
+    """The mistakes of `conflicts`, with the places where their keys were written."""
+    return [Mistake(origin.place(path), dotted(path), what.message()) for path, what in conflicts]
 
 
 def _explain(details: Any, origin: Origin) -> tuple[KeyPath, str]:
