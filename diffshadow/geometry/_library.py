@@ -29,6 +29,10 @@ _LEAST_SIZE, _MOST_SIZE = 1e-6, 1e9
 _MOST_QUADS = 1 << 20
 _MOST_SUBDIVISIONS = 8
 _MOST_SLATS = 10_000
+# A chair with this many spindles of this many sides has half a million triangles.
+_MOST_SPINDLES, _MOST_CHAIR_SIDES = 100, 256
+# Right is 1 and left is -1, and so are front and back.
+_CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 # Even the finest tube has but a few segments for each of so many windings.
 _MOST_WINDINGS = 1000
 _MOST_SEED = 2**32 - 1
@@ -156,15 +160,76 @@ def fence(
         _box((slat_width, height, thickness), (float(x), height / 2, 0.0))
         for x in (np.linspace(-0.5, 0.5, slats) * (width - slat_width) if slats > 1 else [0.0])
     ]
-    vertices = np.concatenate([part for part, _ in parts])
-    faces = np.concatenate([part + 8 * i for i, (_, part) in enumerate(parts)])
-    return _mesh(vertices, faces, _SHARP)
+    return _mesh(*_together(parts), _SHARP)
 
 
 def thin_wall(width: Number = 1.0, height: Number = 1.0, thickness: Number = 0.01) -> Mesh:
     """A closed upright wall in the xy plane; all in world units. Light leaks through it where the bias is too large."""
     _check_positive("thin_wall", width=width, height=height, thickness=thickness)
     return box((width, height, thickness))
+
+
+def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
+    """A Windsor chair that faces `+z`: a round seat on four splayed legs, and a back of thin spindles below a bow.
+
+    Light leaks through its thin parts where the bias is too large, and its shadow comes off its feet. Each part is
+    closed, and ends inside the part that holds it.
+
+    **Arguments:**
+
+    - `height`: world units, up to the top of the bow. The chair is half as wide.
+    - `spindles`: how many stand below the bow. They are flat, and wider towards the top.
+    - `sides`: of each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
+    """
+    _check_positive("chair", height=height)
+    _check_count("chair", 0, _MOST_SPINDLES, spindles=spindles)
+    _check_count("chair", 3, _MOST_CHAIR_SIDES, sides=sides)
+    # Lengths are shares of the height, but for the last line.
+    x, z = np.eye(3)[[0]], np.eye(3)[[2]]
+    along = np.linspace(0, 1, 13)
+    swell = np.sin(np.pi * along)
+
+    def line(start: HostArray, end: HostArray) -> Float[HostArray, "13 3"]:
+        return start + along[:, None] * (end - start)
+
+    def leg(right: int, front: int) -> Float[HostArray, "13 3"]:
+        return line(np.array([0.2 * right, 0.0, 0.2 * front]), np.array([0.12 * right, 0.45, 0.12 * front]))
+
+    # Rings of legs lie level, so that the whole foot touches the ground.
+    legs = [_rod(leg(right, front), x, z, 0.007 + 0.004 * along + 0.006 * swell, sides) for right, front in _CORNERS]
+    # Two rails between front and back, and one that joins their middles.
+    held = [[leg(right, front)[4] for front in (-1, 1)] for right in (-1, 1)]
+    rails = [line(*ends) for ends in (*held, [np.mean(ends, axis=0) for ends in held])]
+    across = [x, x, z]
+    stretchers = [
+        _rod(rail, side, np.cross(side, _unit(rail[-1:] - rail[:1])), 0.005 + 0.004 * swell, sides)
+        for rail, side in zip(rails, across, strict=True)
+    ]
+
+    # A flat bottom, a round rim, and a shallow dish.
+    turn, dish = np.linspace(-np.pi / 2, np.pi / 2, 13), np.linspace(1, 0.1, 7)[1:]
+    radius = np.concatenate([0.21 + 0.02 * np.cos(turn), 0.21 * dish])
+    level = np.concatenate([0.455 + 0.02 * np.sin(turn), 0.465 + 0.01 * dish**2])
+    seat = _rod(np.stack([0 * level, level, 0 * level], axis=-1), x, z, radius, 4 * sides)
+
+    # Half an ellipse that leans back. Spindles fan out to it from an arc along the seat's rim.
+    base, width, up = np.array([0.0, 0.455, -0.11]), 0.175, np.array([[0.0, 0.535, -0.14]])
+    turn = np.linspace(0, np.pi, 65)[:, None]
+    normal = _unit(np.cross(x, up))
+    tangent = _unit(width * np.sin(turn) * x + np.cos(turn) * up)
+    curve = base - width * np.cos(turn) * x + np.sin(turn) * up
+    bow = _rod(curve, normal, np.cross(normal, tangent), np.full(65, 0.010), sides)
+    back = []
+    for share in np.linspace(-1, 1, spindles + 2)[1:-1]:
+        right = 0.7 * width * share
+        foot, head = np.array([right, 0.455, -math.sqrt(0.2**2 - right**2)]), 0.9 * share
+        spindle = line(foot, (base + width * head * x + math.sqrt(1 - head**2) * up)[0])
+        direction = _unit(spindle[-1:] - spindle[:1])
+        flat = _unit(np.cross(direction, x))
+        back.append(_rod(spindle, np.cross(direction, flat), 0.16 * flat, 0.010 + 0.010 * along**2, sides))
+
+    vertices, faces = _together([*legs, *stretchers, seat, bow, *back])
+    return _mesh(vertices * height / np.ptp(vertices[:, 1]), faces, _SHARP)
 
 
 def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, seed: int = 0) -> Mesh:
@@ -194,7 +259,7 @@ def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, 
 LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType(
     {
         piece.__name__: piece
-        for piece in (plane, box, sphere, low_poly_sphere, torus, torus_knot, fence, thin_wall, blob)
+        for piece in (plane, box, sphere, low_poly_sphere, torus, torus_knot, fence, thin_wall, chair, blob)
     }
 )
 """The pieces by name."""
@@ -285,6 +350,15 @@ def _quads(a, b, c, d) -> Int[HostArray, "f 3"]:
     return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
 
 
+def _together(
+    parts: Sequence[tuple[Float[HostArray, "_ 3"], Int[HostArray, "_ 3"]]],
+) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
+    """The vertices and faces of all parts as those of one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    faces = [faces + start for (_, faces), start in zip(parts, first, strict=True)]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
 def _unit(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
@@ -310,12 +384,43 @@ def _tube(
 ) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
     """A closed tube round a closed curve; `across` and `side` span its cross-section, `across × side` points back."""
     n = len(curve)
-    angle = _turn(sides)
-    ring = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * side[:, None]
-    vertices = (curve[:, None] + radius * ring).reshape(-1, 3)
     i, j = (index.reshape(-1) for index in np.meshgrid(np.arange(n), np.arange(sides), indexing="ij"))
     next_i, next_j = (i + 1) % n, (j + 1) % sides
-    return vertices, _quads(i * sides + j, next_i * sides + j, next_i * sides + next_j, i * sides + next_j)
+    faces = _quads(i * sides + j, next_i * sides + j, next_i * sides + next_j, i * sides + next_j)
+    return _rings(curve, across, side, np.full(n, radius), sides), faces
+
+
+def _rod(
+    curve: Float[HostArray, "n 3"],
+    across: Float[HostArray, "#n 3"],
+    side: Float[HostArray, "#n 3"],
+    radius: Float[HostArray, "n"],
+    sides: int,
+) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
+    """A tube with flat ends along an open curve, spanned as `_tube` is; each of its points has a radius."""
+    n = len(curve)
+    across, side = np.broadcast_to(across, (n, 3)), np.broadcast_to(side, (n, 3))
+    vertices = np.concatenate([_rings(curve, across, side, radius, sides), curve[[0, -1]]])
+    i, j = (index.reshape(-1) for index in np.meshgrid(np.arange(n - 1), np.arange(sides), indexing="ij"))
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    walls = _quads(a, a + sides, b + sides, b)
+    first, last = n * sides, n * sides + 1
+    (a, b), top = (a[:sides], b[:sides]), (n - 1) * sides
+    caps = [np.stack([0 * a + first, a, b], axis=-1), np.stack([0 * a + last, b + top, a + top], axis=-1)]
+    return vertices, np.concatenate([walls, *caps])
+
+
+def _rings(
+    curve: Float[HostArray, "n 3"],
+    across: Float[HostArray, "n 3"],
+    side: Float[HostArray, "n 3"],
+    radius: Float[HostArray, "n"],
+    sides: int,
+) -> Float[HostArray, "v 3"]:
+    """The vertices of a tube, ring by ring."""
+    angle = _turn(sides)
+    ring = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * side[:, None]
+    return (curve[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
 
 
 def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:

@@ -407,7 +407,7 @@ SCENES = {
     "misspelt builtin": (
         "  meshes:\n  - path: builtin:boxx\n",
         "3: scene.meshes.0.path: is 'builtin:boxx'; expected builtin: followed by plane, box, sphere, "
-        "low_poly_sphere, torus, torus_knot, fence, thin_wall or blob; did you mean 'builtin:box'?",
+        "low_poly_sphere, torus, torus_knot, fence, thin_wall, chair or blob; did you mean 'builtin:box'?",
     ),
     "orbit and eye": (
         "  meshes: [path: 'builtin:box']\n  camera:\n    orbit: {azimuth: 3}\n    eye: [1, 2, 3]\n",
@@ -645,7 +645,7 @@ def test_fault_of_an_override_is_told_with_the_override(override, expected):
         ("filter.samples=64", "filter.samples", "64"),
         ("fit.anneal.kernel=gaussian", "fit.anneal.kernel", "gaussian"),
         ("bias.normal_offset=1e-1", "bias.normal_offset", "0.1"),
-        ("scene.meshes.1.options.segments=3", "scene.meshes.1.options", "size = 3, segments = 3"),
+        ("scene.meshes.1.options.segments=3", "scene.meshes.1.options", "size = 4, segments = 3"),
         ("scene.camera.up=[0, 0, 1]", "scene.camera.up", "[0.0, 0.0, 1.0]"),
         ("scene.camera.resolution.1=64", "scene.camera.resolution", "[512, 64]"),
         ("fit.parameters.bias.constant.upper=5", "fit.parameters.bias.constant.upper", "5.0"),

@@ -5,6 +5,7 @@ import math
 import tracemalloc
 
 import jax.numpy as jnp
+import manifold3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -161,6 +162,23 @@ def test_fences_slats_stand_apart():
     assert library_mesh("fence", slats=1).faces.shape == (12, 3)
 
 
+@pytest.mark.parametrize(("height", "spindles"), [(1.0, 5), (2.5, 0), (1.0, 12)])
+def test_chair_stands_on_four_flat_feet_and_is_one_body(height, spindles):
+    mesh = library_mesh("chair", height=height, spindles=spindles, sides=12)
+    vertices, faces = arrays(mesh)
+    assert np.ptp(vertices[:, 1]) == pytest.approx(height, rel=1e-6)
+    # Each foot is a ring and its middle.
+    feet = vertices[vertices[:, 1] < 1e-6 * height]
+    assert len(feet) == 4 * 13
+    assert {tuple(np.sign(foot).astype(int)) for foot in feet[:, [0, 2]]} == {(-1, -1), (-1, 1), (1, -1), (1, 1)}
+    chair = manifold3d.Manifold(manifold3d.Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
+    assert chair.status() == manifold3d.Error.NoError
+    parts = chair.decompose()
+    # Legs, stretchers, the seat and the bow.
+    assert len(parts) == 4 + 3 + 1 + 1 + spindles
+    assert len(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).decompose()) == 1
+
+
 def test_blob_depends_on_its_seed_and_not_on_its_resolution():
     first, again, other = (np.asarray(library_mesh("blob", seed=s).vertices) for s in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
@@ -203,6 +221,8 @@ def test_library_names_the_nearest_piece_and_option():
         ("blob", {"seed": -1}, "seed is -1"),
         ("fence", {"slats": 100}, "leave no gaps"),
         ("blob", {"amplitude": 1.0}, "amplitude is 1.0"),
+        ("chair", {"spindles": 101}, "spindles is 101; expected a whole number from 0 to 100"),
+        ("chair", {"sides": 257}, "sides is 257; expected a whole number from 3 to 256"),
     ],
 )
 def test_unsuitable_options_are_refused_by_name(name, options, message):

@@ -31,6 +31,7 @@ SMALL = {
     "torus": {"segments": 12, "sides": 7},
     "torus_knot": {"segments": 24, "sides": 5},
     "plane": {"segments": 3},
+    "chair": {"spindles": 1, "sides": 3},
 }
 CLOSED = sorted(set(LIBRARY) - {"plane"})
 SUN = DirectionalLight((0.5, -1.0, -0.3), (0, 0, 0), (4, 4), -4, 4)
@@ -57,7 +58,7 @@ def total(found: Silhouettes) -> dict[tuple[int, int], int]:
 
 
 # What every mesh is filled up to, so that they share what is compiled.
-SIZES = (400, 700, 1000)
+SIZES = (1000, 1800, 2700)
 
 
 def filled_up(mesh):

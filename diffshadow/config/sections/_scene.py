@@ -37,7 +37,10 @@ BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
 
 # The names in geometry.LIBRARY, kept here so that a misspelling is found without loading JAX.
-BUILTIN_MESHES = ("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot", "fence", "thin_wall", "blob")
+BUILTIN_MESHES = (
+    *("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot"),
+    *("fence", "thin_wall", "chair", "blob"),
+)
 
 
 class MeshConfig(Section):
