@@ -1,5 +1,7 @@
 """The rasterizer: which triangle each pixel sees."""
 
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -18,11 +20,12 @@ from ._fixed import Size
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
 # The least capacity with which parts are counted, which is enough for most scenes.
-_PARTS = Capacity(large=256, candidates=1 << 16)
-_PARTS_AND_CLIPPED = _PARTS._replace(clipped=64)
+_PARTS = Capacity(clipped=64, large=256, candidates=1 << 16)
 # Meshes of up to so many faces are padded: filling up a larger one takes time that counts beside drawing it.
 _MOST_PADDED = 1 << 16
 _LEAST_PADDED = 64
+# Faces that are counted at once.
+_CHUNK = 1 << 14
 # The frustum rejects it.
 _OUTSIDE = (0, 0, 2, 1)
 NO_FACE = -1
@@ -50,23 +53,33 @@ def plan(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, *, 
 
     **Arguments:** as for `rasterize`; not for use inside `jax.jit`. Of several views it holds the greatest need.
     """
-    return _plan_padded(*padded(clip.astype(jnp.float32), faces), resolution, cull)
-
-
-def _plan_padded(clip: Float[Array, "*b v 4"], faces: Faces, resolution: Resolution, cull: Cull) -> Capacity:
-    """`plan` of triangles as `padded` returns them."""
-    clip = clip.reshape(-1, *clip.shape[-2:])
-    # Parts of clipped and of large triangles are counted up to a capacity of their own. Nearly every scene has large
-    # triangles, few need clipping. One view after another, so that any number of them share what is compiled.
+    clip, size = clip.astype(jnp.float32).reshape(-1, *clip.shape[-2:]), as_int(resolution)
+    chunks = [list(_chunks(view, faces)) for view in clip]
+    # Parts of clipped and of large triangles are counted up to a capacity of their own.
     capacity = _PARTS
+    combined = lambda reduce, counts: jax.tree.map(lambda *each: reduce(np.stack(each), axis=0), *counts)
     while True:
-        counted = [_count(view, faces, as_int(resolution), cull, capacity) for view in clip]
-        needed = jax.tree.map(lambda *each: np.max(np.stack(each), axis=0), *counted).capacity()
-        # Windows and blocks are counted without one: the compiled program does not depend on their number.
-        parts = needed._replace(windows=capacity.windows, blocks=capacity.blocks)
+        counted = [[_count(*chunk, size, cull, capacity) for chunk in view] for view in chunks]
+        fullest = combined(np.max, itertools.chain(*counted)).capacity()
+        # Windows and blocks are counted without a capacity: the compiled program does not depend on their number.
+        parts = fullest._replace(windows=capacity.windows, blocks=capacity.blocks)
         if capacity == capacity.grown_to(parts):
-            return needed
-        capacity = capacity.grown_to(parts).grown_to(_PARTS_AND_CLIPPED)
+            return combined(np.max, [combined(np.sum, view) for view in counted]).capacity()
+        capacity = capacity.grown_to(parts)
+
+
+def _chunks(clip: ClipVertices, faces: Faces) -> Iterator[tuple[ClipVertices, Faces]]:
+    """The triangles in chunks of one size, which share a compiled program whatever the mesh; a large mesh as it is."""
+    if faces.shape[0] > _MOST_PADDED:
+        yield clip, faces
+        return
+    corners = np.asarray(clip)[np.asarray(faces)].reshape(-1, 4)
+    step = 3 * _CHUNK
+    for start in range(0, max(len(corners), 1), step):
+        chunk = np.full((step, 4), _OUTSIDE, corners.dtype)
+        part = corners[start : start + step]
+        chunk[: len(part)] = part
+        yield jnp.asarray(chunk), jnp.arange(step, dtype=jnp.int32).reshape(-1, 3)
 
 
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b V 4"], Int[Array, "F 3"]]:
@@ -159,9 +172,9 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
             "rasterize was called inside jax.jit (or grad, or vmap) without a capacity; expected one, since shapes "
             "must be known there: call plan(clip, faces, resolution) outside on typical values and pass its result"
         )
-    clip, faces = padded(clip, faces)
     if capacity is None:
-        capacity = _plan_padded(clip, faces, resolution, cull)
+        capacity = plan(clip, faces, resolution, cull=cull)
+    clip, faces = padded(clip, faces)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
     checked = overflows is None
