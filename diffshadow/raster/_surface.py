@@ -7,7 +7,7 @@ from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Capacity, Cull
-from ._interpolate import barycentrics, interpolate, interpolate_corners
+from ._interpolate import Rows, barycentrics, by_bands, interpolate, interpolate_corners, of_face
 from ._rasterize import Overflow, rasterize
 
 
@@ -58,20 +58,23 @@ def _clip(mesh: Mesh, camera: AbstractCamera) -> ClipVertices:
 
 @eqx.filter_jit
 def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertices) -> Surface:
-    at = barycentrics(face, clip, mesh.faces)
-    seen = at.mask[..., None]
-    position = interpolate(at, mesh.vertices, mesh.faces)
-    normal = jnp.where(seen, face_normals(mesh)[at.face], 0)
-    shading_normal = interpolate_corners(at, mesh.corner_normals)
-    # The way to the camera: to its eye, or against its axis.
-    view = camera.view()
-    to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
-    turn = jnp.where(dot(normal, to_camera) < 0, -1, 1)[..., None]
-    return Surface(
-        position=position,
-        normal=normal * turn,
-        shading_normal=normalize(shading_normal) * turn,
-        albedo=jnp.where(seen, mesh.albedo[at.face], 0),
-        face=face,
-        mask=at.mask,
-    )
+    normals, view = face_normals(mesh), camera.view()
+
+    def band(face: FaceMap, rows: Rows) -> Surface:
+        at = barycentrics(face, clip, mesh.faces, rows)
+        position = interpolate(at, mesh.vertices, mesh.faces)
+        normal = of_face(at, normals)
+        shading_normal = interpolate_corners(at, mesh.corner_normals)
+        # The direction to the camera: to its eye, or against its axis.
+        to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
+        sign = jnp.where(dot(normal, to_camera) < 0, -1, 1)[..., None]
+        return Surface(
+            position=position,
+            normal=normal * sign,
+            shading_normal=normalize(shading_normal) * sign,
+            albedo=of_face(at, mesh.albedo),
+            face=face,
+            mask=at.mask,
+        )
+
+    return by_bands(band, face)

@@ -24,6 +24,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.raster import Capacity, barycentrics, draw_surface, interpolate, interpolate_depth, rasterize
+from diffshadow.raster._interpolate import by_bands
 
 RESOLUTION = (24, 32)
 
@@ -54,6 +55,29 @@ def weights_exact(face, clip, faces):
     rows = np.where((face >= 0)[..., None, None], rows, np.eye(3))
     mixed = np.linalg.solve(np.swapaxes(rows, -1, -2), centre[..., None])[..., 0]
     return mixed / mixed.sum(axis=-1, keepdims=True)
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def positions_by_bands(face, mesh, pixels):
+    """Positions (h, w, 3) in bands of about so many pixels, with their slopes as the mesh grows."""
+
+    def positions(scale):
+        grown = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * scale)
+        clip = CAMERA.view().clip(grown.vertices)
+        band = lambda face, rows: interpolate(barycentrics(face, clip, mesh.faces, rows), grown.vertices, mesh.faces)
+        return by_bands(band, face, whole=pixels, band=pixels)
+
+    return jax.jvp(positions, (jnp.ones(()),), (jnp.ones(()),))
+
+
+@pytest.mark.parametrize("pixels", [3 * 32, 32, 1])
+def test_bands_of_rows_make_the_whole_image(pixels):
+    capacity = Capacity(windows=(0, 0, 0, 0, 512))
+    face = rasterize(CAMERA.view().clip(MESH.vertices), MESH.faces, RESOLUTION, capacity=capacity).face
+    whole, banded = positions_by_bands(face, MESH, face.size), positions_by_bands(face, MESH, pixels)
+    assert np.abs(np.asarray(whole[0])).max() > 0.5
+    for expected, found in zip(whole, banded, strict=True):
+        np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
 # Nothing at this resolution is too large for a window.
