@@ -41,7 +41,8 @@ def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, whole: 
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
-    - `whole`: images of at most so many pixels are evaluated at once; `band`: the most pixels of a band of several rows.
+    - `whole`: images of at most so many pixels are evaluated at once.
+    - `band`: the most pixels of a band of several rows.
 
     **Returns:** the arrays for the whole image.
     """

@@ -363,6 +363,14 @@ def test_few_triangles_share_the_windows_of_larger_ones():
     np.testing.assert_array_equal(together.depth, apart.depth)
 
 
+def test_every_triangle_is_counted_however_many_come_before_it():
+    clip, faces = window_triangles(*[2] * 300, 32)
+    hidden = jnp.zeros((40_000, 3), jnp.int32)
+    for behind in (jnp.concatenate([hidden, faces]), jnp.concatenate([faces, hidden])):
+        assert plan(clip, behind, RESOLUTION) == plan(clip, faces, RESOLUTION)
+
+
+
 def test_capacities_are_rounded_up_to_few_sizes():
     triangles = {n: plan(*window_triangles(*[32] * n), RESOLUTION).windows[-1] for n in (1, 256, 257)}
     assert triangles == {1: 256, 256: 256, 257: 4096}
