@@ -1,10 +1,11 @@
 """Bringing a mesh of any size and origin to its place in a scene."""
 
-import equinox as eqx
-import jax.numpy as jnp
+from typing import Any
 
-from .._misc import as_float, concrete
-from .._types import Scalar, Vec3
+import equinox as eqx
+
+from .._misc import array_module, as_float, concrete
+from .._types import Scalar
 from ._mesh import Mesh
 
 
@@ -24,16 +25,17 @@ def fit_to_size(mesh: Mesh, size: Scalar | float | int) -> Mesh:
     wanted = concrete(size)
     if wanted is not None and not 0 < wanted < float("inf"):
         raise ValueError(f"the size to fit a mesh to is {wanted}; expected positive world units")
-    low, high = mesh.bounds
-    extent = jnp.max(high - low)
+    xp = array_module(mesh.vertices, size)
+    low, high = xp.asarray(mesh.bounds)
+    extent = xp.max(high - low)
     known = concrete(extent)
     if known is not None and not known > 0:
         raise ValueError(
             f"all vertices of the mesh lie at {low.tolist()}, so it cannot be scaled to a size of {size}; "
             "expected a mesh with an extent: check the file or its export"
         )
-    centre = (low + high) / 2 * jnp.array([1.0, 0.0, 1.0])
-    return _with_vertices(mesh, (mesh.vertices - centre) * (as_float(size) / extent))
+    centre = (low + high) / 2 * xp.asarray([1, 0, 1], low.dtype)
+    return _with_vertices(mesh, (xp.asarray(mesh.vertices) - centre) * (xp.asarray(size, low.dtype) / extent))
 
 
 def drop_to_ground(mesh: Mesh, height: Scalar | float | int = 0.0) -> Mesh:
@@ -44,13 +46,12 @@ def drop_to_ground(mesh: Mesh, height: Scalar | float | int = 0.0) -> Mesh:
     wanted = concrete(height)
     if wanted is not None and not abs(wanted) < float("inf"):
         raise ValueError(f"the height to put a mesh at is {wanted}; expected finite world units")
-    return _moved(mesh, as_float([0.0, 1.0, 0.0]) * (as_float(height) - mesh.bounds[0, 1]))
+    xp = array_module(mesh.vertices, height)
+    low = xp.asarray(mesh.bounds)[0]
+    offset = xp.asarray([0, 1, 0], low.dtype) * (xp.asarray(height, low.dtype) - low[1])
+    return _with_vertices(mesh, xp.asarray(mesh.vertices) + offset)
 
 
-def _moved(mesh: Mesh, offset: Vec3) -> Mesh:
-    return _with_vertices(mesh, mesh.vertices + offset)
-
-
-def _with_vertices(mesh: Mesh, vertices) -> Mesh:
+def _with_vertices(mesh: Mesh, vertices: Any) -> Mesh:
     # Even scaling and shifts leave the normals as they are.
-    return eqx.tree_at(lambda m: m.vertices, mesh, vertices)
+    return eqx.tree_at(lambda m: m.vertices, mesh, as_float(vertices))

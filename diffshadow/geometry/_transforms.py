@@ -1,5 +1,6 @@
 """Rigid and projective transforms, all `(4, 4)` matrices that act on column vectors from the left."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -17,6 +18,7 @@ def scaling(factor: Vec3 | Scalar | float) -> Mat4:
     return jnp.diag(jnp.append(jnp.broadcast_to(as_float(factor), (3,)), 1.0))
 
 
+@jax.jit
 def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
     """Turns about `axis` through the origin by `angle` radians, by the right-hand rule (Rodrigues' formula)."""
     x, y, z = normalize(as_float(axis))
@@ -26,6 +28,7 @@ def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
     return jnp.eye(4).at[:3, :3].set(upper)
 
 
+@jax.jit
 def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
     """Rows `right, up, backward` of the view that looks along `forward`.
 
@@ -38,6 +41,7 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
     return jnp.stack([right, jnp.cross(backward, right), backward])
 
 
+@jax.jit
 def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
     """Eye space from world space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
     rows = frame(forward, up)

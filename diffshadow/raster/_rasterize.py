@@ -20,7 +20,7 @@ from ._fixed import Size
 from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
 
 # The least capacity with which parts are counted, which is enough for most scenes.
-_PARTS = Capacity(clipped=64, large=256, candidates=1 << 16)
+_PARTS = Capacity(clipped=256, large=256, candidates=1 << 16)
 # Meshes of up to so many faces are padded: filling up a larger one takes time that counts beside drawing it.
 _MOST_PADDED = 1 << 16
 _LEAST_PADDED = 64

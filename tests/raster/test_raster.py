@@ -370,7 +370,6 @@ def test_every_triangle_is_counted_however_many_come_before_it():
         assert plan(clip, behind, RESOLUTION) == plan(clip, faces, RESOLUTION)
 
 
-
 def test_capacities_are_rounded_up_to_few_sizes():
     triangles = {n: plan(*window_triangles(*[32] * n), RESOLUTION).windows[-1] for n in (1, 256, 257)}
     assert triangles == {1: 256, 256: 256, 257: 4096}

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete, normalize
+from ..._misc import array_module, as_float, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
 from .._camera import check_near_far
 from .._transforms import frame, look_at, orthographic
@@ -64,16 +64,20 @@ class DirectionalLight(AbstractLight):
         direction = as_float(direction)
         check_direction("the directional light", direction)
         rows = frame(direction, as_float(UP))
-        seen = lambda points: jnp.matmul(points, rows.T, precision="highest")
+        # In NumPy where it can be: nothing is compiled for the number of points.
+        xp = array_module(points, rows, receivers)
+        seen = lambda points: (xp.asarray(points)[:, None] * xp.asarray(rows)).sum(axis=-1)
         local = seen(points)
         low, high = local.min(axis=0), local.max(axis=0)
         if receivers is not None:
             along = seen(receivers)[:, 2]
-            low, high = low.at[2].min(along.min()), high.at[2].max(along.max())
-        size = jnp.maximum(high - low, FLAT * jnp.max(high - low)) * (1 + 2 * MARGIN)
+            last = xp.asarray([False, False, True])
+            low = xp.where(last, xp.minimum(low, along.min()), low)
+            high = xp.where(last, xp.maximum(high, along.max()), high)
+        size = xp.maximum(high - low, FLAT * xp.max(high - low)) * (1 + 2 * MARGIN)
         return cls(
             direction=direction,
-            center=jnp.matmul((low + high) / 2, rows, precision="highest"),
+            center=((low + high) / 2 * xp.asarray(rows).T).sum(axis=-1),
             extent=size[:2],
             near=-size[2] / 2,
             far=size[2] / 2,
