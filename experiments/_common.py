@@ -1,4 +1,4 @@
-"""What experiments share: a scene drawn from both sides and its truth, figures in one style, and results on disk."""
+"""Common code of experiments: drawing a scene and finding its truth, figures in one style, and writing results."""
 
 import csv
 import io as text_io
@@ -40,13 +40,13 @@ from diffshadow.config import (
 from diffshadow.study import style
 
 BIAS, RADIUS = "bias.constant", "filter.radius"
-"""The two numbers that most experiments are about."""
+"""The two parameters that most experiments study."""
 
 USER_ERROR, INTERRUPTED = 2, 130
 
-# As the figures of a run look.
+# The style of a run's figures.
 INK, FAINT = style.INK, style.FAINT
-# Here, since experiments make arrays as they are imported.
+# At import, since experiments make arrays when they are imported.
 use_all_cores()
 
 COLOURS, HEAT = style.CYCLE, style.DISTANCE
@@ -57,8 +57,8 @@ _DPI = 100
 class Drawn(NamedTuple):
     """A scene as the camera sees it, and its truth.
 
-    - `settings`: that it was made of.
-    - `floor`: noise of the truth, in visibility; 0 if it is exact, or came from a file.
+    - `settings`: the configuration it was made from.
+    - `floor`: noise of the truth, in visibility; 0 if it is exact, or from a file.
     """
 
     settings: Config
@@ -73,17 +73,17 @@ def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> C
 
     **Arguments:**
 
-    - `needs`: names that its fit must hold.
+    - `needs`: parameters that its fit must have.
 
     **Raises** `ConfigError` if it cannot be used, or its output cannot be written.
     """
     settings = load_config(config, overrides)
     if len(settings.scene.each_light) > 1:
-        raise mistake(settings, "scene.lights", "are several; expected one light, as experiments take: name it light")
+        raise mistake(settings, "scene.lights", "has several lights; expected one: write it as scene.light")
     for name in needs:
         if name not in settings.fit.parameters:
-            said = f"has no {name}; expected it among what is fitted: add '{name}: {{lower: 0, upper: 10}}'"
-            raise mistake(settings, "fit.parameters", said)
+            what = f"has no {name}; expected it among the fitted parameters: add '{name}: {{lower: 0, upper: 10}}'"
+            raise mistake(settings, "fit.parameters", what)
     try:
         io.check_writable(settings.output_folder)
     except io.FileError as error:
@@ -92,33 +92,33 @@ def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> C
 
 
 def mistake(settings: Config, key: str, what: str) -> ConfigError:
-    """An error that is laid to `key` of a configuration."""
+    """An error reported for `key` of a configuration."""
     return ConfigError([Mistake(settings.origin.place(tuple(key.split("."))), key, what)])
 
 
 def expect(option: str, given: Any, fine: bool, expected: str) -> None:
-    """**Raises** `ConfigError` unless what was `given` for an option is `fine`."""
+    """**Raises** `ConfigError` unless the value `given` for an option is `fine`."""
     if not fine:
         raise ConfigError([Mistake(Place(f"--{option}"), "", f"is {given}; expected {expected}")])
 
 
 def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]:
-    """What an option lists, separated by commas.
+    """The entries of a comma-separated option, each converted by `of`.
 
-    **Raises** `ConfigError` if an entry is no such thing as `of` makes of it.
+    **Raises** `ConfigError` if an entry cannot be converted.
     """
     try:
         return [of(word.strip()) for word in given.split(",")]
     except ValueError:
         what = {int: "whole numbers", float: "numbers"}[of]  # type: ignore[index]
-        said = f"is {given!r}; expected {what} with commas between, such as 1,2,4"
-        raise ConfigError([Mistake(Place(f"--{option}"), "", said)]) from None
+        message = f"is {given!r}; expected {what} separated by commas, such as 1,2,4"
+        raise ConfigError([Mistake(Place(f"--{option}"), "", message)]) from None
 
 
 def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[Name]:
-    """The names that an option lists, separated by commas.
+    """The names in a comma-separated option.
 
-    **Raises** `ConfigError` if one is not `among` those that there are.
+    **Raises** `ConfigError` if one is not `among` the known names.
     """
     names = listed(option, given)
     expect(option, given, set(names) <= set(among), f"some of {','.join(among)}")
@@ -128,7 +128,7 @@ def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[
 def draw(settings: Config) -> Drawn:
     """The scene of a configuration and its truth.
 
-    **Raises** `ConfigError` if the scene cannot be made, or the camera sees nothing of it.
+    **Raises** `ConfigError` if the scene cannot be made, or the camera sees none of it.
     """
     scene = build_scene(settings)
     surface = raster.draw_surface(scene.mesh, scene.camera)
@@ -139,43 +139,43 @@ def draw(settings: Config) -> Drawn:
 
 
 def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
-    """The truth of a scene with one light; a traced one is kept on disk and found again."""
-    wanted = settings.reference
-    if isinstance(wanted, ImageReferenceConfig):
+    """The truth of a scene with one light; a traced one is cached on disk."""
+    section = settings.reference
+    if isinstance(section, ImageReferenceConfig):
         try:
-            return reference.reference_from_image(io.read_visibility(wanted.path), scene)
+            return reference.reference_from_image(io.read_visibility(section.path), scene)
         except ValueError as error:
             raise mistake(settings, "reference.path", str(error)) from error
-    how = wanted.samples, wanted.sampler, settings.seed
-    rays = wanted.supersampling
+    how = section.samples, section.sampler, settings.seed
+    rays = section.supersampling
     traced = lambda: vars(reference.trace_visibility(scene, *how, supersampling=rays))
     arrays = io.cached_arrays(reference.cache_key(scene, *how, supersampling=rays), traced)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
 def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = True) -> fit.TechniqueProblem:
-    """The problem of bringing the shadow mapping of `settings`, by default those of the scene, close to the truth.
+    """The problem of fitting the shadow mapping of `settings`, by default the scene's, to the truth.
 
     **Arguments:**
 
     - `fitting`: whether the filter's radius may later be set to any value within its bounds.
 
-    **Raises** `ConfigError` if camera and light see nothing together.
+    **Raises** `ConfigError` if no pixel's surface is seen by both camera and light.
     """
     settings = settings or drawn.settings
     technique = build_shadow_mapping(settings, fitting=fitting)
     shadow_map = technique.prepare(drawn.scene, drawn.surface)
     mask = technique.covered(shadow_map, drawn.surface) & jnp.asarray(drawn.truth.mask)  # type: ignore[arg-type]
     if not bool(mask.any()):
-        said = "and the camera see no surface together; expected both to see the same part of the scene: move one"
-        raise mistake(settings, "scene.light", said)
+        what = "and the camera see no surface together; expected both to see the same part of the scene: move one"
+        raise mistake(settings, "scene.light", what)
     return fit.TechniqueProblem(technique, shadow_map, drawn.surface, jnp.asarray(drawn.truth.visibility), mask)  # type: ignore[arg-type]
 
 
 def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:
-    """Fits what `settings` say.
+    """Runs the fit of `settings`.
 
-    **Raises** `ConfigError` if they say nothing that can be fitted.
+    **Raises** `ConfigError` if nothing in it can be fitted.
     """
     plan = build_fit(settings)
     try:
@@ -185,12 +185,12 @@ def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:
 
 
 def rmse(problem: fit.TechniqueProblem, technique: Any = None) -> float:
-    """The error of a problem's technique, or of another one in its place, over the pixels that count."""
+    """The error of a problem's technique, or of another one instead, over the pixels that count."""
     return float(jnp.sqrt(_mean_square(problem, problem.technique if technique is None else technique)))
 
 
 def visibility(problem: fit.TechniqueProblem, technique: Any = None) -> np.ndarray:
-    """The visibility that a problem's technique, or another one in its place, makes: (h, w)."""
+    """The visibility by a problem's technique, or by another one instead: (h, w)."""
     return np.asarray(_visibility(problem, problem.technique if technique is None else technique))
 
 
@@ -199,9 +199,9 @@ _mean_square = eqx.filter_jit(lambda problem, technique: problem.mean_square_err
 
 
 def median_ms(runs: Mapping[str, Callable[[], Any]], repeats: int, console: Console) -> dict[str, float]:
-    """The median time of each of several runs, compiled and warmed up before, in milliseconds.
+    """The median time of each of several runs in milliseconds, after compilation and warm-up.
 
-    They take turns, so that a machine that slows down slows all.
+    The runs take turns, so that a machine that slows down affects all of them.
     """
     for run in progress(runs.values(), "warming up", console):
         for _ in range(2):
@@ -216,7 +216,7 @@ def median_ms(runs: Mapping[str, Callable[[], Any]], repeats: int, console: Cons
 
 
 def pareto(x: Sequence[float], y: Sequence[float]) -> list[int]:
-    """Which of the points (x, y) no other is better than in one and as good in the other, from left to right."""
+    """The indices of the points (x, y) on the Pareto front, from left to right."""
     best, kept = np.inf, []
     for i in np.lexsort((y, x)):
         if y[i] < best:
@@ -226,7 +226,7 @@ def pareto(x: Sequence[float], y: Sequence[float]) -> list[int]:
 
 
 def machine() -> dict[str, Any]:
-    """What was computed where, and how busy it was: what times depend on."""
+    """What times depend on: hardware, load and versions."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if "model name" in line]
@@ -242,12 +242,12 @@ def machine() -> dict[str, Any]:
 
 
 def progress(items: Iterable[Any], what: str, console: Console) -> Iterable[Any]:
-    """`items`, with a bar that is gone when they are done, and none where nobody watches."""
+    """`items`, with a progress bar that vanishes when they are done; on a terminal only."""
     return track(list(items), what, console=console, transient=True, disable=not console.is_terminal)
 
 
 def chart(axes: Axes, title: str, x: str, y: str, *, grid: bool = True) -> None:
-    """Titles of axes, and what is along them with its unit."""
+    """Sets the title of a chart, and the labels of its axes."""
     style.title(axes, title)
     style.chart(axes, x, y)
     if not grid:
@@ -263,15 +263,15 @@ def legend(axes: Axes, **options: Any) -> None:
 def write(
     settings: Config, experiment: str, made: Figure, rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]
 ) -> Path:
-    """Writes a picture, a table and a summary as `<experiment>.png`, `.csv` and `.json`.
+    """Writes a figure, a table and a summary as `<experiment>.png`, `.csv` and `.json`.
 
     **Arguments:**
 
     - `rows`: of the table, all with the keys of the first.
-    - `summary`: to which the machine and the command are added.
+    - `summary`: the machine and the command are added to it.
 
-    **Returns:** the folder, `<output>/<name>`, or `<output>/<name>-<experiment>` if the configuration is named
-    otherwise than the experiment. Nothing is written before all is made.
+    **Returns:** the folder, `<output>/<name>`, or `<output>/<name>-<experiment>` if the configuration's name is not the
+    experiment's. Nothing is written until everything is computed.
     """
     ending = "" if settings.name == experiment else f"-{experiment}"
     folder = settings.output_folder / f"{settings.name}{ending}"
@@ -295,15 +295,14 @@ def write(
 
 
 def start(app: App) -> NoReturn:
-    """Runs an experiment with the process's arguments, and exits: with 2 after a mistake of the user's, told in one
-    message."""
+    """Runs an experiment with the process's arguments, and exits; with 2 and one message after a user's mistake."""
     errors = Console(stderr=True, highlight=False)
     _keep_compiled_programs()
     try:
         app(sys.argv[1:], exit_on_error=False, print_error=False)
     except (CycloptsError, ConfigError, io.FileError, OSError) as error:
-        said = " ".join(str(error).split()) + "; see --help" if isinstance(error, CycloptsError) else str(error)
-        errors.print(Text.assemble(("error: ", "bold red"), said), soft_wrap=True)
+        message = " ".join(str(error).split()) + "; see --help" if isinstance(error, CycloptsError) else str(error)
+        errors.print(Text.assemble(("error: ", "bold red"), message), soft_wrap=True)
         sys.exit(USER_ERROR)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
@@ -311,7 +310,7 @@ def start(app: App) -> NoReturn:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX keep compiled programs in the cache folder, unless it has one: the next run starts sooner."""
+    """Sets JAX's cache of compiled programs, unless one is set, so that the next run starts sooner."""
     if jax.config.jax_compilation_cache_dir:
         return
     try:

@@ -1,13 +1,13 @@
-"""How fast filters look into a shadow map, beside the same shaders by OpenGL in software (Mesa's llvmpipe).
+"""Speed of shadow map filters, compared with the same shaders by OpenGL in software (Mesa's llvmpipe).
 
-Both sides see one scene from one camera under one light, through maps of the same size, and take turns, so that a
-machine that slows down slows both. OpenGL draws on all threads; its time is that of the clear, the draw and `glFinish`
-by the wall clock. Each comparison counts the same on both sides:
+Both sides draw one scene from one camera under one light, with maps of the same size. They take turns, so that a
+machine that slows down affects both. OpenGL draws on all threads; its time is the wall-clock time of the clear, the
+draw and `glFinish`. Each comparison includes the same work on both sides:
 
-- `filter`: look-ups into the map alone. OpenGL: the draw, less one whose shader does all but look up.
-- `visibility`: from the surface to its visibility, with projection and bias. OpenGL: the draw, less one whose shader
-  writes a constant.
-- `whole`: the above and the draw of the image. OpenGL: the draw.
+- `filter`: look-ups into the map only. OpenGL: the draw, minus that of a shader that does everything but look up.
+- `visibility`: from the surface to its visibility, with projection and bias. OpenGL: the draw, minus that of a shader
+  that writes a constant.
+- `whole`: the above and drawing the image. OpenGL: the draw.
 """
 
 import argparse
@@ -44,13 +44,13 @@ WIDTH = 0.5
 """Of the soft compare, in texels."""
 HARD, SOFT = shadow.HardCompare("less"), shadow.SoftCompare(WIDTH)
 COMPARISONS = {"filter": "projection", "visibility": "trivial", "whole": None}
-"""What is measured of our side, and which shader's draw is taken off OpenGL's."""
+"""The measurements of our side, and the shader whose draw is subtracted from OpenGL's."""
 
 
 class Case(NamedTuple):
-    """A filter with a compare; the shader beside it, and whether that blends the four nearest texels.
+    """A filter with a compare; the corresponding shader, and whether that interpolates the four nearest texels.
 
-    - `bar`: what the ratio of `visibility` should not exceed, if anything.
+    - `bar`: the target for the ratio of `visibility`, or none.
     """
 
     filter: shadow.AbstractFilter
@@ -63,7 +63,7 @@ class Case(NamedTuple):
 
 def cases() -> dict[str, Case]:
     disk = lambda lookup, early_out=False: shadow.RandomDisk(RADIUS, lookup=lookup, early_out=early_out)
-    # The box of whole texels round the one that a receiver falls into, as shaders have it; and the one that slides.
+    # A box of whole texels around the receiver's texel, as in shaders; and one that moves smoothly.
     grid = 0.5 * np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(25, 1, 1, 2)
     texels = shadow.RandomDisk(2.0, shadow.Pattern(jnp.asarray(grid, float)), lookup="nearest")
     box = shadow.PercentageCloser(2.5)
@@ -87,7 +87,7 @@ JACOBIAN_BAR = 4.0
 
 
 class Ours(eqx.Module):
-    """One case's functions, compiled, on a surface and a map that are drawn already."""
+    """The compiled functions of a case, on a surface and a map that are already drawn."""
 
     mesh: Mesh
     camera: PinholeCamera
@@ -107,7 +107,7 @@ class Ours(eqx.Module):
         return cls(mesh, camera, shadow_map, raster.draw_surface(mesh, camera, capacity=capacity), capacity)
 
     def measures(self, case: Case) -> dict[str, Callable[[], Any]]:
-        """By the names of `COMPARISONS`."""
+        """The measured functions, by the names of `COMPARISONS`."""
         technique = shadow.ShadowMapping(case.filter, shadow.Bias(BIAS), case.compare)
         at = shadow.receiver(self.shadow_map, self.surface)
         lookup = shadow.look_up(self.shadow_map, at, technique.bias(at))
@@ -131,7 +131,7 @@ class Ours(eqx.Module):
         }
 
     def jacobian(self, case: Case) -> dict[str, Callable[[], Any]]:
-        """Visibility, and its forward-mode Jacobian beside it, of constant bias, slope bias and radius."""
+        """Visibility, and visibility with its forward-mode Jacobian, by constant bias, slope bias and radius."""
 
         def of(values, shadow_map, surface):
             filter = eqx.tree_at(lambda f: f.radius, case.filter, values[2])
@@ -153,12 +153,12 @@ class Ours(eqx.Module):
 class OpenGL:
     """The same scene, camera, light and map, drawn on all threads.
 
-    **Raises** whatever moderngl raises where there is no EGL, `ImportError` without moderngl, and `RuntimeError` if
-    the driver is not llvmpipe.
+    **Raises** moderngl's errors if there is no EGL, `ImportError` without moderngl, and `RuntimeError` if the driver is
+    not llvmpipe.
     """
 
     def __init__(self, ours: Ours):
-        # The goldens' settings, one thread and narrow instructions, are for bits and not for speed.
+        # The golden images use one thread and narrow instructions, which are for reproducible bits and not for speed.
         with patch.dict(_opengl.SETTINGS, SETTINGS, clear=True):
             self.gl = gl = _opengl.OpenGL()
         self.name = f"{gl.renderer}, {gl.version}"
@@ -179,12 +179,12 @@ class OpenGL:
             self.painter.set(shader, self.light, self.settings | {"early_out": case.early_out})
 
     def draws(self, case: Case) -> dict[str, Callable[[], None]]:
-        """The case's draw under `shader`, and those that are taken off it under their own names."""
+        """The case's draw as `shader`, and the draws that are subtracted from it by their own names."""
         named = {"projection": "projection", "trivial": "trivial", "shader": case.shader}
         return {name: partial(self.painter.render, shader) for name, shader in named.items()}
 
     def visibility(self, case: Case) -> np.ndarray:
-        """What the case's shader draws, (h, w); 1 where there is no surface."""
+        """The image by the case's shader, (h, w); 1 where there is no surface."""
         self.painter.render(case.shader)
         return self.painter.read() / _techniques.TAPS[case.shader]
 
@@ -204,7 +204,7 @@ def open_opengl(ours: Ours) -> tuple[OpenGL | None, str]:
 
 
 def interleaved(works: dict[str, Callable[[], Any]], repeats: int) -> dict[str, list[float]]:
-    """Milliseconds of each work, `repeats` times in turn; the first call of each is left out."""
+    """Milliseconds of each function, called in turn `repeats` times, without the first call of each."""
     for work in works.values():
         timed(work)
     times: dict[str, list[float]] = {name: [] for name in works}
@@ -233,7 +233,7 @@ def compare(ours: Ours, opengl: OpenGL | None, case: Case, repeats: int) -> dict
 
 
 def agreement(ours: Ours, visibility: np.ndarray, drawn: np.ndarray) -> float:
-    """The share of pixels turned to the light whose visibility is the same on both sides."""
+    """The fraction of pixels facing the light whose visibility is the same on both sides."""
     facing = np.asarray(ours.surface.mask & (shadow.receiver(ours.shadow_map, ours.surface).cosine > 0))
     return float(np.mean(np.abs(visibility - drawn)[facing] <= 1e-4))
 
@@ -272,8 +272,8 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pixels", type=positive, default=512, help="of the image along a side")
     parser.add_argument("--texels", type=positive, default=1024, help="of the map along a side")
     parser.add_argument("--repeats", type=positive, default=15)
-    parser.add_argument("--only", default="", help="cases whose name holds this")
-    parser.add_argument("--json", type=Path, help="where all numbers go")
+    parser.add_argument("--only", default="", help="only cases whose name contains this")
+    parser.add_argument("--json", type=Path, help="file to write all numbers to")
     parser.add_argument("--no-opengl", dest="opengl", action="store_false", help="time our side only")
     return parser.parse_args(argv)
 

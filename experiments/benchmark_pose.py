@@ -1,10 +1,10 @@
-"""What one step of fitting a spot light's pose costs, and where the time goes.
+"""The cost of one step of fitting a spot light's pose, and of its parts.
 
     python experiments/benchmark_pose.py
 
-A torus knot on the ground, an image of 512² pixels, a map of 512² texels and 16 bilinear taps a pixel. A step draws the
-map, finds its silhouettes and filters them; its derivatives are those of the visibility by position and direction.
-Times are medians of runs after compiling, by turns. Shares are of steps that leave parts out.
+The scene is a torus knot on the ground, with an image of 512² pixels, a map of 512² texels and 16 bilinear taps per
+pixel. A step draws the map, finds its silhouettes and filters it; derivatives are with respect to position and
+direction. Times are medians of compiled runs that take turns. Parts are timed as steps that leave other parts out.
 """
 
 import argparse
@@ -47,7 +47,7 @@ def main() -> None:
     surface, edges = draw_surface(mesh, camera), Edges.of(mesh)
     technique = ShadowMapping(RandomDisk(2.0, stratified(16, 8)), SlopeBias(1.0), HardCompare())
     light = lambda by: SpotLight(POSITION + by[:3], DIRECTION + by[3:], 40.0, 0.5, 6.0)
-    room = plan_shadow_map(mesh, light(jnp.zeros(6)), size, edges=edges)
+    capacity = plan_shadow_map(mesh, light(jnp.zeros(6)), size, edges=edges)
 
     def draw(by, outlines=True):
         return draw_shadow_map(
@@ -55,7 +55,7 @@ def main() -> None:
             light(by),
             size,
             edges=edges if outlines else None,
-            capacity=room,
+            capacity=capacity,
         )
 
     def loss(by, outlines=True):
@@ -77,7 +77,7 @@ def main() -> None:
     for name, ms in medians.items():
         table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}")
     console.print(machine())
-    console.print(f"{mesh.faces.shape[0]} triangles, room for {room.silhouettes} crossings")
+    console.print(f"{mesh.faces.shape[0]} triangles, capacity for {capacity.silhouettes} crossings")
     console.print(table)
 
 

@@ -1,9 +1,9 @@
-"""How fast the rasterizer draws a light's depth map, beside OpenGL in software (Mesa's llvmpipe) on the same machine.
+"""Speed of the rasterizer drawing a light's depth map, compared with OpenGL in software (Mesa's llvmpipe).
 
-Each case, so many triangles on so many texels, runs in a process of its own, so that its peak memory is its own. Both
-sides draw the same clip-space triangles with back faces culled, and take turns, so that a machine that slows down
-slows both. OpenGL draws depth alone, from vertices and indices uploaded before, on all threads; its time is that of
-the clear, the draw and `glFinish` by the wall clock, since llvmpipe's own timer queries do not see its threads.
+Each case, a number of triangles and of texels, runs in a separate process, so that its peak memory can be measured.
+Both sides draw the same clip-space triangles with back faces culled. They take turns, so that a machine that slows down
+affects both. OpenGL draws only depth, from vertices and indices already uploaded, on all threads; its time is the
+wall-clock time of the clear, the draw and `glFinish`, since llvmpipe's timer queries do not include its threads.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from rich.table import Table
 from diffshadow import raster, use_all_cores
 from diffshadow.geometry import DirectionalLight, Mesh, library_mesh, merge, rotation, scaling, translation
 
-# Here, since benchmarks make arrays as they are imported.
+# At import, since benchmarks make arrays when they are imported.
 use_all_cores()
 
 CULL = "back"
@@ -38,9 +38,9 @@ LIGHT_DIRECTION = (0.1, -1.0, 0.5)
 GROUND_SIZE = 6.0
 """World units; the objects on it are about one unit each."""
 AGREEMENT = 1e-4
-"""Window depths that differ by no more count as the same texel in OpenGL's map and in ours."""
+"""Texels of OpenGL's map and ours count as the same if their window depths differ by no more than this."""
 
-# What is timed of our side, and how the table calls it.
+# The measurements of our side, and their names in the table.
 MEASURES = {
     "plan": "count pass",
     "depth": "depth only",
@@ -66,9 +66,9 @@ void main() {}
 
 
 def scene(triangles: int, seed: int) -> Mesh:
-    """A ground and seven objects standing on it, of about `triangles` triangles together.
+    """A ground plane with seven objects on it, with about `triangles` triangles in total.
 
-    A tenth of them are the ground's. Spheres and blobs come in powers of four; the torus knots make up the number.
+    The ground has a tenth of them. Spheres and blobs come in powers of four; torus knots make up the rest.
     """
     rng = np.random.default_rng(seed)
     segments = max(1, round((triangles / 20) ** 0.5))
@@ -77,7 +77,7 @@ def scene(triangles: int, seed: int) -> Mesh:
     pieces = [("sphere", {"subdivisions": subdivisions})] * 2
     pieces += [("blob", {"subdivisions": subdivisions, "seed": seed + k}) for k in range(2)]
     left -= 4 * 20 * 4**subdivisions
-    # A knot's tube is about twelve times as long as it is round.
+    # The length of a knot's tube is about twelve times its circumference.
     sides = max(3, round((left / 3 / 24) ** 0.5))
     pieces += [("torus_knot", {"segments": max(3, round(left / 3 / 2 / sides)), "sides": sides})] * 3
     cells = rng.permutation(9)[: len(pieces)]
@@ -90,13 +90,13 @@ def scene(triangles: int, seed: int) -> Mesh:
 
 
 class Case:
-    """The functions that are timed, each without arguments and waiting for its result."""
+    """The timed functions, which take no arguments."""
 
     def __init__(self, mesh: Mesh, resolution: tuple[int, int]):
         self.mesh, self.resolution = mesh, resolution
         view = DirectionalLight.around(jnp.array(LIGHT_DIRECTION), mesh.vertices).view()
         self.clip = jax.block_until_ready(jax.jit(lambda vertices: view.clip(vertices))(mesh.vertices))
-        # The count and the draw are needed to set up the rest, so their first calls are timed here.
+        # Counting and drawing are needed to set up the rest, so their first calls are timed here.
         plan_time, self.capacity = timed(lambda: raster.plan(self.clip, mesh.faces, resolution, cull=CULL))
         draw = {"cull": CULL, "capacity": self.capacity}
         draw_time, self.fragments = timed(lambda: raster.rasterize(self.clip, mesh.faces, resolution, **draw))
@@ -128,16 +128,16 @@ class Case:
             self.measures["depth"] = lambda: depth_only(self.clip, mesh.faces, resolution, **draw)
         self.first_call = {"plan": plan_time, "rasterize": draw_time}
         for name, work in self.measures.items():
-            # Counting and then drawing compiles nothing of its own.
+            # Counting and then drawing compiles nothing new.
             if name not in (*self.first_call, "rasterize_counting"):
                 self.first_call[name], _ = timed(work)
 
 
 class OpenGL:
-    """A depth pass in software, its triangles already uploaded.
+    """A depth pass in software, with its triangles already uploaded.
 
-    **Raises** whatever moderngl raises where there is no EGL, `ImportError` without moderngl, and `RuntimeError` if
-    the driver is not llvmpipe.
+    **Raises** moderngl's errors if there is no EGL, `ImportError` without moderngl, and `RuntimeError` if the driver is
+    not llvmpipe.
     """
 
     def __init__(self, clip: np.ndarray, faces: np.ndarray, resolution: tuple[int, int]):
@@ -175,14 +175,14 @@ class OpenGL:
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Milliseconds until the result is there, and the result."""
+    """Milliseconds until the result is ready, and the result."""
     start = time.perf_counter()
     result = jax.block_until_ready(work())
     return 1e3 * (time.perf_counter() - start), result
 
 
 def peak_memory() -> float:
-    """The greatest memory this process has had so far, in MiB."""
+    """This process's peak memory so far, in MiB."""
     # Linux counts kilobytes, macOS bytes.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
 
@@ -226,7 +226,7 @@ def measure(triangles: int, size: int, repeats: int, seed: int, with_opengl: boo
 
 
 def alternate(work: Callable[[], Any], opengl: OpenGL | None, repeats: int) -> dict[str, float]:
-    """Medians of our time, of OpenGL's right after each of ours, and their ratio."""
+    """Medians of our time and of OpenGL's, called in turn, and their ratio."""
     ours, theirs = [], []
     timed(work)
     for _ in range(repeats):
@@ -252,9 +252,9 @@ def machine() -> dict[str, Any]:
 
 
 def in_child(triangles: int, size: int, options: argparse.Namespace) -> dict[str, Any]:
-    """`measure` in a process of its own.
+    """Runs `measure` in a separate process.
 
-    **Raises** `RuntimeError` with the child's last words if it fails.
+    **Raises** `RuntimeError` with the end of the child's error output if it fails.
     """
     command = [sys.executable, __file__, "--child", "--triangles", str(triangles), "--sizes", str(size)]
     command += ["--repeats", str(options.repeats), "--seed", str(options.seed)]
@@ -287,7 +287,7 @@ def time_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def cost_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """First calls, memory, and whether both sides drew the same."""
+    """First calls, memory, and the fraction of texels that are the same on both sides."""
     table = Table(title="First call (compilation and one run), seconds; peak memory, MiB")
     names = [name for name in MEASURES if any(name in row["first_call"] for row in rows)]
     for title in ("triangles", "texels", *(MEASURES[name] for name in names), "scene", "peak", "same texels"):
@@ -306,7 +306,7 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--sizes", type=positive, nargs="+", default=[512, 1024, 2048], help="texels along a side")
     parser.add_argument("--repeats", type=positive, default=9)
     parser.add_argument("--seed", type=int, default=0, help="of the scene")
-    parser.add_argument("--json", type=Path, help="where all numbers go")
+    parser.add_argument("--json", type=Path, help="file to write all numbers to")
     parser.add_argument("--no-opengl", dest="opengl", action="store_false", help="time our side only")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     return parser.parse_args(argv)
@@ -336,7 +336,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             if len(rows) == 1:
                 console.print(f"ours: {rows[0]['device']}, {rows[0]['dtype']}; OpenGL: {rows[0]['opengl']}")
                 if options.opengl and "agreement" not in rows[0]:
-                    console.print("There is no OpenGL to compare with; our side only.")
+                    console.print("OpenGL is not available: timing our side only.")
     console.print(time_table(rows), cost_table(rows))
     if options.json:
         options.json.write_text(json.dumps({"machine": about, "cull": CULL, "rows": rows}, indent=1) + "\n")

@@ -1,20 +1,20 @@
-"""Acne against leaks: the errors over constant bias and filter radius, and the way that a fit takes through them.
+"""Acne against leaks: errors over constant bias and filter radius, and a fit's path through them.
 
     python experiments/bias_landscape.py configs/bias_landscape.yaml
     python experiments/bias_landscape.py configs/quickstart.yaml filter.samples=64 --size 65
 
-Runs the fit of a configuration, then measures the hard compare's errors at each point of a grid that spans the bounds
-of `bias.constant` and `filter.radius`, with all other fitted parameters held at their fitted values: false shadow
-(acne), false light (leaks, Peter-panning) and the root mean square error (RMSE), over the pixels that both the camera
-and the shadow map see.
+Runs the fit of a configuration, then measures errors under the hard compare on a grid over the bounds of
+`bias.constant` and `filter.radius`, with all other fitted parameters fixed at their fitted values. The errors are false
+shadow (acne), false light (leaks, peter-panning) and the root mean square error (RMSE), over the pixels that both the
+camera and the shadow map see.
 
-The picture has a heat map of each over bias and radius. On that of the RMSE lies the fit's path, every evaluation of
-its loss: from its start, a diamond, to its result, a star; a cross is the grid's best. The fourth panel has all points
-of the grid by their two rates. Its line is the Pareto front: the settings of which none other has less acne without
-more leaks.
+The figure has a heat map of each error over bias and radius. The heat map of the RMSE shows the fit's path, with every
+evaluation of its loss, from its start (diamond) to its result (star); a cross marks the grid's best point. The fourth
+panel plots all points of the grid by false shadow and false light. Its line is the Pareto front: the settings for which
+no other has less acne without more leaks.
 
-The table, and the summary beside the picture, say how the fit's end compares with the grid's best. A ratio above one is
-what the fit missed, as far as the grid's spacing can tell; below one, the fit's end lies between the grid's points.
+The table and the summary compare the fit's result with the grid's best. A ratio above one means that the fit missed the
+optimum, up to the grid's spacing; below one, the fit's result lies between the grid's points.
 """
 
 import math
@@ -37,7 +37,7 @@ from diffshadow.fit import FitResult, TechniqueProblem, with_values
 NAME = "bias_landscape"
 AXES = (common.BIAS, common.RADIUS)
 BIAS, RADIUS = "bias", "radius"
-"""What the table calls the two axes, in texels."""
+"""The table's names of the two axes, in texels."""
 SHOWN = {
     "false_shadow": "False shadow (acne)",
     "false_light": "False light (leaks)",
@@ -49,12 +49,12 @@ app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
 @app.default
 def main(config: Path, /, *overrides: str, size: int = 25) -> dict[str, Any]:
-    """Fits CONFIG, and measures the landscape that the fit went through.
+    """Fits CONFIG, and measures errors over its bias and radius.
 
     Parameters
     ----------
     config
-        YAML file that says what to fit; both bias.constant and filter.radius must be among its parameters.
+        YAML file with the fit; both bias.constant and filter.radius must be among its parameters.
     overrides
         KEY=VALUE pairs that replace values of the file.
     size
@@ -111,7 +111,7 @@ def summarise(problem: TechniqueProblem, result: FitResult, rows: list[dict[str,
         return {BIAS: bias, RADIUS: radius, **errors_at(problem, result, bias, radius)}
 
     fitted, best = at(result.fitted), min(rows, key=lambda row: row["rmse"])
-    # All parameters where they began, not these two alone.
+    # The start has all parameters at their initial values, not only these two.
     began = with_values(result.technique, tuple(result.initial), jnp.array(list(result.initial.values()), jnp.float32))
     return {
         "start": at(result.initial) | {"rmse": common.rmse(problem, began)},
@@ -143,7 +143,7 @@ def show(console: Console, summary: dict[str, Any]) -> None:
     table.add_row("grid's spacing", *(f"{step:.3g}" for step in summary["spacing"]), "", "", "", "")
     console.print(table)
     if summary["held"]:
-        console.print("held on the grid at their fitted values:", summary["held"])
+        console.print("fixed on the grid at their fitted values:", summary["held"])
     if summary["flat"]:
         console.print("without a gradient, not fitted:", ", ".join(summary["flat"]))
 
@@ -159,7 +159,7 @@ def picture(
         least = max(float(values.min()), one)
         norm = LogNorm(least, max(float(values.max()), 1.01 * least))
         shown = panel.pcolormesh(*axes, np.maximum(values, least), norm=norm, cmap=common.HEAT, shading="nearest")
-        common.colour_bar(made, shown, [panel], "RMSE [visibility]" if key == "rmse" else "share of pixels")
+        common.colour_bar(made, shown, [panel], "RMSE [visibility]" if key == "rmse" else "fraction of pixels")
         common.chart(panel, title, "constant bias [texels]", "radius [texels]", grid=False)
     path(panels[2], list(settings.fit.parameters), result, summary)
     front(panels[3], rows, summary)
@@ -182,19 +182,19 @@ def path(axes: Axes, names: list[str], result: FitResult, summary: dict[str, Any
 
 
 def front(axes: Axes, rows: list[dict[str, float]], summary: dict[str, Any]) -> None:
-    """All points of the grid by their two rates, and those that none other beats in both."""
+    """All points of the grid by false shadow and false light, and their Pareto front."""
     x, y = (np.array([row[key] for row in rows]) for key in ("false_shadow", "false_light"))
     shown = axes.scatter(x, y, c=[row[BIAS] for row in rows], s=9, cmap=common.HEAT, linewidth=0)
     kept = common.pareto(list(x), list(y))
     axes.plot(x[kept], y[kept], color=common.INK, linewidth=1.0, label="Pareto front")
     for name, mark in {"start": "D", "fit": "*"}.items():
         point(axes, summary[name]["false_shadow"], summary[name]["false_light"], mark, 12 if name == "fit" else 6, name)
-    # Even below about a pixel, where nought has its place; logarithmic above.
+    # Linear below about one pixel, so that 0 can be shown, and logarithmic above.
     decade = 10.0 ** math.floor(-math.log10(summary["pixels"]))
     axes.set_xscale("symlog", linthresh=decade, linscale=0.8)
     axes.set_yscale("symlog", linthresh=decade, linscale=0.8)
     common.colour_bar(axes.figure, shown, [axes], "constant bias [texels]")  # type: ignore[arg-type]
-    common.chart(axes, "Acne against leaks", "false shadow [share of pixels]", "false light [share of pixels]")
+    common.chart(axes, "Acne against leaks", "false shadow [fraction of pixels]", "false light [fraction of pixels]")
     common.legend(axes, loc="best")
 
 

@@ -1,16 +1,17 @@
-"""Are the deviations that fits report true? Fits lights whose truth is known, and counts how often it is within them.
+"""Are the standard deviations that fits report correct? Fits lights with known truth, and counts errors within them.
 
     python experiments/coverage.py configs/coverage.yaml
     python experiments/coverage.py configs/coverage.yaml --lights point --meshes spot_cow.obj,builtin:blob --draws 20
 
-Each draw turns the mesh, moves the camera and places the light at random, traces the shadow, and fits the light from a
-start at random beside the truth. What makes the error of a fit is where outlines fall among pixels and texels: starts
-alone would be the same draw again and again. Sizes and technique come from the configuration.
+Each draw rotates the mesh, moves the camera and places the light at random, traces the shadow, and fits the light from
+a random start near the truth. The error of a fit depends on where outlines fall among pixels and texels. Therefore the
+scene is drawn at random, too: different starts in one scene would all have the same error. Sizes and technique come
+from the configuration.
 
-The picture has a panel for each light: for every parameter of every fit the error over the reported deviation, sorted,
-beside the share that a normal distribution has below it. Above the line, deviations are too large; below it, too small.
-The table has the share of errors within one and two deviations: 68 % and 95 % of a normal distribution. The summary
-also has the root mean square of the errors over the deviations, which outliers make large.
+The figure has a panel for each light. It shows, for every parameter of every fit, the error over the reported
+deviation, sorted, and the cumulative normal distribution. Above that line, deviations are too large; below it, too
+small. The table has the fractions of errors within one and two deviations, which are 68 % and 95 % for a normal
+distribution. The summary also has the root mean square of errors over deviations, which outliers make large.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import _common as common
+import jax
 import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
@@ -36,13 +38,13 @@ NAME = "coverage"
 LIGHTS = ("directional", "spot", "point")
 MESHES = ("builtin:torus_knot", "builtin:blob", "builtin:torus")
 TILT = 20.0
-"""How far a mesh is tilted at most, in degrees; it is turned by any angle."""
+"""Maximum tilt of a mesh, in degrees; it is rotated about the vertical by any angle."""
 AROUND = {"eye": 0.3, "position": 0.4, "target": 0.1}
-"""How far each place is moved at most along each axis, in world units."""
+"""Maximum displacement of each point along each axis, in world units."""
 OFF = {"azimuth": 1.0, "elevation": 1.0, "position": 0.04}
-"""How far off a start is: the standard deviation in degrees, or in world units along each axis."""
+"""Standard deviation of a start from the truth, in degrees, or in world units along each axis."""
 REACH = {"azimuth": 35.0, "elevation": 20.0, "position": 1.0}
-"""How far bounds are from the truth, likewise."""
+"""Distance of bounds from the truth, in the same units."""
 POSITION, TARGET = (-1.5, 2.8, 1.1), (0.1, 0.1, 0.0)
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
@@ -58,7 +60,7 @@ def main(
     draws: int = 10,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Fits the lights over the meshes, and counts.
+    """Fits the lights over the meshes, and counts errors within the reported deviations.
 
     Parameters
     ----------
@@ -81,14 +83,15 @@ def main(
     common.expect("draws", draws, draws >= 1, "1 or more")
     settings = common.load(config, overrides)
     jobs = [(kind, path, draw) for kind in kinds for path in paths for draw in range(draws)]
-    rows, room = [], {}
+    rows, capacities = [], {}
     for kind, path, draw in common.progress(jobs, "fitting", console):
         rng = np.random.default_rng([seed, LIGHTS.index(kind), paths.index(path), draw])
         drawn = scene_of(kind, path, settings.scene.camera.eye or (0.6, 2.9, 2.4), rng)
-        found, room[kind, path] = fit_one(config, (*overrides, *drawn), rng, room.get((kind, path)))
+        capacity = capacities.get((kind, path))
+        found, capacities[kind, path] = fit_one(config, (*overrides, *drawn), rng, capacity)
         rows += [{"light": kind, "mesh": path, "draw": draw, **row} for row in found]
-    covered = {kind: share_within([row for row in rows if row["light"] == kind]) for kind in kinds}
-    covered["all"] = share_within(rows)
+    covered = {kind: fractions_within([row for row in rows if row["light"] == kind]) for kind in kinds}
+    covered["all"] = fractions_within(rows)
     show(console, covered)
     summary = {"config": str(config), "overrides": list(overrides), "seed": seed, "covered": covered}
     folder = common.write(settings, NAME, picture(rows, kinds), rows, summary)
@@ -97,7 +100,7 @@ def main(
 
 
 def scene_of(kind: str, mesh: str, eye: Sequence[float], rng: np.random.Generator) -> tuple[str, ...]:
-    """A scene at random, as overrides."""
+    """A random scene, as overrides."""
     turn = [*rng.uniform(-TILT, TILT, 1), *rng.uniform(0, 360, 1), *rng.uniform(-TILT, TILT, 1)]
     position = POSITION + rng.uniform(-1, 1, 3) * AROUND["position"]
     target = TARGET + rng.uniform(-1, 1, 3) * AROUND["target"]
@@ -125,13 +128,13 @@ def scene_of(kind: str, mesh: str, eye: Sequence[float], rng: np.random.Generato
 
 
 def within(name: str, value: float) -> dict[str, float]:
-    """Bounds about the truth."""
+    """Bounds around the truth."""
     reach = REACH[name.split(".")[0]]
     return {"lower": value - reach, "upper": min(value + reach, 89.0) if name == "elevation" else value + reach}
 
 
-def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, room: Any) -> tuple[list[Any], Any]:
-    """A row for each parameter of one fit, and the capacity that it took to draw, with which the next is compiled."""
+def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, capacity: Any) -> tuple[list[Any], Any]:
+    """A row for each parameter of one fit, and its drawing capacity, which the next fit starts with."""
     settings = common.load(config, overrides)
     scene = build_scene(settings)
     plan = build_fit(settings, scene)
@@ -141,13 +144,13 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ro
         fit.Parameter(p.name, plan.truth[p.name] + off[p.name], p.lower, p.upper, p.unit, p.path)
         for p in plan.parameters
     ]
-    if room is None:
-        # Twice what is needed about here, so that few of the other draws need more, which compiles again.
-        places = np.array([(p.lower, p.initial, p.upper) for p in parameters]).T
-        room = problem.planned([p.where for p in parameters], jnp.asarray(places, jnp.float32)).room.doubled()
-    result = fit.fit(
-        dataclasses.replace(problem, room=room), parameters, solver=plan.solver, anneal=plan.anneal, levels=plan.levels
-    )
+    if capacity is None:
+        # Twice the capacity planned here, so that few other draws need more and recompile.
+        values = np.array([(p.lower, p.initial, p.upper) for p in parameters]).T
+        planned = problem.planned([p.where for p in parameters], jnp.asarray(values, jnp.float32))
+        capacity = jax.tree.map(lambda needed: 2 * needed, planned.capacity)
+    problem = dataclasses.replace(problem, capacity=capacity)
+    result = fit.fit(problem, parameters, solver=plan.solver, anneal=plan.anneal, levels=plan.levels)
     deviations = {} if result.precision is None else result.precision.deviations
     rows = []
     for name, truth in plan.truth.items():
@@ -157,8 +160,9 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ro
     return rows, result.problems[0].capacity  # type: ignore[union-attr]
 
 
-def share_within(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The shares of errors within one and two deviations, and of how many; those without a deviation are apart."""
+def fractions_within(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The fractions of errors within one and two deviations, and their number; errors without a deviation are counted
+    separately."""
     ratios = np.abs([row["ratio"] for row in rows if row["ratio"] is not None])
     known = len(ratios) > 0
     return {
@@ -175,9 +179,9 @@ def show(console: Console, covered: dict[str, dict[str, Any]]) -> None:
     """The table."""
     table = Table("light", "fits", "values", "within 1", "within 2", "rms", "no deviation")
     text = lambda value, form: "" if value is None else format(value, form)
-    for kind, share in covered.items():
-        shares = text(share["one"], ".0%"), text(share["two"], ".0%"), text(share["rms"], ".2f")
-        table.add_row(kind, str(share["fits"]), str(share["values"]), *shares, str(share["without"]))
+    for kind, row in covered.items():
+        numbers = text(row["one"], ".0%"), text(row["two"], ".0%"), text(row["rms"], ".2f")
+        table.add_row(kind, str(row["fits"]), str(row["values"]), *numbers, str(row["without"]))
     console.print(table)
 
 
@@ -188,8 +192,8 @@ def picture(rows: Sequence[dict[str, Any]], kinds: Sequence[str]) -> Any:
         ratios = np.sort([abs(row["ratio"]) for row in rows if row["light"] == kind and row["ratio"] is not None])
         panel.plot(ratios, (np.arange(len(ratios)) + 0.5) / max(len(ratios), 1), ".-", ms=3, lw=1, label="errors")
         normal = np.linspace(0, 4, 200)
-        panel.plot(normal, 2 * norm.cdf(normal) - 1, color=common.FAINT, lw=1, label="a normal distribution's")
-        common.chart(panel, kind, "error over reported deviation", "share of errors below")
+        panel.plot(normal, 2 * norm.cdf(normal) - 1, color=common.FAINT, lw=1, label="normal distribution")
+        common.chart(panel, kind, "error over reported deviation", "fraction of errors below")
         panel.set(xlim=(0, 4), ylim=(0, 1.02))
         common.legend(panel, loc="lower right")
     return made

@@ -1,17 +1,17 @@
-"""How fast does the error fall with the shadow map's resolution, technique by technique?
+"""How fast does each technique's error fall with the shadow map's resolution?
 
     python experiments/error_vs_resolution.py configs/error_vs_resolution.yaml
     python experiments/error_vs_resolution.py configs/error_vs_resolution.yaml --sizes 64,256,1024 --only bilinear,pcss
 
 Draws the configuration's scene with each technique from square maps of several sizes, and measures the root mean square
-error of visibility against the reference, over the pixels that both the camera and the map see. Biases are those of the
-techniques below, in texels, so that they shrink with the texel as the error that they prevent does. Some filters keep
-their width in texels, and so become sharper; others keep it in the world, and so take more texels.
+error of visibility against the reference, over the pixels that both the camera and the map see. Biases are in texels,
+so they shrink with the texel like the error that they prevent. Some filters keep their width in texels and become
+sharper; others keep it in world units and cover more texels.
 
-The picture has resolution along x and error along y, both logarithmic; the legend has each technique's slope p of
-error ~ resolution^p. A hard shadow's error sits in a seam along its outline that is a texel wide, and a root mean
-square is the root of the seam's area: p = -1/2. The grey area is below the reference's own noise, where an error says
-nothing; slopes are over the points above twice that.
+The figure has resolution along x and error along y, both logarithmic. The legend has each technique's slope p of
+error ~ resolution^p. A hard shadow's errors lie in a band along its outline that is a texel wide, and the root mean
+square error is the root of the band's area: p = -1/2. The grey area is below the reference's own noise, where errors
+are meaningless; slopes are fitted to the points above twice the noise.
 """
 
 from pathlib import Path
@@ -27,14 +27,14 @@ from diffshadow.config import load_config
 
 NAME = "error_vs_resolution"
 NOMINAL = 1024
-"""The map's size for which a filter whose width grows with the map is described, in texels."""
+"""Map size in texels at which a width that grows with the map is given."""
 ABOVE_NOISE = 2.0
-"""Errors count in a slope from so many times the reference's noise."""
+"""Slopes include only errors above this many times the reference's noise."""
 
 
 class Technique(NamedTuple):
-    """A technique: what it is called, the values to replace, and the key of a length in texels that grows with the map
-    so that it stays the same in the world, with its value for the nominal map."""
+    """A technique: its title, the values to replace, and the key of a length in texels that grows with the map, so that
+    it is constant in world units, with its value for the nominal map."""
 
     title: str
     overrides: tuple[str, ...]
@@ -45,11 +45,11 @@ PLAIN = "bias={constant: 0.5, slope: 1}"
 WIDE = "bias={constant: 0.5, slope: 2.5}"
 """For kernels of several texels."""
 PLANE = "bias={plane: {type: receiver_plane, deepening: 0}}"
-"""For kernels so wide that only the receiver's plane keeps their taps from acne."""
+"""For kernels so wide that only a receiver plane depth bias prevents acne."""
 EDGES = "bias={constant: 1, plane: {type: receiver_plane, deepening: 0}}"
-"""For outlines within texels, which have no texels of slope to spare."""
+"""For silhouette maps, whose sub-texel outlines a slope bias would shift by texels."""
 NO_FIT = "fit.parameters={bias.constant: {lower: 0, upper: 10}}"
-"""In place of what a configuration fits, which may be no setting of the technique."""
+"""Replaces the configuration's fit, whose parameters the technique may not have."""
 TECHNIQUES = {
     "nearest": Technique("nearest", ("filter={type: nearest}", PLAIN)),
     "silhouettes": Technique(
@@ -58,7 +58,9 @@ TECHNIQUES = {
     "bilinear": Technique("bilinear", ("filter={type: bilinear}", PLAIN)),
     "box": Technique("box, 2.5 texels", ("filter={type: pcf, radius: 2.5}", WIDE)),
     "disk": Technique(
-        "random disk, as wide in the world", ("filter={type: random_disk, samples: 32}", PLANE), ("filter.radius", 2.0)
+        "random disk, constant in world units",
+        ("filter={type: random_disk, samples: 32}", PLANE),
+        ("filter.radius", 2.0),
     ),
     "pcss": Technique(
         "PCSS", ("filter={type: pcss, samples: 32, search_samples: 16}", PLANE), ("filter.max_radius", 24.0)
@@ -121,7 +123,7 @@ def errors_of(rows: list[dict[str, Any]], name: str) -> list[float]:
 
 
 def slope(sizes: list[int], errors: list[float], floor: float) -> float | None:
-    """The exponent p of the power law size^p that fits `errors` best in logarithms; none if too few stand above the
+    """The exponent p of the power law size^p that best fits `errors` in logarithms; none if too few are above the
     noise."""
     above = [(size, error) for size, error in zip(sizes, errors, strict=True) if error > ABOVE_NOISE * floor]
     if len(above) < 2:
@@ -148,7 +150,7 @@ def picture(rows: list[dict[str, Any]], sizes: list[int], slopes: dict[str, Any]
     for i, (name, of) in enumerate(slopes.items()):
         label = TECHNIQUES[name].title + ("" if of is None else f": {of:.2f}")
         axes.plot(sizes, errors_of(rows, name), label=label, **common.curve(i))
-    # The power law of a hard shadow, beside the worst technique.
+    # The power law of a hard shadow, drawn above the worst technique.
     top = 1.25 * max(row["rmse"] for row in rows if row["resolution"] == sizes[0])
     ends = np.array([sizes[0], sizes[-1]])
     axes.plot(ends, top * np.sqrt(sizes[0] / ends), color=common.FAINT, linestyle=":", label="slope −1/2")

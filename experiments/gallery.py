@@ -1,14 +1,14 @@
-"""Draws one scene with every technique, and writes a page with the pictures, their errors and what they cost:
+"""Draws one scene with every technique, and writes a page with the images, their errors and their times:
 
     python experiments/gallery.py configs/gallery.yaml
     python experiments/gallery.py configs/gallery.yaml --page docs/gallery.md --repeats 20
 
-Each row of the page is the configuration with a few values replaced, so that it can be drawn again by
+Each row of the page is the configuration with a few values replaced. To draw it again:
 
     diffshadow render configs/gallery.yaml KEY=VALUE ...
 
-Errors are those of visibility against the traced reference. Times are medians of compiled runs, compilation apart: of
-what is drawn from the light, and of the visibility that is made of it.
+Errors are those of visibility against the traced reference. Times are medians of runs after compilation: one of drawing
+from the light, and one of computing visibility.
 """
 
 import platform
@@ -33,13 +33,13 @@ from diffshadow.config import Config, build_scene, build_shading, build_techniqu
 from diffshadow.reference import Reference
 
 NO_SURFACE = 0.85
-"""Grey of pixels that count in no error."""
+"""Grey of pixels that do not count."""
 LEVELS = 32
-"""Shades of visibility and of its difference in the pictures: few enough that their files stay small."""
+"""Shades of visibility and of its difference in the images: few, so that their files are small."""
 PLANE = "scene.meshes.4"
-"""The ground, which some techniques must not let cast."""
+"""The ground, which must not cast with some techniques."""
 WIDE = "bias={constant: 0.5, slope: 5}"
-"""A bias that suits kernels of several texels."""
+"""A bias for kernels of several texels."""
 
 
 class Row(NamedTuple):
@@ -51,7 +51,7 @@ class Row(NamedTuple):
 
 
 def disk(pattern: str, samples: int = 16, more: str = "") -> tuple[str, ...]:
-    """What sets a random disk of 4 texels."""
+    """Overrides for a random disk of 4 texels."""
     return f"filter={{type: random_disk, radius: 4, pattern: {pattern}, samples: {samples}{more}}}", WIDE
 
 
@@ -164,16 +164,16 @@ app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
 @app.default
 def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int = 15) -> None:
-    """Draws all techniques, and writes the page and its pictures.
+    """Draws all techniques, and writes the page and its images.
 
     Parameters
     ----------
     config
         YAML file with the scene.
     page
-        The page to write; pictures go to the folder images/gallery beside it.
+        The page to write; images go to the folder images/gallery beside it.
     repeats
-        Runs that each time is the median of.
+        Number of runs per time, which is their median.
     """
     console = Console(highlight=False)
     settings = load_config(config)
@@ -198,8 +198,8 @@ def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int 
 
 
 class Result(NamedTuple):
-    """What came of a technique: its errors, its picture's name, and milliseconds of drawing from the light and of the
-    visibility."""
+    """The result of a technique: its errors, its image's name, and milliseconds of drawing from the light and of
+    computing visibility."""
 
     errors: dict[str, float]
     picture: str
@@ -238,7 +238,7 @@ def median_ms(run: Callable[[], Any], repeats: int) -> float:
 def write_reference(
     folder: Path, settings: Config, scene: geometry.Scene, surface: raster.Surface, truth: Reference
 ) -> None:
-    """Two pictures: the reference, and the scene shaded with it."""
+    """Writes two images: the reference, and the scene shaded with it."""
     io.write_png(folder / "reference.png", grey(truth.visibility, truth.mask))
     linear = build_shading(settings)(surface, jnp.asarray(truth.visibility), scene.light, scene.camera)
     io.write_png(folder / "shaded.png", np.clip(np.asarray(linear), 0, 1) ** (1 / 2.2))
@@ -253,7 +253,7 @@ def grey(visibility: Any, mask: Any) -> np.ndarray:
 def signed(visibility: Any, truth: Reference) -> np.ndarray:
     """The signed difference from the reference, (h, w, 3): orange too dark, purple too light."""
     difference = np.where(truth.mask, visibility - truth.visibility, 0)
-    # An even number of steps, so that no difference is the neutral middle.
+    # An even number of steps, so that zero difference has the neutral middle colour.
     return colormaps["PuOr"](0.5 + 0.5 * np.rint(difference * LEVELS / 2) / (LEVELS / 2))[..., :3]
 
 
@@ -304,9 +304,9 @@ def page_of(
 
 def table_row(row: Row, result: Result) -> str:
     e = result.errors
-    said = "<br>".join([f"**{row.name}**", *([row.note] if row.note else []), *(f"`{o}`" for o in row.overrides)])
+    about = "<br>".join([f"**{row.name}**", *([row.note] if row.note else []), *(f"`{o}`" for o in row.overrides)])
     return (
-        f"| {said} | ![{row.name}](images/gallery/{result.picture}) | {e['rmse']:.4f} | {e['ssim']:.4f} | "
+        f"| {about} | ![{row.name}](images/gallery/{result.picture}) | {e['rmse']:.4f} | {e['ssim']:.4f} | "
         f"{e['false_shadow_rate']:.2%} | {e['false_light_rate']:.2%} | {result.light_ms:.1f} | {result.shadow_ms:.1f} |"
     )
 

@@ -1,17 +1,17 @@
-"""Do fitted values hold elsewhere? Fits in one setting, measures in the others.
+"""Do fitted values generalise? Fits in one setting, and measures in others.
 
     python experiments/generalisation.py configs/generalisation.yaml
     python experiments/generalisation.py configs/generalisation.yaml --over light fit.solver.max_steps=10
 
-Varies one thing of a configuration at a time: the camera's direction (view), the light's (light), or the first mesh
-(mesh). The configuration's fit runs in each variation; then the values that it found are measured in all the others,
+Varies one part of a configuration at a time: the camera's direction (view), the light's (light), or the first mesh
+(mesh). The configuration's fit runs in each variation. The fitted values are then measured in all other variations,
 under the hard compare.
 
-The picture has a matrix for each thing varied. A row is where the values were fitted, with the values, in texels, below
-its name; a column is where they were measured. A number is the root mean square error (RMSE) there over that of the
-column's own fit: 1 on the diagonal, 1.5 where borrowed values are half as bad again as the best, below 1 where the own
-fit missed something. A column of large numbers is a setting that wants values of its own; a row of small ones is a
-setting whose values do everywhere.
+The figure has a matrix for each part. A row is the variation where values were fitted, with the values, in texels,
+below its name; a column is the variation where they were measured. A number is the root mean square error (RMSE) there
+over that of the column's own fit: 1 on the diagonal, 1.5 if the error is half as large again, below 1 if the column's
+own fit missed the optimum. A column of large numbers is a setting that needs its own values; a row of small numbers is
+a setting whose values work everywhere.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ CAMERA, LIGHT = "scene.camera.orbit", "scene.light"
 
 
 def turned(key: str, azimuth: float, elevation: float) -> tuple[str, ...]:
-    """What turns the camera or the light."""
+    """Overrides for the direction of the camera or the light."""
     return f"{key}.azimuth={azimuth}", f"{key}.elevation={elevation}"
 
 
@@ -58,7 +58,7 @@ def main(config: Path, /, *overrides: str, over: str = "view,light,mesh", count:
     Parameters
     ----------
     config
-        YAML file that says what to fit; its camera stands on an orbit, and its light is directional with angles.
+        YAML file with the fit; its camera must have an orbit, and its light must be directional with angles.
     overrides
         KEY=VALUE pairs that replace values of the file.
     over
@@ -71,11 +71,11 @@ def main(config: Path, /, *overrides: str, over: str = "view,light,mesh", count:
     common.expect("count", count, 2 <= count <= len(MESHES), f"2 to {len(MESHES)}")
     settings = common.load(config, overrides)
     if "view" in kinds and settings.scene.camera.orbit is None:
-        raise common.mistake(settings, "scene.camera", "has an eye; expected an orbit, which views vary: give one")
+        raise common.mistake(settings, "scene.camera", "has an eye; expected an orbit, which is varied: give one")
     light = settings.scene.light
     if "light" in kinds and not (isinstance(light, DirectionalLightConfig) and light.azimuth is not None):
-        said = "has no angles; expected a directional light with azimuth and elevation: give these"
-        raise common.mistake(settings, "scene.light", said)
+        what = "has no angles; expected a directional light with azimuth and elevation: give these"
+        raise common.mistake(settings, "scene.light", what)
     found = {}
     for kind in kinds:
         variations = dict(list(VARIATIONS[kind].items())[:count])
@@ -106,7 +106,7 @@ Found = tuple[dict[str, dict[str, float]], np.ndarray]
 def fit_and_measure(
     config: Path, overrides: Sequence[str], variations: dict[str, tuple[str, ...]], names: Any
 ) -> Found:
-    """Fits in each of the variations, and measures all that was fitted in each."""
+    """Fits in each variation, and measures all fitted values in each."""
     values, problems = {}, []
     paths: tuple[str, ...] = ()
     for name in names:
@@ -125,7 +125,7 @@ def measured(problem: TechniqueProblem, paths: tuple[str, ...], values: dict[str
 
 
 def show(console: Console, ratios: dict[str, Any], found: dict[str, Found]) -> None:
-    """A table for each thing varied."""
+    """A table for each part that is varied."""
     for kind, ratio in ratios.items():
         names = list(found[kind][0])
         title = f"RMSE over each column's own best, by {kind}: fitted on the row, measured on the column"
@@ -138,7 +138,7 @@ def show(console: Console, ratios: dict[str, Any], found: dict[str, Found]) -> N
 def picture(ratios: dict[str, Any], found: dict[str, Found]) -> Any:
     """The figure."""
     made, panels = common.figure(4.4 * len(ratios) + 0.6, 4.6, 1, len(ratios))
-    # As much better as worse is shown, so that 1 has one colour; from a factor of 2 on all are alike.
+    # Symmetric around 1, and clamped at a factor of 2.
     norm, shown = LogNorm(0.5, 2), None
     for panel, (kind, ratio) in zip(panels, ratios.items(), strict=True):
         values, errors = found[kind]

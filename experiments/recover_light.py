@@ -1,16 +1,16 @@
-"""How well is a light recovered from one image of its shadow? Fits it from random starts, for each mesh and light.
+"""How accurately is a light recovered from one image of its shadow? Fits it from random starts, per mesh and light.
 
-A mesh of the library, or from a file, stands on a plane under a directional, a spot or a point light, and the hard
-shadow, traced with 4 x 4 camera rays a pixel, is the target. Starts are 20 degrees off (directional), or 20 % of the
-light's distance off to any side (spot and point; a spot light's direction by 20 degrees besides):
+A mesh of the library, or from a file, stands on a plane under a directional, a spot or a point light. The target is the
+hard shadow, traced with 4 x 4 camera rays per pixel. Starts are 20 degrees off (directional), or 20 % of the light's
+distance off in a random direction (spot and point; a spot light's direction also by 20 degrees):
 
     python experiments/recover_light.py spot_cow.obj builtin:torus_knot
     python experiments/recover_light.py bunny.obj --lights directional --starts 20 --pixels 512
 
-Prints a table, and after it one line of JSON: of each mesh and light, the median and the greatest error, in degrees for
-a directional light and in percent of the scene's size for the others; the error's standard deviation as the fit tells
-it from the image, which no fit to that image can be expected to beat; and the share of starts that converged, which is
-those that end within ten times the bar: 0.05 degrees, or 0.2 percent.
+Prints a table, and then one line of JSON with, for each mesh and light: the median and the greatest error, in degrees
+for a directional light and in percent of the scene's size for the others; the error's standard deviation as reported by
+the fit, below which no fit to this image can be expected to get; and the fraction of starts that converged, that is,
+ended within ten times the target of 0.05 degrees or 0.2 percent.
 """
 
 import json
@@ -42,10 +42,10 @@ LIGHTS: dict[Kind, dict[str, Any]] = {
     "point": {"type": "point", "position": [-1.5, 2.8, 1.1]},
 }
 BARS = {"directional": 0.05, "spot": 0.2, "point": 0.2}
-"""The median error that is aimed at: degrees, or percent of the scene's size."""
+"""Target for the median error: degrees, or percent of the scene's size."""
 CONVERGED = 10
-"""A start has converged if its error is at most so many times the bar."""
-OFF_ANGLE, OFF_SHARE = 20.0, 0.2
+"""A start has converged if its error is at most this many times the target."""
+OFF_ANGLE, OFF_FRACTION = 20.0, 0.2
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
@@ -92,7 +92,7 @@ def main(
 
 
 def configuration(mesh: str, kind: Kind, pixels: int, texels: int) -> Config:
-    """The scene of one mesh and one light, and what is fitted in it."""
+    """The scene of one mesh and one light, and its fit."""
     bounds = {f"scene.light.{name}": limits for name, limits in limits_of(kind).items()}
     data = {
         "scene": {
@@ -113,11 +113,11 @@ def configuration(mesh: str, kind: Kind, pixels: int, texels: int) -> Config:
 
 
 def limits_of(kind: Kind) -> dict[str, dict[str, float]]:
-    """The bounds, generous about every start."""
+    """Bounds wide enough for every start."""
     light = LIGHTS[kind]
     if kind == "directional":
         azimuth, elevation = light["azimuth"], light["elevation"]
-        # At this height an azimuth that is 20 degrees off by angle is up to twice that off by number.
+        # At this elevation, a direction 20 degrees off can differ in azimuth by up to twice as much.
         return {
             "azimuth": {"lower": azimuth - 80, "upper": azimuth + 80},
             "elevation": {"lower": elevation - 32, "upper": elevation + 32},
@@ -140,7 +140,7 @@ def recover(mesh: str, kind: Kind, starts: int, pixels: int, texels: int, seed: 
     low, high = np.asarray(scene.mesh.bounds)
     size = float(np.linalg.norm(high - low))
     rng = np.random.default_rng(seed)
-    errors, told, seconds = [], [], []
+    errors, reported, seconds = [], [], []
     for _ in range(starts):
         begin = start_near(truth, kind, rng)
         pairs = zip(plan.parameters, begin, strict=True)
@@ -149,13 +149,13 @@ def recover(mesh: str, kind: Kind, starts: int, pixels: int, texels: int, seed: 
         result = fit.fit(problems, parameters, solver=plan.solver, anneal=plan.anneal)
         seconds.append(time.perf_counter() - started)
         errors.append(error(kind, np.asarray(list(result.fitted.values())), truth, size))
-        told.append(deviation(kind, result, truth, size))
+        reported.append(deviation(kind, result, truth, size))
     return {
         "mesh": mesh,
         "light": kind,
         "unit": "degrees" if kind == "directional" else "% of the scene",
         "median": float(np.median(errors)),
-        "deviation": float(np.median(told)),
+        "deviation": float(np.median(reported)),
         "greatest": float(np.max(errors)),
         "converged": float(np.mean(np.asarray(errors) <= CONVERGED * BARS[kind])),
         "seconds": float(np.median(seconds)),
@@ -164,16 +164,16 @@ def recover(mesh: str, kind: Kind, starts: int, pixels: int, texels: int, seed: 
 
 
 def start_near(truth: np.ndarray, kind: Kind, rng: np.random.Generator) -> np.ndarray:
-    """A start off the truth, to a random side."""
+    """A start off the truth, in a random direction."""
     if kind == "directional":
-        return angles(tilted(way(*truth), rng))
+        return angles(tilted(direction(*truth), rng))
     position = truth[:3]
     aside = rng.normal(size=3)
-    place = position + OFF_SHARE * np.linalg.norm(position) * aside / np.linalg.norm(aside)
-    return np.concatenate([place, angles(tilted(way(*truth[3:]), rng))]) if kind == "spot" else place
+    place = position + OFF_FRACTION * np.linalg.norm(position) * aside / np.linalg.norm(aside)
+    return np.concatenate([place, angles(tilted(direction(*truth[3:]), rng))]) if kind == "spot" else place
 
 
-def way(azimuth: float, elevation: float) -> np.ndarray:
+def direction(azimuth: float, elevation: float) -> np.ndarray:
     """The unit vector at these angles in degrees."""
     a, e = math.radians(azimuth), math.radians(elevation)
     return np.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)])
@@ -185,7 +185,7 @@ def angles(unit: np.ndarray) -> np.ndarray:
 
 
 def tilted(unit: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """`unit` turned by 20 degrees to a random side."""
+    """`unit` rotated by 20 degrees in a random direction."""
     aside = np.cross(unit, rng.normal(size=3))
     aside /= np.linalg.norm(aside)
     return math.cos(math.radians(OFF_ANGLE)) * unit + math.sin(math.radians(OFF_ANGLE)) * aside
@@ -194,12 +194,12 @@ def tilted(unit: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def error(kind: Kind, found: np.ndarray, truth: np.ndarray, size: float) -> float:
     """Degrees between two directions, or the distance of two positions in percent of the scene's `size`."""
     if kind == "directional":
-        return float(np.degrees(np.arccos(np.clip(way(*found) @ way(*truth), -1, 1))))
+        return float(np.degrees(np.arccos(np.clip(direction(*found) @ direction(*truth), -1, 1))))
     return float(100 * np.linalg.norm(found[:3] - truth[:3]) / size)
 
 
 def deviation(kind: Kind, result: fit.FitResult, truth: np.ndarray, size: float) -> float:
-    """The standard deviation of `error` by the fit's own account, from the residuals of the image's pixels."""
+    """The standard deviation of `error` as reported by the fit, from the residuals of the image's pixels."""
     known = {} if result.precision is None else result.precision.deviations
     each = np.asarray([known.get(name, math.nan) for name in result.fitted])
     if kind == "directional":
@@ -209,7 +209,7 @@ def deviation(kind: Kind, result: fit.FitResult, truth: np.ndarray, size: float)
 
 def show(console: Console, rows: Sequence[dict[str, Any]]) -> None:
     """The table."""
-    table = Table("mesh", "light", "median error", "its deviation", "greatest", "unit", "converged", "seconds a fit")
+    table = Table("mesh", "light", "median error", "its deviation", "greatest", "unit", "converged", "seconds per fit")
     for row in rows:
         numbers = *(f"{row[name]:.3g}" for name in ("median", "deviation", "greatest")), row["unit"]
         table.add_row(row["mesh"], row["light"], *numbers, f"{row['converged']:.0%}", f"{row['seconds']:.1f}")

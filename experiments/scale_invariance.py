@@ -1,18 +1,17 @@
-"""Is a texel a texel at every scale? Makes the whole scene larger and smaller, and looks for what changes.
+"""Do results depend on the scene's scale? Makes the whole scene larger and smaller, and looks for changes.
 
     python experiments/scale_invariance.py configs/scale_invariance.yaml
     python experiments/scale_invariance.py configs/spot.yaml --scales 0.001,1,1000
 
-Every setting of the configuration that is in world units is multiplied by a factor, and every mesh is scaled by it. All
-else, biases and radii in texels and angles in degrees, stays. The image must stay too, and with it the errors and the
-fitted values: what changes is a length that somewhere is taken in the wrong unit, or a constant that is not free of
-one.
+Every setting of the configuration in world units is multiplied by a factor, and every mesh is scaled by it. All other
+settings, such as biases and radii in texels and angles in degrees, are kept. Then the image, the errors and the fitted
+values must not change either. A change reveals a length in the wrong unit, or a constant that should have no unit.
 
-Prints, for each scale, the error before and after the fit and the fitted values. The picture has the scale along x, and
-along y the deviations from scale 1, both logarithmic: of the errors, relative; of fitted values, over the distance of
-their bounds; of the picture before the fit, its root mean square difference. Deviations of nought are drawn at the
-bottom. What is left is rounding: single precision has 2^-24 = 6e-8 of a number, and a receiver that lies within that of
-a compare's threshold may flip a tap; a fit passes on what its tolerance allows.
+Prints, for each scale, the error before and after the fit and the fitted values. The figure has the scale along x and
+the deviations from scale 1 along y, both logarithmic: for errors, the relative difference; for fitted values, the
+difference over the distance of their bounds; for the image before the fit, the root mean square difference. Deviations
+of zero are drawn at the bottom. The remaining deviations are rounding: single precision has a relative error of
+2^-24 = 6e-8, a tap may flip if its receiver is that close to the compare's threshold, and a fit has its tolerance.
 """
 
 import math
@@ -30,7 +29,7 @@ from diffshadow.config import Config, describe, fit_units, load_config
 
 NAME = "scale_invariance"
 LEAST = 1e-9
-"""Where the picture draws no deviation at all."""
+"""Where the figure draws deviations of zero."""
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
@@ -42,7 +41,7 @@ def main(config: Path, /, *overrides: str, scales: str = "0.01,0.1,0.5,1,2,10,10
     Parameters
     ----------
     config
-        YAML file that says what to fit.
+        YAML file with the fit.
     overrides
         KEY=VALUE pairs that replace values of the file.
     scales
@@ -55,8 +54,8 @@ def main(config: Path, /, *overrides: str, scales: str = "0.01,0.1,0.5,1,2,10,10
     settings = common.load(config, overrides)
     kept = [name for name, unit in fit_units(settings).items() if unit == "world units"]
     if any(name in settings.fit.parameters for name in kept):
-        said = f"hold {kept[0]}, which is in world units and changes with the scale; expected others: leave it out"
-        raise common.mistake(settings, "fit.parameters", said)
+        what = f"has {kept[0]}, which is in world units and changes with the scale; expected others: leave it out"
+        raise common.mistake(settings, "fit.parameters", what)
     made = {}
     for factor in common.progress(factors, "fitting", console):
         made[factor] = measure(load_config(config, [*overrides, *scaled(settings, factor)]))
@@ -74,13 +73,13 @@ def main(config: Path, /, *overrides: str, scales: str = "0.01,0.1,0.5,1,2,10,10
 
 
 def scaled(settings: Config, factor: float) -> list[str]:
-    """The overrides that multiply every length in world units, and so the scene, by `factor`."""
+    """The overrides that multiply every length in world units, and therefore the scene, by `factor`."""
     found = []
     directional = settings.scene.light is not None and settings.scene.light.type == "directional"
     for row in describe(settings):
         *holder, last = row.key.split(".")
         is_mesh = holder[:2] == ["scene", "meshes"]
-        # A mesh is scaled after it has been made to its size; a light that a filter imagines is in world units too.
+        # A mesh is scaled after it is fitted to its size. A filter's light_size is in world units, too.
         is_length = row.unit == "world units" and not (is_mesh and last == "size")
         if is_length or (is_mesh and last == "scale") or (row.key == "filter.light_size" and not directional):
             found.append(f"{row.key}={_times(_value(settings, row.key), factor)}")
@@ -99,7 +98,7 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def measure(settings: Config) -> tuple[dict[str, float], Any]:
-    """The errors before and after the fit and the fitted values, and the picture before the fit where pixels count."""
+    """The errors before and after the fit and the fitted values, and the image before the fit where pixels count."""
     problem = common.problem_of(common.draw(settings))
     before = common.rmse(problem)
     image = common.visibility(problem)
@@ -111,7 +110,7 @@ def measure(settings: Config) -> tuple[dict[str, float], Any]:
 def deviations(
     settings: Config, result: dict[str, float], image: Any, result_at_1: dict[str, float], image_at_1: Any
 ) -> dict[str, float]:
-    """How far the results at a scale are from those at scale 1."""
+    """The deviations of the results at a scale from those at scale 1."""
     found = {}
     for name, value in result.items():
         bounds = settings.fit.parameters.get(name)
@@ -123,7 +122,7 @@ def deviations(
 def show(console: Console, rows: list[dict[str, float]], worst: dict[str, float]) -> None:
     """The table."""
     names = [name for name in rows[0] if name != "scale" and not name.startswith("deviation")]
-    title = "what must not change with the scale; lengths in texels"
+    title = "values that must not change with the scale; lengths in texels"
     table = Table("scale", *names, "picture", title=title, title_justify="left")
     for row in rows:
         table.add_row(f"{row['scale']:g}", *(f"{row[name]:.6g}" for name in names), f"{row['deviation picture']:.1e}")
@@ -142,7 +141,7 @@ def picture(rows: list[dict[str, float]], keys: list[str]) -> Any:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(LEAST / 2, 1)
-    common.chart(axes, "Deviation from the scene at its own scale", "factor on every length", "deviation")
+    common.chart(axes, "Deviation from the scene at scale 1", "scale of every length", "deviation")
     common.legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return made
 

@@ -1,17 +1,17 @@
-"""Which technique buys the least error for a given time?
+"""Which technique has the least error for a given time?
 
     python experiments/shootout.py configs/shootout.yaml
     python experiments/shootout.py configs/shootout.yaml --only disk,box --repeats 50
 
-Each technique is tried at several settings that cost more and more: taps, or the width of a kernel. For each, the fit
-of the configuration finds the bias first, and the radius too where it costs nothing, so that each is measured at its
-best. Then it is timed: making visibility of the map, which is what techniques differ in, filters that blur the map
-beforehand blurring it each time. Drawing the map, the same for all, is timed apart. Times are medians, after
-compilation and two runs to warm up; the techniques take turns, so that a machine that slows down slows all. The
-machine, and how busy it was, is named in the picture and in the summary: compare times of one run with each other only.
+Each technique is tried at several settings of increasing cost: numbers of taps, or widths of a kernel. For each
+setting, the configuration's fit first finds the bias, and the radius if it does not affect the cost, so that each
+setting is measured at its best. Then the computation of visibility from the map is timed; filters that blur the map do
+so each time. Drawing the map is the same for all, and timed separately. Times are medians, after compilation and two
+warm-up runs. Techniques take turns, so that a machine that slows down affects all of them. The figure and the summary
+name the machine and its load: compare only times of one run.
 
-The picture has milliseconds along x and the root mean square error (RMSE) under the hard compare along y. A line joins
-the settings of a technique; the grey line is the Pareto front: settings that none other beats in both.
+The figure has milliseconds along x and the root mean square error (RMSE) under the hard compare along y. A line joins
+the settings of a technique. The grey line is the Pareto front: settings that no other setting beats in both.
 """
 
 import functools
@@ -36,12 +36,11 @@ BOUNDS = {
     common.RADIUS: "{initial: 2, lower: 0, upper: 10}",
     "filter.light_bleeding": "{initial: 0.1, lower: 0, upper: 0.9}",
 }
-"""Where fits begin and how far they may go, in texels but for light bleeding, which is a share of visibility."""
+"""Initial values and bounds of fits, in texels, or in visibility for light bleeding."""
 
 
 class Technique(NamedTuple):
-    """A technique: what it is called, the values that it replaces with `{}` for the setting, the settings, and what of
-    it is fitted."""
+    """A technique: its title, its filter with `{}` for the setting, the settings, fitted parameters, and its bias."""
 
     title: str
     filter: str
@@ -91,9 +90,9 @@ def main(
     only
         Which techniques, separated by commas.
     repeats
-        Runs that each time is the median of.
+        Number of runs per time, which is their median.
     most
-        How many settings of each technique, the cheapest first.
+        Number of settings of each technique, the cheapest first.
     """
     console = Console(highlight=False)
     names = common.chosen("only", only, TECHNIQUES)
@@ -105,7 +104,7 @@ def main(
     for name, setting in common.progress(cases, "fitting", console):
         row, runs[f"{name} {setting:g}"] = fitted(config, overrides, drawn, name, setting)
         rows.append(row)
-    # Drawing the map is no technique's own: the first one's will do.
+    # Drawing the map is the same for all techniques: the first one is timed.
     first = load_config(config, [*overrides, *replaced(TECHNIQUES[names[0]], cases[0][1])])
     runs["map"] = lambda: build_technique(first, fitting=False).prepare(drawn.scene)
     times = common.median_ms(runs, repeats, console)
@@ -129,7 +128,7 @@ def main(
 
 
 def replaced(technique: Technique, setting: float) -> list[str]:
-    """The overrides of a technique at a setting, and of what its fit changes."""
+    """The overrides of a technique at a setting, with its fitted parameters."""
     bounds = ", ".join(f"{name}: {BOUNDS[name]}" for name in technique.fitted)
     return [
         f"filter={technique.filter.format(setting)}",
@@ -142,14 +141,14 @@ def replaced(technique: Technique, setting: float) -> list[str]:
 def fitted(
     config: Path, overrides: tuple[str, ...], drawn: common.Drawn, name: str, setting: float
 ) -> tuple[dict[str, Any], Callable[[], Any]]:
-    """A technique at a setting with its fitted values: its row of the table, and what is to be timed."""
+    """Fits a technique at a setting: its row of the table, and the function to time."""
     technique = TECHNIQUES[name]
     given = [*overrides, *replaced(technique, setting)]
     settings = load_config(config, given)
     problem = common.problem_of(drawn, settings)
     result = common.run_fit(settings, problem)
     bounds = settings.fit.parameters
-    # In single precision, a bound may be passed by a rounding.
+    # Rounding to single precision may exceed a bound.
     values = {key: min(max(value, bounds[key].lower), bounds[key].upper) for key, value in result.fitted.items()}
     runs = [
         visibility_of(drawn, load_config(config, [*given, *(f"{key}={value:.8g}" for key, value in of.items())]))
@@ -161,7 +160,7 @@ def fitted(
 
 
 def visibility_of(drawn: common.Drawn, settings: Config) -> Callable[[], Any]:
-    """What is timed: the making of visibility from a map that is there."""
+    """The function to time: it computes visibility from a map that is already drawn."""
     technique = build_technique(settings, fitting=False)
     state = jax.block_until_ready(technique.prepare(drawn.scene))
     return functools.partial(technique.visibility, state, drawn.surface)

@@ -1,37 +1,36 @@
-"""What does the soft compare's width cost, and what does it buy? Image error and gradient error, kernel by kernel.
+"""How does the soft compare's width affect the image and the gradient? Measures both errors for each kernel.
 
     python experiments/soft_width.py configs/soft_width.yaml
     python experiments/soft_width.py configs/soft_width.yaml --kernels logistic,linear --widths 5 --points 2
 
-A fit goes by the gradient of the soft loss, while the hard loss is what counts. This measures how far the two are apart
-over the soft compare's width, for each kernel. Kernels call different things their width: ramps reach from -width to
-width, the Gaussian's is its standard deviation. So that they can be compared, all are drawn over the standard deviation
-of the step, in texels; the table has the configuration's width too.
+A fit follows the gradient of the soft loss, but the goal is a small hard loss. This measures how far the two are apart
+for each kernel, as a function of the soft compare's width. Kernels define their width differently: ramps extend from
+-width to width, and the Gaussian's width is its standard deviation. To make them comparable, all are plotted over the
+standard deviation of the step, in texels; the table also has the configuration's width.
 
-Image error is taken where the configuration stands: the root mean square (RMSE) of the soft image against the hard one,
-and against the reference, with the hard image's own error beside it.
+Image error is measured at the configuration's values: the root mean square error (RMSE) of the soft image against the
+hard image and against the reference, together with the hard image's own error.
 
-Gradient error is taken at points of a regular grid inside the bounds of `bias.constant` and `filter.radius`. The soft
-loss has a derivative; what is that of the hard loss? Over the bias, the hard loss of finitely many pixels is a
-staircase: its derivative is zero or does not exist, and a central difference over a small step counts the few taps that
-flip in it. Only a derivative at a scale means something, so the truth here is the slope of the line that fits the hard
-loss best, by least squares, at 2 m + 1 even steps over +-h. With L_k the loss at k steps d = h / m from the point, that
-is
+Gradient error is measured at the points of a regular grid inside the bounds of `bias.constant` and `filter.radius`. The
+soft loss has a derivative, but what is the derivative of the hard loss? Over the bias, the hard loss of finitely many
+pixels is a staircase: its derivative is zero or does not exist, and a central difference over a small step counts the
+few taps that flip in it. Only a derivative at a scale is meaningful, so the truth here is the least-squares slope of
+the hard loss at 2 m + 1 even steps over +-h. With L_k the loss at k steps d = h / m from the point, it is
 
     sum_k k (L_k - L_-k) / (2 d sum_k k^2),    k = 1 .. m:
 
-a mean of central differences, in which each counts by the square of its step, so that the widest, which counts the most
-taps, counts most. For many steps it is the derivative smoothed by Epanechnikov's kernel, (3 / 4h)(1 - (s / h)^2). It is
-computed in float64, where a loss that changes in its seventh digit still has a slope. The error is the sum over the
-points of |soft - truth|, over that of |truth|, for each parameter. The grey line is the same sum for the truth at half
-its scale against the truth: what lies below it, the truth cannot tell.
+a mean of central differences weighted by the squares of their steps, so that the widest difference, which includes the
+most taps, has the largest weight. For many steps it is the derivative smoothed by Epanechnikov's kernel,
+(3 / 4h)(1 - (s / h)^2). It is computed in float64, where a loss that changes in its seventh digit still has a slope.
+The error of each parameter is the sum over the points of |soft - truth|, over that of |truth|. The grey line is the
+same for the truth at half its scale instead of the soft gradient: errors below it are not significant.
 
-What to expect. For each tap, the soft compare is the hard one averaged over biases about its own, spread as the
-kernel's density is. Were the loss linear in visibility, soft gradients would be smoothed hard ones, and the width a
-mere scale. It is quadratic, so the soft loss also lacks the variance of visibility under that spread: it is blind to
-acne that its width averages to an even grey. Below a width, there are too few taps within it to make a mean: its
-gradient is noise. The best width lies between. The radius is another matter: with bilinear look-ups the hard loss is
-smooth in it, and the error falls with the width down to the truth's own.
+What to expect: for each tap, the soft compare is the hard compare averaged over biases, distributed around the tap's
+own like the kernel's density. If the loss were linear in visibility, soft gradients would be smoothed hard gradients,
+and the width only a scale. But the loss is quadratic, so the soft loss lacks the variance of visibility over these
+biases: it does not see acne that its width averages to an even grey. If the width is too small, it contains too few
+taps to average, and the gradient is noise. The best width lies in between. The radius is different: with bilinear
+look-ups the hard loss is smooth in it, and the error falls with the width until it reaches that of the truth itself.
 """
 
 import functools
@@ -65,7 +64,7 @@ DEVIATION = {
 }
 """Standard deviation of each kernel's density, the derivative of its step, at a width of 1."""
 STEPS = 8
-"""Central differences that the truth's slope is made of."""
+"""Number of central differences in the truth's slope."""
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
@@ -93,11 +92,11 @@ def main(
     kernels
         Which kernels, separated by commas.
     widths
-        How many widths, in geometric steps.
+        Number of widths, in geometric steps.
     least, most
-        Of the step's standard deviation, in texels.
+        Range of the step's standard deviation, in texels.
     points
-        Gradients are taken at so many points along each of bias and radius.
+        Number of points along each of bias and radius at which gradients are measured.
     scale
         The scale h of the truth's derivative, in texels.
     """
@@ -128,7 +127,7 @@ def main(
 
 
 def grid_of(settings: Config, points: int) -> np.ndarray:
-    """The points at which gradients are taken, (n, 2): so many along each axis, inside its bounds."""
+    """The points at which gradients are measured, (n, 2): `points` along each axis, inside its bounds."""
     inside = (np.arange(points) + 0.5) / points
     bounds = [settings.fit.parameters[name] for name in AXES]
     return np.stack(np.meshgrid(*(b.lower + (b.upper - b.lower) * inside for b in bounds)), -1).reshape(-1, 2)
@@ -137,7 +136,7 @@ def grid_of(settings: Config, points: int) -> np.ndarray:
 def measure_all(
     hard: TechniqueProblem, cases: Sequence[tuple[SoftKernel, float]], grid: np.ndarray, scale: float, console: Console
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """A row for each kernel and standard deviation of `cases`, and what is true of the hard loss at `scale`."""
+    """A row for each kernel and standard deviation of `cases`, and the values of the hard loss at `scale`."""
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda x: x.astype(jnp.float64) if eqx.is_inexact_array(x) else x, hard)
         both = [
@@ -161,7 +160,7 @@ def measure_all(
 
 @eqx.filter_jit
 def _loss(problem: TechniqueProblem, values: Any) -> Any:
-    """The mean square error with the two axes' parameters at `values`, or as the problem stands."""
+    """The mean square error with the two axes' parameters at `values`, or unchanged if these are none."""
     technique = problem.technique if values is None else with_values(problem.technique, AXES, values)
     return problem.mean_square_error(technique)
 
@@ -173,7 +172,7 @@ def _gradient(problem: TechniqueProblem, values: Any) -> Any:
 
 @eqx.filter_jit
 def _images(soft: TechniqueProblem, hard: TechniqueProblem) -> Any:
-    """The root mean square of soft less hard, and of soft less truth."""
+    """The root mean square of soft minus hard, and of soft minus truth."""
     rms = lambda difference: jnp.sqrt(jnp.sum(difference**2) / hard.count)
     to_truth = soft.difference(soft.technique)
     return rms(to_truth - hard.difference(hard.technique)), rms(to_truth)
@@ -214,7 +213,7 @@ def relative(found: Any, truth: Any) -> list[float]:
 
 
 def best(rows: list[dict[str, Any]], kernel: str) -> dict[str, float]:
-    """The width of a kernel whose gradient by the bias is nearest the truth's, and its errors."""
+    """The width of a kernel at which its gradient by the bias is closest to the truth's, and its errors."""
     row = min((row for row in rows if row["kernel"] == kernel), key=lambda row: row["gradient_error_bias"])
     return {key: value for key, value in row.items() if key != "kernel"}
 
@@ -227,8 +226,8 @@ def show(console: Console, summary: dict[str, Any]) -> None:
     table = Table("", *heads, title=title, title_justify="left")
     for kernel, row in summary["best"].items():
         *lengths, hard, truth, bias, radius = row.values()
-        shares = (f"{x:.1%}" for x in (bias, radius))
-        table.add_row(kernel, *(f"{x:.3g}" for x in lengths), f"{hard:.4f}", f"{truth:.4f}", *shares)
+        errors = (f"{x:.1%}" for x in (bias, radius))
+        table.add_row(kernel, *(f"{x:.3g}" for x in lengths), f"{hard:.4f}", f"{truth:.4f}", *errors)
     console.print(table)
 
 
@@ -261,7 +260,7 @@ def picture(rows: list[dict[str, Any]], kernels: Sequence[str], summary: dict[st
 
 
 def level(axes: Any, height: float, label: str) -> None:
-    """A horizontal line that is named."""
+    """A labelled horizontal line."""
     if height > 0:
         axes.axhline(height, color=common.FAINT, linewidth=1.2, linestyle="--", label=label)
 

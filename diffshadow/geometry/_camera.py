@@ -1,6 +1,6 @@
 """Cameras: the view that an image is drawn from."""
 
-# A camera of matrices works out what others hold as fields.
+# A matrix camera computes properties that other cameras have as fields.
 # pyright: reportIncompatibleVariableOverride=false
 
 import abc
@@ -22,7 +22,7 @@ class AbstractCamera(eqx.Module):
     """A view of the scene and the image it is drawn to.
 
     - `eye`, `target`: world positions; the camera looks from `eye` to `target`.
-    - `up`: a direction that is upright in the image.
+    - `up`: a direction that points up in the image.
     - `near`, `far`: distances along the view axis, world units, between which surfaces are seen.
     - `resolution`: (height, width) in pixels.
     """
@@ -104,19 +104,19 @@ class OrthographicCamera(AbstractCamera):
 
 
 class MatrixCamera(AbstractCamera):
-    """A camera given by its matrices, such as another program's.
+    """A camera given by its matrices, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), as `perspective` and `orthographic` make it, also off the centre. Depth in clip space goes
-        from -1 to 1, as OpenGL's does.
+    - `eye_to_clip`: (4, 4), a projection like those of `perspective` and `orthographic`, which may be off-centre. Depth
+        in clip space is from -1 to 1, as in OpenGL.
     - `resolution`: (height, width) in pixels.
-    - `is_perspective`: whether sizes shrink with distance. By default `eye_to_clip` says so; under a trace it must be
-        given.
+    - `is_perspective`: whether sizes shrink with distance. By default it is read from `eye_to_clip`; required under a
+        trace.
 
     Near and far are those of the projection, and `target` is a point on the view axis.
 
     **Raises** `ValueError` for matrices that are not finite or not (4, 4), a view that is not rigid, a projection of
-    another form, or one whose near and far are not near < far, or, of a perspective, 0 < near < far.
+    another form, or unless near < far (0 < near < far for a perspective projection).
     """
 
     world_to_eye: Mat4
@@ -140,17 +140,17 @@ class MatrixCamera(AbstractCamera):
 
     @property
     def eye(self) -> Vec3:
-        """Where the eye is, (3,), world units."""
+        """The eye's position, (3,), world units."""
         return eye_of(self.world_to_eye)
 
     @property
     def target(self) -> Vec3:
-        """A point on the view axis, (3,), as far off as the farther of near and far."""
+        """A point on the view axis, (3,), at the larger of the near and far distances."""
         return self.eye - jnp.maximum(jnp.abs(self.near), jnp.abs(self.far)) * self.world_to_eye[2, :3]
 
     @property
     def up(self) -> Vec3:
-        """The unit direction, (3,), that is upright in the image."""
+        """The unit direction, (3,), that points up in the image."""
         return self.world_to_eye[1, :3]
 
     @property
@@ -187,7 +187,7 @@ def check_resolution(name: str, resolution: Resolution) -> None:
 
 
 def check_pose(name: str, eye: Vec3, target: Vec3) -> None:
-    """**Raises** `ValueError` if `eye` and `target` leave no direction to look in."""
+    """**Raises** `ValueError` if `eye` and `target` do not define a view direction."""
     e, t = concrete(eye), concrete(target)
     if e is None or t is None:
         return
@@ -198,7 +198,7 @@ def check_pose(name: str, eye: Vec3, target: Vec3) -> None:
 
 
 def check_near_far(name: str, near: Scalar, far: Scalar, *, positive: bool) -> None:
-    """**Raises** `ValueError` unless near < far, and near > 0 where `positive`."""
+    """**Raises** `ValueError` unless near < far and, if `positive`, near > 0."""
     n, f = concrete(near), concrete(far)
     if n is None or f is None:
         return

@@ -1,8 +1,8 @@
 """Edges of a mesh and the faces that meet in them: where silhouettes can be.
 
-An edge outlines its mesh, seen from a point, where one of its faces is turned to the point and the other is averted,
-or where there is no other. Which faces meet in which edges does not change when vertices move, so the table is made
-once, on the host.
+Seen from a point, an edge is a silhouette if one of its faces faces the point and the other faces away, or if it has
+only one face. Which faces meet in which edges does not change when vertices move, so the table is built once, on the
+host.
 """
 
 import equinox as eqx
@@ -17,25 +17,24 @@ from .._types import HostArray
 from ._mesh import Mesh
 
 NO_NEIGHBOUR = -1
-"""What an edge's second face is where it has none."""
+"""The second face of an edge that has only one."""
 
 
 class Edges(eqx.Module):
     """The edges of a mesh. Vertices at the same place count as one, whatever their indices.
 
     - `vertices`: (e, 2), the ends, indices into the mesh's vertices; of several at one place, the first. The first
-        face runs along the edge from the first end to the second.
-    - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` where the first has none.
-    - `directions`: (e, 2), +1 where the face runs along the edge from its first end to its second, -1 where it runs
-        back, 0 where there is no face. The first is always +1; the second is -1 where both faces are wound alike.
+        face traverses the edge from the first end to the second.
+    - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` if there is only one.
+    - `directions`: (e, 2), +1 if the face traverses the edge from its first end to its second, -1 if it traverses it
+        backwards, 0 if there is no face. The first is always +1; the second is -1 if both faces have the same winding.
     - `component`: (f,), the connected part of the mesh that each face belongs to.
     - `solid`: (c,), whether a component bounds a volume: it is closed, and its faces are anticlockwise seen from
-        outside, measured by its volume, which must be positive.
-    - `is_closed`: whether the whole mesh is closed: every edge is run along as often one way as the other.
+        outside, that is, its signed volume is positive.
+    - `is_closed`: whether the whole mesh is closed: every edge is traversed equally often in both directions.
 
-    An edge in which three or more faces meet has a row for each of them, without a second face, so that it always
-    counts as an outline. Faces with two corners at one place have no edges; those whose three corners merely lie on a
-    line have.
+    An edge in which three or more faces meet has one row per face, without a second face, so that it always counts as a
+    silhouette. Faces with two corners at one place have no edges; faces whose three corners lie on a line have edges.
     """
 
     vertices: Int[Array, "e 2"]
@@ -49,14 +48,14 @@ class Edges(eqx.Module):
     def of(cls, mesh: Mesh) -> "Edges":
         """The edges of `mesh`.
 
-        Only vertices at exactly the same place are taken for one; `weld` merges those that are merely close.
+        Only vertices at exactly the same place count as one; `weld` merges vertices that are merely close.
 
         **Raises** `ValueError` if the mesh is traced.
         """
         vertices, faces = concrete(mesh.vertices), concrete(mesh.faces)
         if vertices is None or faces is None:
             raise ValueError(
-                "the edges of a mesh were asked for inside jax.jit (or grad, or vmap); expected concrete vertices and "
+                "Edges.of was called inside jax.jit (or grad, or vmap); expected a mesh of concrete vertices and "
                 "faces: call Edges.of(mesh) outside, and pass the edges in"
             )
         faces = share_vertices(mesh)
@@ -72,19 +71,19 @@ class Edges(eqx.Module):
 
 
 def share_vertices(mesh: Mesh) -> Int[HostArray, "f 3"]:
-    """The mesh's faces, with every vertex named by the first that lies at the same place; for concrete meshes.
+    """The mesh's faces, each index replaced by that of the first vertex at the same place; for concrete meshes.
 
     Unlike `weld`, it keeps all faces, their order and the vertices, so that the result indexes `mesh.vertices`.
     """
-    # Adding 0 makes -0 and 0 the same.
+    # Adding 0 turns -0 into 0.
     _, first, group = np.unique(np.asarray(mesh.vertices) + 0.0, axis=0, return_index=True, return_inverse=True)
     return first[group.reshape(-1)][np.asarray(mesh.faces)]
 
 
 class _Runs:
-    """Every face's three sides, those along the same edge together.
+    """The half-edges of all faces, sorted by edge.
 
-    - `start`, `end`: (n,), vertices; `face`: (n,); `direction`: (n,), whether it runs to the higher index, +1 or -1.
+    - `start`, `end`: (n,), vertices; `face`: (n,); `direction`: (n,), +1 if it runs to the higher index, otherwise -1.
     - `edge`: (n,), ascending; `count`: how many edges there are.
     """
 
@@ -128,7 +127,7 @@ def _components(runs: _Runs, count: int) -> Int[HostArray, " f"]:
 
 
 def _signed_volumes(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Float[HostArray, " f"]:
-    """The volume, in cubed world units, of the tetrahedron from the mesh's middle to each face; negative clockwise."""
+    """Volume, in cubic world units, of the tetrahedron from the mesh's centre to each face; negative if clockwise."""
     corners = np.asarray(vertices, np.float64)[faces]
     a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
     return np.sum(a * np.cross(b, c), axis=-1) / 6

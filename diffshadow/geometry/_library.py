@@ -1,8 +1,8 @@
-"""Meshes made by formula, by name, for scenes that need no file.
+"""Procedural meshes by name, for scenes that need no file.
 
-Every piece is about one world unit in size and stands on the ground over the origin: its lowest point lies at y = 0,
-and its bounding box is centred in x and z. All but `plane` are closed two-manifolds, and all faces are anticlockwise
-seen from outside.
+Every piece is about one world unit in size and stands on the ground at the origin: its lowest point is at y = 0, and
+its bounding box is centred in x and z. All but `plane` are closed two-manifolds. All faces are anticlockwise seen from
+outside.
 """
 
 import difflib
@@ -23,7 +23,8 @@ from ._normals import crease_normals
 Number = float | int
 
 _SMOOTH, _SHARP = 180.0, 30.0
-# Normals are cross products of edges, and their lengths are squared: single precision holds the fourth powers of these.
+# Squared lengths of normals, which are cross products of edges, grow with the fourth power of size. Within these sizes
+# they fit single precision.
 _LEAST_SIZE, _MOST_SIZE = 1e-6, 1e9
 # Two million triangles, about 200 MB.
 _MOST_QUADS = 1 << 20
@@ -31,15 +32,15 @@ _MOST_SUBDIVISIONS = 8
 _MOST_SLATS = 10_000
 # A chair with this many spindles of this many sides has half a million triangles.
 _MOST_SPINDLES, _MOST_CHAIR_SIDES = 100, 256
-# Right is 1 and left is -1, and so are front and back.
+# (right or left, front or back), as 1 or -1.
 _CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
-# Even the finest tube has but a few segments for each of so many windings.
+# With this many windings, even the finest tube has only a few segments per winding.
 _MOST_WINDINGS = 1000
 _MOST_SEED = 2**32 - 1
 
 
 class OptionError(ValueError):
-    """An option that a piece of the library cannot be made with.
+    """An option that is not valid for a piece of the library.
 
     - `option`: its name; `what`: what was given, what was expected, and how to mend it.
     """
@@ -82,7 +83,7 @@ def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = 
 
     - `radius`: world units, of the sphere through its vertices.
     - `subdivisions`: it has 20 · 4^`subdivisions` triangles.
-    - `smooth`: whether it is shaded as if it were round.
+    - `smooth`: whether it has smooth shading normals.
     """
     _check_positive("low_poly_sphere", radius=radius)
     directions, faces = _icosphere("low_poly_sphere", subdivisions)
@@ -90,7 +91,7 @@ def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = 
 
 
 def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides: int = 32) -> Mesh:
-    """A torus that lies on the ground: `radius` of its ring and of its `tube` in world units."""
+    """A torus that lies on the ground; `radius` of the ring and radius of the `tube` in world units."""
     _check_positive("torus", radius=radius, tube=tube)
     _check_tube("torus", segments, sides)
     if tube >= radius:
@@ -110,18 +111,18 @@ def torus_knot(
 
     **Arguments:**
 
-    - `p`, `q`: how often the curve winds round the axis of its torus, and through its hole. Without a common divisor.
+    - `p`, `q`: how often the curve winds around the axis of its torus, and through its hole. They must be coprime.
     - `radius`: of the torus' ring, world units; the torus is half as thick, so the knot is 3 · `radius` + 2 · `tube`
         wide.
-    - `tube`: radius of the knot's tube, world units; strands run into each other if it is too thick.
-    - `segments`, `sides`: of the tube, along it and round it.
+    - `tube`: radius of the knot's tube, world units; strands intersect if it is too thick.
+    - `segments`, `sides`: of the tube, along it and around it.
     """
     _check_positive("torus_knot", radius=radius, tube=tube)
     _check_tube("torus_knot", segments, sides)
     _check_count("torus_knot", 1, _MOST_WINDINGS, p=p, q=q)
     if math.gcd(p, q) != 1:
-        said = f"is {q}, which has a divisor in common with p, {p}; expected none; take numbers such as p = 2, q = 3"
-        raise OptionError("torus_knot", "q", said)
+        what = f"is {q}, which has a divisor in common with p, {p}; expected none; take numbers such as p = 2, q = 3"
+        raise OptionError("torus_knot", "q", what)
     t = _turn(segments)
     # ((2 + cos qt) cos pt, (2 + cos qt) sin pt, -sin qt) · radius / 2
     ring = (2 + np.cos(q * t)) * radius / 2
@@ -131,7 +132,7 @@ def torus_knot(
     tangent = np.stack(
         [d_ring * cos - p * ring * sin, d_ring * sin + p * ring * cos, -q * np.cos(q * t) * radius / 2], -1
     )
-    # The position is never parallel to the tangent, which winds round the axis; so the frame closes by itself.
+    # The tangent winds around the axis and is never parallel to the position, so this frame is continuous and closes.
     side = _unit(np.cross(tangent, curve))
     return _mesh(*_tube(curve, _unit(np.cross(tangent, side)), side, tube, sides), _SMOOTH)
 
@@ -153,7 +154,7 @@ def fence(
         raise OptionError(
             "fence",
             "slats",
-            f"is {slats}, which of a slat_width of {slat_width} leave no gaps in a width of {width}; expected gaps; "
+            f"is {slats}, which at a slat_width of {slat_width} leaves no gaps in a width of {width}; expected gaps; "
             "take fewer or narrower slats, or a wider fence",
         )
     parts = [
@@ -164,7 +165,7 @@ def fence(
 
 
 def thin_wall(width: Number = 1.0, height: Number = 1.0, thickness: Number = 0.01) -> Mesh:
-    """A closed upright wall in the xy plane; all in world units. Light leaks through it where the bias is too large."""
+    """A closed upright wall in the xy plane; all in world units. Light leaks through it if the bias is too large."""
     _check_positive("thin_wall", width=width, height=height, thickness=thickness)
     return box((width, height, thickness))
 
@@ -172,19 +173,19 @@ def thin_wall(width: Number = 1.0, height: Number = 1.0, thickness: Number = 0.0
 def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
     """A Windsor chair that faces `+z`: a round seat on four splayed legs, and a back of thin spindles below a bow.
 
-    Light leaks through its thin parts where the bias is too large, and its shadow comes off its feet. Each part is
-    closed, and ends inside the part that holds it.
+    If the bias is too large, light leaks through its thin parts, and its shadow detaches from its feet. Each part is a
+    closed mesh whose ends lie inside the adjoining part.
 
     **Arguments:**
 
-    - `height`: world units, up to the top of the bow. The chair is half as wide.
-    - `spindles`: how many stand below the bow. They are flat, and wider towards the top.
-    - `sides`: of each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
+    - `height`: of the whole chair, world units. The chair is half as wide.
+    - `spindles`: number of spindles in the back. They are flat, and wider towards the top.
+    - `sides`: around each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
     """
     _check_positive("chair", height=height)
     _check_count("chair", 0, _MOST_SPINDLES, spindles=spindles)
     _check_count("chair", 3, _MOST_CHAIR_SIDES, sides=sides)
-    # Lengths are shares of the height, but for the last line.
+    # Lengths are fractions of the height, except in the last line.
     x, z = np.eye(3)[[0]], np.eye(3)[[2]]
     along = np.linspace(0, 1, 13)
     swell = np.sin(np.pi * along)
@@ -195,11 +196,11 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
     def leg(right: int, front: int) -> Float[HostArray, "13 3"]:
         return line(np.array([0.2 * right, 0.0, 0.2 * front]), np.array([0.12 * right, 0.45, 0.12 * front]))
 
-    # Rings of legs lie level, so that the whole foot touches the ground.
+    # The rings of legs are horizontal, so that the whole foot touches the ground.
     legs = [_rod(leg(right, front), x, z, 0.007 + 0.004 * along + 0.006 * swell, sides) for right, front in _CORNERS]
-    # Two rails between front and back, and one that joins their middles.
-    held = [[leg(right, front)[4] for front in (-1, 1)] for right in (-1, 1)]
-    rails = [line(*ends) for ends in (*held, [np.mean(ends, axis=0) for ends in held])]
+    # Two rails from front to back, and one between their middles.
+    joints = [[leg(right, front)[4] for front in (-1, 1)] for right in (-1, 1)]
+    rails = [line(*ends) for ends in (*joints, [np.mean(ends, axis=0) for ends in joints])]
     across = [x, x, z]
     stretchers = [
         _rod(rail, side, np.cross(side, _unit(rail[-1:] - rail[:1])), 0.005 + 0.004 * swell, sides)
@@ -212,7 +213,7 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
     level = np.concatenate([0.455 + 0.02 * np.sin(turn), 0.465 + 0.01 * dish**2])
     seat = _rod(np.stack([0 * level, level, 0 * level], axis=-1), x, z, radius, 4 * sides)
 
-    # Half an ellipse that leans back. Spindles fan out to it from an arc along the seat's rim.
+    # The bow is half an ellipse that leans back. Spindles fan out to it from an arc along the seat's rim.
     base, width, up = np.array([0.0, 0.455, -0.11]), 0.175, np.array([[0.0, 0.535, -0.14]])
     turn = np.linspace(0, np.pi, 65)[:, None]
     normal = _unit(np.cross(x, up))
@@ -220,9 +221,9 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
     curve = base - width * np.cos(turn) * x + np.sin(turn) * up
     bow = _rod(curve, normal, np.cross(normal, tangent), np.full(65, 0.010), sides)
     back = []
-    for share in np.linspace(-1, 1, spindles + 2)[1:-1]:
-        right = 0.7 * width * share
-        foot, head = np.array([right, 0.455, -math.sqrt(0.2**2 - right**2)]), 0.9 * share
+    for across_back in np.linspace(-1, 1, spindles + 2)[1:-1]:
+        right = 0.7 * width * across_back
+        foot, head = np.array([right, 0.455, -math.sqrt(0.2**2 - right**2)]), 0.9 * across_back
         spindle = line(foot, (base + width * head * x + math.sqrt(1 - head**2) * up)[0])
         direction = _unit(spindle[-1:] - spindle[:1])
         flat = _unit(np.cross(direction, x))
@@ -233,23 +234,23 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
 
 
 def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, seed: int = 0) -> Mesh:
-    """A smooth, bumpy sphere that has hollows to shadow itself in.
+    """A smooth, bumpy sphere with hollows, which shadows itself.
 
     **Arguments:**
 
     - `radius`: mean radius, world units.
     - `subdivisions`: it has 20 · 4^`subdivisions` triangles (5,120).
-    - `amplitude`: of the bumps as a share of the radius, in [0, 1).
-    - `seed`: which blob; one seed gives the same shape at any number of subdivisions.
+    - `amplitude`: of the bumps as a fraction of the radius, in [0, 1).
+    - `seed`: of the random shape, which does not depend on the number of subdivisions.
     """
     _check_positive("blob", radius=radius)
     _check_count("blob", 0, _MOST_SEED, seed=seed)
     if not 0 <= amplitude < 1:
-        said = f"is {amplitude}; expected a share of the radius, at least 0 and less than 1; change it"
-        raise OptionError("blob", "amplitude", said)
+        what = f"is {amplitude}; expected a fraction of the radius, at least 0 and less than 1; change it"
+        raise OptionError("blob", "amplitude", what)
     directions, faces = _icosphere("blob", subdivisions)
     rng = np.random.default_rng(seed)
-    # Plane waves of wavelengths near the radius; divided by their count's root they stay within about ±1.
+    # Plane waves with wavelengths near the radius. Scaled by the root of their number, their sum is within about ±1.
     waves = 12
     frequency = 4.0 * _unit(rng.normal(size=(waves, 3))) * rng.uniform(0.5, 1.5, (waves, 1))
     noise = np.cos(directions @ frequency.T + rng.uniform(0, 2 * np.pi, waves)).sum(axis=-1) * np.sqrt(2 / waves)
@@ -266,10 +267,10 @@ LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType(
 
 
 def library_mesh(name: str, /, **options: Any) -> Mesh:
-    """The library's piece called `name`, made with `options`, the arguments of the function of that name.
+    """The library's piece called `name`; `options` are the arguments of the function of that name.
 
-    **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option, or the option's value
-    does not suit it.
+    **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option or the option's value
+    is not valid.
     """
     if name not in LIBRARY:
         raise ValueError(
@@ -281,7 +282,7 @@ def library_mesh(name: str, /, **options: Any) -> Mesh:
         if option not in known:
             near = difflib.get_close_matches(option, list(known), n=1)
             mend = f"did you mean {near[0]!r}?" if near else "remove it"
-            raise OptionError(name, option, f"is no option of {name}; expected {', '.join(known)}; {mend}")
+            raise OptionError(name, option, f"is not an option of {name}; expected {', '.join(known)}; {mend}")
         _check_type(name, option, value, known[option].default)
     return LIBRARY[name](**options)
 
@@ -292,7 +293,7 @@ def _suggestion(word: str, words: Mapping[str, Any]) -> str:
 
 
 def _check_type(name: str, option: str, value: Any, default: Any) -> None:
-    """**Raises** `OptionError` unless `value` is of the kind that the option's default is of."""
+    """**Raises** `OptionError` unless `value` has the type of the option's default."""
     whole = lambda x: isinstance(x, int) and not isinstance(x, bool)
     number = lambda x: whole(x) or isinstance(x, float)
     if isinstance(default, bool):
@@ -325,8 +326,8 @@ def _check_count(piece: str, least: int, most: int, **counts: int) -> None:
 def _check_tube(piece: str, segments: int, sides: int) -> None:
     _check_count(piece, 3, _MOST_QUADS // 3, segments=segments, sides=sides)
     if segments * sides > _MOST_QUADS:
-        said = f"is {segments}, which with {sides} sides makes {2 * segments * sides:,} triangles"
-        raise OptionError(piece, "segments", f"{said}; expected at most {2 * _MOST_QUADS:,}; lower one of the two")
+        given = f"is {segments}, which with {sides} sides makes {2 * segments * sides:,} triangles"
+        raise OptionError(piece, "segments", f"{given}; expected at most {2 * _MOST_QUADS:,}; lower one of the two")
 
 
 def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[float, float, float]:
@@ -339,7 +340,7 @@ def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[f
 
 
 def _mesh(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], crease_angle: float) -> Mesh:
-    """The mesh, set on the ground over the origin."""
+    """The mesh, placed on the ground at the origin."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = vertices - [(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]
     return Mesh(vertices, faces, crease_normals(vertices, faces, crease_angle))
@@ -353,7 +354,7 @@ def _quads(a, b, c, d) -> Int[HostArray, "f 3"]:
 def _together(
     parts: Sequence[tuple[Float[HostArray, "_ 3"], Int[HostArray, "_ 3"]]],
 ) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
-    """The vertices and faces of all parts as those of one."""
+    """Merges the vertices and faces of all parts."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
     faces = [faces + start for (_, faces), start in zip(parts, first, strict=True)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
@@ -364,12 +365,12 @@ def _unit(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
 
 
 def _turn(n: int) -> Float[HostArray, "n"]:
-    """`n` even angles of a full turn, radians."""
+    """`n` evenly spaced angles of a full turn, radians."""
     return 2 * np.pi * np.arange(n) / n
 
 
 def _box(extent: Sequence[float], centre: Sequence[float]) -> tuple[Float[HostArray, "8 3"], Int[HostArray, "12 3"]]:
-    # Vertex 4x + 2y + z lies on the greater side of the axes whose bit is set.
+    # Vertex 4x + 2y + z, where each bit is 1 on the positive side of its axis.
     corners = (np.arange(8)[:, None] >> np.array([2, 1, 0])) & 1
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     return (corners - 0.5) * extent + centre, _quads(*quads.T)
@@ -382,7 +383,7 @@ def _tube(
     radius: float | int,
     sides: int,
 ) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
-    """A closed tube round a closed curve; `across` and `side` span its cross-section, `across × side` points back."""
+    """A closed tube around a closed curve; `across` and `side` span its cross-section, `across × side` points back."""
     n = len(curve)
     i, j = (index.reshape(-1) for index in np.meshgrid(np.arange(n), np.arange(sides), indexing="ij"))
     next_i, next_j = (i + 1) % n, (j + 1) % sides
@@ -397,7 +398,7 @@ def _rod(
     radius: Float[HostArray, "n"],
     sides: int,
 ) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
-    """A tube with flat ends along an open curve, spanned as `_tube` is; each of its points has a radius."""
+    """A tube with flat ends along an open curve, with a radius per point; cross-sections are spanned as in `_tube`."""
     n = len(curve)
     across, side = np.broadcast_to(across, (n, 3)), np.broadcast_to(side, (n, 3))
     vertices = np.concatenate([_rings(curve, across, side, radius, sides), curve[[0, -1]]])
@@ -424,7 +425,7 @@ def _rings(
 
 
 def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
-    """Unit vertices and faces of an icosahedron, each of whose triangles is cut in four `subdivisions` times."""
+    """Unit vertices and faces of an icosahedron, with each triangle split in four, `subdivisions` times."""
     _check_count(piece, 0, _MOST_SUBDIVISIONS, subdivisions=subdivisions)
     g = (1 + math.sqrt(5)) / 2
     rectangle = np.array([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]])
@@ -441,7 +442,7 @@ def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20
     """All triples of mutual neighbours, anticlockwise seen from outside."""
     near = vertices @ vertices.T > 0.4
     i, j, k = (index.reshape(-1) for index in np.meshgrid(*[np.arange(12)] * 3, indexing="ij"))
-    # One of each triangle's three rotations: its least vertex first.
+    # One of each triangle's three rotations: the one that starts with its lowest vertex.
     outside = np.linalg.det(np.stack([vertices[i], vertices[j], vertices[k]], axis=1)) > 0
     return np.stack([i, j, k], axis=-1)[near[i, j] & near[j, k] & near[k, i] & outside & (i < j) & (i < k)]
 
@@ -449,7 +450,7 @@ def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20
 def _subdivide(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]
 ) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"]]:
-    """Each triangle cut in four at the middles of its edges, which neighbours share."""
+    """Splits each triangle in four at the midpoints of its edges, which neighbours share."""
     edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=-1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     middle = len(vertices) + inverse.reshape(-1, 3)

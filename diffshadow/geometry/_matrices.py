@@ -1,4 +1,4 @@
-"""What can be read off OpenGL's matrices: where a view's eye is, where it begins and ends, and whether it is usable."""
+"""Reads OpenGL matrices: the eye's position, near and far, and whether the matrices are valid."""
 
 from typing import Any
 
@@ -10,12 +10,12 @@ from .._types import Mat4, Scalar, Vec3
 from ._view import View
 
 _PERSPECTIVE, _PARALLEL = (0.0, 0.0, -1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-# The entries that each kind of projection may have besides those of its last row.
+# The entries that may be non-zero in each kind of projection, without the last row.
 _ENTRIES = {
     True: np.array([[1, 0, 1, 0], [0, 1, 1, 0], [0, 0, 1, 1]], dtype=bool),
     False: np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1]], dtype=bool),
 }
-# How far single precision may carry entries that are 0 or 1, and products of a rotation's rows.
+# Tolerances in single precision for entries that should be 0 or 1, and for dot products of a rotation's rows.
 _EXACT, _RIGID = 1e-6, 1e-4
 
 
@@ -24,10 +24,10 @@ def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: 
 
     **Arguments:**
 
-    - `is_perspective`: whether it is; by default its last row says so.
+    - `is_perspective`: by default it is read from the projection's last row.
 
-    **Raises** `ValueError` for what is no finite (4, 4) matrix, a view that is not rigid, a projection that is none of
-    `perspective` or `orthographic`, or one that is traced without `is_perspective`.
+    **Raises** `ValueError` unless both are finite (4, 4) matrices, the view is rigid, and the projection is like that
+    of `perspective` or `orthographic`; and for a traced projection without `is_perspective`.
     """
     world_to_eye, eye_to_clip = as_float(world_to_eye), as_float(eye_to_clip)
     for what, matrix in (("world_to_eye", world_to_eye), ("eye_to_clip", eye_to_clip)):
@@ -47,8 +47,8 @@ def _check_rigid(name: str, matrix: np.ndarray | None) -> None:
     is_last = np.allclose(matrix[3], _PARALLEL, atol=_EXACT)
     if not (is_last and np.allclose(turn @ turn.T, np.eye(3), atol=_RIGID) and np.linalg.det(turn) > 0):
         raise ValueError(
-            f"{name}'s world_to_eye is {matrix.tolist()}; expected a rotation and a shift, with last row 0, 0, 0, 1: "
-            "transpose it if it acts on row vectors, take out its scale, and mirror it if its eye looks along +z"
+            f"{name}'s world_to_eye is {matrix.tolist()}; expected a rotation and translation, with last row 0, 0, 0, "
+            "1: transpose it if it acts on row vectors, remove any scale, and mirror it if its eye looks along +z"
         )
 
 
@@ -57,7 +57,7 @@ def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool
     if matrix is None:
         if is_perspective is None:
             raise ValueError(
-                f"{name}'s eye_to_clip is traced, so its kind is not known; expected is_perspective to be given"
+                f"{name}'s eye_to_clip is traced, so its kind is unknown; expected is_perspective: pass True or False"
             )
         return is_perspective
     kinds = [
@@ -71,13 +71,13 @@ def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool
     kind = kinds[0]
     if is_perspective is not None and is_perspective != kind:
         raise ValueError(
-            f"{name} has is_perspective = {is_perspective}, and its eye_to_clip the last row {matrix[3].tolist()}; "
+            f"{name} has is_perspective = {is_perspective}, but its eye_to_clip has the last row {matrix[3].tolist()}; "
             "expected them to agree: leave is_perspective out"
         )
     if np.abs(matrix[:3][~_ENTRIES[kind]]).max() > _EXACT or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise ValueError(
-            f"{name}'s eye_to_clip is {matrix.tolist()}; expected what glFrustum or glOrtho makes, with positive width "
-            "and height, and depth along z alone: turn y round if it runs down, and leave oblique near planes out"
+            f"{name}'s eye_to_clip is {matrix.tolist()}; expected a matrix like that of glFrustum or glOrtho, with "
+            "positive width and height: flip y if it points down, and do not use oblique near planes"
         )
     return kind
 

@@ -19,11 +19,11 @@ class Mesh(eqx.Module):
 
     - `vertices`: (v, 3), world units.
     - `faces`: (f, 3), indices into `vertices`, anticlockwise seen from outside.
-    - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face; a crease has one a side.
-      Left out, they are the faces' own.
-    - `albedo`: (f, 3), diffuse colour in [0, 1]. Left out, light grey.
+    - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face, so that creases have one per
+        side. Defaults to the face normals.
+    - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey.
 
-    **Raises** `ValueError` if there is no face, a vertex is not finite, or a face names a vertex that is not there.
+    **Raises** `ValueError` if there is no face, a vertex is not finite, or a face has an index out of range.
     """
 
     vertices: Vertices
@@ -54,12 +54,12 @@ class Mesh(eqx.Module):
             )
         if faces is not None and (faces.min() < 0 or faces.max() >= self.vertices.shape[0]):
             raise ValueError(
-                f"the mesh's faces name vertices {faces.min()} to {faces.max()}, but it has {self.vertices.shape[0]}; "
+                f"the mesh's faces use vertices {faces.min()} to {faces.max()}, but it has {self.vertices.shape[0]}; "
                 "expected indices from 0 to one less than the number of vertices"
             )
 
     def transformed(self, matrix: Mat4) -> "Mesh":
-        """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection turns the faces."""
+        """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
         vertices = transform_points(matrix, self.vertices)[..., :3]
         normals = normalize(transform_vectors(jnp.linalg.inv(matrix).T, self.corner_normals))
         mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
@@ -69,7 +69,7 @@ class Mesh(eqx.Module):
 
     @property
     def bounds(self) -> Float[Array, "2 3"]:
-        """Least and greatest coordinate of the vertices that faces use, (2, 3), world units."""
+        """Least and greatest coordinates of the vertices that faces use, (2, 3), world units."""
         xp = array_module(self.vertices, self.faces)
         used = xp.asarray(self.vertices)[xp.asarray(self.faces)].reshape(-1, 3)
         return jnp.asarray(xp.stack([used.min(axis=0), used.max(axis=0)]))

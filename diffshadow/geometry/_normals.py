@@ -1,6 +1,6 @@
-"""Shared vertices and shading normals for triangles as they come from files or generators.
+"""Welds vertices and computes shading normals of triangles from files or generators.
 
-All of it runs on the host in float64, before anything becomes a `Mesh`.
+All of this runs on the host in float64, before a `Mesh` is made.
 """
 
 import numpy as np
@@ -11,42 +11,42 @@ from scipy.spatial import KDTree
 
 from .._types import HostArray
 
-# Normals that agree to this much in their cosine count as equal: coplanar triangles differ by rounding alone.
+# Tolerance on the cosine between normals, so that coplanar triangles are not separated by rounding.
 _COSINE_SLACK = 1e-9
-# Pairs of corners compared at once; bounds the memory to a few hundred MB.
+# Pairs of corners compared at once; limits memory to a few hundred MB.
 _PAIRS_PER_CHUNK = 1 << 21
 
-# Vertices of the average cell, a little smaller than the tolerance, beyond which one stands for all of its cell: parts
-# far smaller than a mesh's extent have millions of pairs within the tolerance.
+# Above this mean number of vertices per cell (cells are a little smaller than the tolerance), each cell is merged
+# before pairs are searched. Otherwise parts far smaller than the mesh's extent would have millions of pairs.
 _MOST_IN_CELL = 4
-# Odd numbers whose sums of products differ for different cells, but for a chance of one in 2⁶⁴.
+# Odd multipliers of a hash of cells; two cells collide with a probability of 2⁻⁶⁴.
 _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2D])
 
 
 def weld(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], tolerance: float | int = 1e-6
 ) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"]]:
-    """The triangles with vertices at the same place made one vertex.
+    """Merges vertices at the same place.
 
-    Files split vertices at texture seams and hard edges; silhouettes and shadow volumes need to know which triangles
-    are neighbours.
+    Files split vertices at texture seams and hard edges, but silhouettes and shadow volumes need to know which
+    triangles are neighbours.
 
     **Arguments:**
 
     - `vertices`: (v, 3), any unit.
     - `faces`: (f, 3), indices into `vertices`.
-    - `tolerance`: vertices no farther apart than this share of the longest side of the bounding box are merged, and
-        so are chains of such vertices; 0 merges only equal ones. Where the tolerance is so large that dozens are
-        within it of the average vertex, some of these may stay apart.
+    - `tolerance`: vertices no farther apart than this fraction of the longest side of the bounding box are merged, and
+        so are chains of such vertices; 0 merges only equal ones. If the tolerance is so large that the average vertex
+        has dozens of others within it, some of these may stay separate.
 
     **Returns:** vertices (w, 3), float64, and faces (g, 3), int64. Faces that lose a corner by the merge are dropped,
-    and so are vertices that no face uses; the order is otherwise kept, and a merged vertex stays where the first of
-    them was.
+    and so are vertices that no face uses. The order is otherwise kept, and a merged vertex has the position of the
+    first.
 
     **Raises** `ValueError` if a vertex that a face uses is not finite, or the tolerance is negative.
     """
     if not tolerance >= 0:
-        raise ValueError(f"the weld tolerance is {tolerance}; expected a share of the extent, 0 or more")
+        raise ValueError(f"the weld tolerance is {tolerance}; expected a fraction of the extent, 0 or more")
     used, faces = _compact(np.asarray(faces, np.int64))
     points = np.asarray(vertices, np.float64)[used]
     if not np.isfinite(points).all():
@@ -71,11 +71,11 @@ def weld(
 def crease_normals(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], crease_angle: float | int = 30.0
 ) -> Float[HostArray, "f 3 3"]:
-    """A unit shading normal for each corner of each face, smooth but for creases.
+    """A unit shading normal for each corner of each face, smooth except at creases.
 
-    A corner's normal is the mean of the normals of those faces round its vertex that lie within `crease_angle` of the
-    corner's own face, weighted by their angle at the vertex, which makes it independent of the triangulation
-    (Thürmer & Wüthrich 1998, "Computing vertex normals from polygonal facets").
+    A corner's normal is the mean over the faces around its vertex whose normals are within `crease_angle` of the
+    corner's own face. Faces are weighted by their angle at the vertex, which makes the mean independent of the
+    triangulation (Thürmer & Wüthrich 1998, "Computing vertex normals from polygonal facets").
 
     **Arguments:**
 
@@ -83,8 +83,8 @@ def crease_normals(
     - `faces`: (f, 3), indices into `vertices`.
     - `crease_angle`: degrees in [0, 180]; 0 shades flat, 180 smooth.
 
-    **Returns:** (f, 3, 3), float64. A face without area takes the mean of all faces round the vertex. The normal is 0
-    where no face round the vertex has an area.
+    **Returns:** (f, 3, 3), float64. A corner of a face without area has the mean of all faces around the vertex. The
+    normal is 0 if no face around the vertex has an area.
 
     **Raises** `ValueError` if the crease angle is out of range.
     """
@@ -95,7 +95,7 @@ def crease_normals(
     corner_vertex = faces.reshape(-1)
     weight = angles.reshape(-1)
 
-    # Corners of one vertex side by side, and vertices of one valence side by side, so that each valence is a matrix.
+    # Sorted by valence and then by vertex, so that the corners of all vertices of one valence form a matrix.
     valence = np.bincount(corner_vertex, minlength=len(vertices))
     order = np.lexsort((corner_vertex, valence[corner_vertex]))
     valences, counts = np.unique(valence[corner_vertex], return_counts=True)
@@ -112,7 +112,7 @@ def crease_normals(
 
 
 def _compact(faces: Int[HostArray, "f 3"]) -> tuple[Int[HostArray, "w"], Int[HostArray, "f 3"]]:
-    """The vertices in use, ascending, and the faces as indices into those."""
+    """The vertices in use, ascending, and the faces as indices into these."""
     used, inverse = np.unique(faces, return_inverse=True)
     return used, inverse.reshape(-1, 3)
 
@@ -121,12 +121,12 @@ def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int
     """A group number for each point, equal for points to be merged."""
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.reshape(-1)
-    # Below rounding, none but equal ones are meant.
+    # Tolerances below rounding merge only equal points.
     if tolerance < np.finfo(np.float64).eps or len(distinct) < 2:
         return group
-    # Distances rather than a grid of cells, whose borders would part neighbours.
+    # By distance: the borders of a grid of cells would separate neighbours.
     reach = tolerance * np.ptp(distinct, axis=0).max()
-    # Cells whose points are all within reach of one another.
+    # Cells so small that all their points are within reach of each other.
     cells = np.floor((distinct - distinct.min(axis=0)) * (3**0.5 / reach)).astype(np.int64)
     if len(distinct) > _MOST_IN_CELL * len(np.unique(cells @ _CELL_HASH)):
         _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -140,15 +140,15 @@ def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int
 def _normals_and_angles(
     corners: Float[HostArray, "f 3 3"],
 ) -> tuple[Float[HostArray, "f 3"], Float[HostArray, "f 3"]]:
-    """Unit normal of each triangle, 0 where it has no area, and its angle in radians at each corner."""
+    """Unit normal of each triangle, 0 if it has no area, and its angle in radians at each corner."""
     to_next = np.roll(corners, -1, axis=1) - corners
     to_last = np.roll(corners, 1, axis=1) - corners
-    # Scaled to edges of about 1, so that the squares of a tiny mesh do not underflow.
+    # Scaled to edges of about 1, so that squares do not underflow for a tiny mesh.
     longest = np.abs(to_next).max(axis=(1, 2), keepdims=True)
     to_next, to_last = (side / np.where(longest > 0, longest, 1) for side in (to_next, to_last))
     cross = np.cross(to_next, to_last)
     sine, cosine = np.linalg.norm(cross, axis=-1), np.sum(to_next * to_last, axis=-1)
-    # Thinner than rounding, the direction of the cross product means nothing.
+    # For triangles thinner than rounding, the direction of the cross product is noise.
     has_area = sine[:, 0] > 1e-14
     normals = np.where(has_area[:, None], cross[:, 0] / np.where(has_area, sine[:, 0], 1)[:, None], 0)
     return normals, np.where(has_area[:, None], np.arctan2(sine, cosine), 0)
@@ -162,6 +162,6 @@ def _mean_normals(
     near = (normals @ normals.transpose(0, 2, 1) >= least_cosine) | ~has_area[:, :, None]
     mean = (near * weight[:, None, :]) @ normals
     length = np.linalg.norm(mean, axis=-1, keepdims=True)
-    # Opposite faces may cancel; then the corner keeps its own face's normal.
+    # If opposite faces cancel, the corner keeps its own face's normal.
     cancelled = length < 1e-9
     return np.where(cancelled, normals, mean / np.where(cancelled, 1, length))

@@ -1,4 +1,4 @@
-"""Bringing a mesh of any size and origin to its place in a scene."""
+"""Scales and moves a mesh into a scene."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ from ._mesh import Mesh
 
 
 def fit_to_size(mesh: Mesh, size: Scalar | float | int) -> Mesh:
-    """The mesh scaled evenly to `size`, and centred over the origin in x and z.
+    """The mesh scaled uniformly to `size`, and centred on the origin in x and z.
 
     **Arguments:**
 
     - `mesh`: at any scale.
     - `size`: length of the longest side of the resulting bounding box, world units.
 
-    **Returns:** the scaled mesh. Its x and z are centred on 0; its heights are scaled about y = 0, and
-    `drop_to_ground` then sets them.
+    **Returns:** the scaled mesh, centred on 0 in x and z and scaled about y = 0. Use `drop_to_ground` to set its
+    height.
 
     **Raises** `ValueError` if `size` is not positive, or the mesh has no extent.
     """
-    wanted = concrete(size)
-    if wanted is not None and not 0 < wanted < float("inf"):
-        raise ValueError(f"the size to fit a mesh to is {wanted}; expected positive world units")
+    known_size = concrete(size)
+    if known_size is not None and not 0 < known_size < float("inf"):
+        raise ValueError(f"the size to fit a mesh to is {known_size}; expected positive world units")
     xp = array_module(mesh.vertices, size)
     low, high = xp.asarray(mesh.bounds)
     extent = xp.max(high - low)
@@ -43,9 +43,9 @@ def drop_to_ground(mesh: Mesh, height: Scalar | float | int = 0.0) -> Mesh:
 
     **Raises** `ValueError` if `height` is not finite.
     """
-    wanted = concrete(height)
-    if wanted is not None and not abs(wanted) < float("inf"):
-        raise ValueError(f"the height to put a mesh at is {wanted}; expected finite world units")
+    known = concrete(height)
+    if known is not None and not abs(known) < float("inf"):
+        raise ValueError(f"the height to put a mesh at is {known}; expected finite world units")
     xp = array_module(mesh.vertices, height)
     low = xp.asarray(mesh.bounds)[0]
     offset = xp.asarray([0, 1, 0], low.dtype) * (xp.asarray(height, low.dtype) - low[1])
@@ -53,5 +53,5 @@ def drop_to_ground(mesh: Mesh, height: Scalar | float | int = 0.0) -> Mesh:
 
 
 def _with_vertices(mesh: Mesh, vertices: Any) -> Mesh:
-    # Even scaling and shifts leave the normals as they are.
+    # Uniform scaling and translation do not change normals.
     return eqx.tree_at(lambda m: m.vertices, mesh, as_float(vertices))

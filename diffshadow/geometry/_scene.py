@@ -22,15 +22,15 @@ def _as_lights(lights: AbstractLight | Iterable[AbstractLight]) -> tuple[Abstrac
 
 
 class Scene(eqx.Module):
-    """What is drawn, from where, and lit by what.
+    """Meshes, a camera and lights.
 
-    - `meshes`: every surface that is seen; one mesh or several, kept as a tuple.
+    - `meshes`: all visible surfaces; one mesh or several, stored as a tuple.
     - `camera`: where the image is drawn from.
-    - `lights`: what casts the shadows; one light or several, kept as a tuple.
-    - `casts`: for each mesh, whether techniques draw its shadow; all of them if left out. A mesh that does not cast
-        still receives shadows, and still stops the rays of a reference.
+    - `lights`: one light or several, stored as a tuple.
+    - `casts`: for each mesh, whether techniques draw its shadow; all cast if left out. A mesh that does not cast still
+        receives shadows, and still blocks rays of the ray-traced reference.
 
-    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or if `casts` is not one for each mesh.
+    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or unless `casts` has one entry per mesh.
     """
 
     meshes: tuple[Mesh, ...] = eqx.field(converter=_as_meshes)
@@ -52,17 +52,17 @@ class Scene(eqx.Module):
 
     @property
     def mesh(self) -> Mesh:
-        """All meshes as one, in their order."""
+        """All meshes merged, in their order."""
         return merge(self.meshes)
 
     @property
     def casters(self) -> Mesh:
-        """The meshes that cast, as one."""
+        """The meshes that cast, merged."""
         return merge([mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if casts])
 
     @property
     def receivers(self) -> Mesh | None:
-        """The meshes that only receive, as one; none if all cast."""
+        """The meshes that only receive, merged; none if all cast."""
         meshes = [mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if not casts]
         return merge(meshes) if meshes else None
 
@@ -79,20 +79,19 @@ class Scene(eqx.Module):
         """
         if len(self.lights) != 1:
             raise ValueError(
-                f"the scene has {len(self.lights)} lights, and only one is expected here: take them one by one, each "
-                "with lit_by(index)"
+                f"the scene has {len(self.lights)} lights; expected one: select each in turn with lit_by(index)"
             )
         return self.lights[0]
 
     def lit_by(self, index: int) -> "Scene":
-        """The scene with the light at `index` in `lights` alone.
+        """The scene with only the light at `index` in `lights`.
 
         **Raises** `ValueError` if there is no such light.
         """
         if not 0 <= index < len(self.lights):
             raise ValueError(
-                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, for it has "
-                f"{len(self.lights)}"
+                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, since it has "
+                f"{len(self.lights)} lights"
             )
         return dataclasses.replace(self, lights=self.lights[index])
 

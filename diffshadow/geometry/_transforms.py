@@ -14,13 +14,13 @@ def translation(offset: Vec3) -> Mat4:
 
 
 def scaling(factor: Vec3 | Scalar | float) -> Mat4:
-    """Scales about the origin by `factor`, a scalar or one factor an axis."""
+    """Scales about the origin by `factor`, a scalar or one factor per axis."""
     return jnp.diag(jnp.append(jnp.broadcast_to(as_float(factor), (3,)), 1.0))
 
 
 @jax.jit
 def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
-    """Turns about `axis` through the origin by `angle` radians, by the right-hand rule (Rodrigues' formula)."""
+    """Rotates about `axis` through the origin by `angle` radians, by the right-hand rule (Rodrigues' formula)."""
     x, y, z = normalize(as_float(axis))
     cross = jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # R = I + sin(a) K + (1 - cos(a)) K²
@@ -32,7 +32,7 @@ def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
 def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
     """Rows `right, up, backward` of the view that looks along `forward`.
 
-    Where `up` is within about 0.1° of `forward`, the axis least along `forward` serves in its stead.
+    If `up` is within about 0.1° of `forward`, the coordinate axis least parallel to `forward` is used instead.
     """
     backward = -normalize(forward)
     spare = jnp.eye(3, dtype=backward.dtype)[jnp.argmin(jnp.abs(backward))]
@@ -43,13 +43,13 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
 
 @jax.jit
 def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
-    """Eye space from world space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
+    """World space to eye space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
     rows = frame(forward, up)
     return jnp.eye(4, dtype=rows.dtype).at[:3, :3].set(rows).at[:3, 3].set(-jnp.sum(rows * eye, axis=-1))
 
 
 def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
-    """OpenGL's frustum (`glFrustum`): clip space from eye space.
+    """OpenGL's perspective projection (`glFrustum`): eye space to clip space.
 
     `left_right` and `bottom_top` are tangents, that is, extents at distance 1 in front of the eye; `near` and `far`
     are distances in world units.
@@ -66,17 +66,17 @@ def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], ne
 
 
 def infinite_far(projection: Mat4, near: Scalar) -> Mat4:
-    """A perspective `projection` with its far plane moved to infinity, and its near plane left where it is.
+    """A perspective `projection` with its far plane moved to infinity.
 
-    Window depth at distance `z` becomes `1 - near / z`, and points at infinity, whose `w` in eye space is 0, lie at
-    depth 1 exactly. `near` is a distance in world units.
+    Window depth at distance `z` becomes `1 - near / z`. Points at infinity, whose `w` in eye space is 0, are at depth 1
+    exactly. `near` is a distance in world units.
     """
     row = jnp.stack([as_float(x) for x in (0, 0, -1, -2 * near)])
     return projection.at[2].set(row)
 
 
 def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
-    """OpenGL's parallel projection (`glOrtho`): clip space from eye space; all arguments in world units."""
+    """OpenGL's parallel projection (`glOrtho`): eye space to clip space; all arguments in world units."""
     (left, right), (bottom, top) = left_right, bottom_top
     depth = far - near
     rows = [
@@ -99,5 +99,5 @@ def transform_vectors(matrix: Float[Array, "*m 4 4"], vectors: Float[Array, "*n 
 
 
 def _linear(m: Float[Array, "*m r 3"], v: Float[Array, "*n 3"]) -> Float[Array, "*k r"]:
-    # Written out rather than as a matrix product, whose precision some backends lower.
+    # Written out, since some backends lower the precision of matrix products.
     return v[..., 0:1] * m[..., :, 0] + v[..., 1:2] * m[..., :, 1] + v[..., 2:3] * m[..., :, 2]

@@ -1,4 +1,4 @@
-"""What a rasterizer knows of a camera or a light: where it stands, and how it projects."""
+"""Views: the pose and projection of a camera or a light."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,10 +9,10 @@ from ._transforms import transform_points
 
 
 class View(eqx.Module):
-    """A projection seen from somewhere.
+    """A pose and a projection.
 
-    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. A light that looks several ways has one for each,
-        (l, 4, 4), and projects alike in all.
+    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. (l, 4, 4) for a light with several views, which all have
+        the same projection.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
     - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units.
     - `is_perspective`: whether sizes shrink with distance.
@@ -25,17 +25,17 @@ class View(eqx.Module):
     is_perspective: bool = eqx.field(static=True)
 
     def facing(self, layer: Int[Array, "*n"]) -> "View":
-        """Of a light that looks several ways, the view of `layer` for each point."""
+        """For a light with several views, the view of `layer` for each point."""
         return eqx.tree_at(lambda view: view.world_to_eye, self, self.world_to_eye[layer])
 
     @property
     def matrix(self) -> Float[Array, "*l 4 4"]:
-        """Clip space from world space, (4, 4)."""
+        """World space to clip space, (4, 4)."""
         return jnp.matmul(self.eye_to_clip, self.world_to_eye, precision="highest")
 
     def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
-        """Clip coordinates of world `points`; of a light that looks several ways, with one view for each point."""
-        # Two steps keep the precision of small scenes far from the world's origin.
+        """Clip coordinates of world `points`; for a light with several views, with one view for each point."""
+        # Two steps keep precision for small scenes far from the world's origin.
         eye = transform_points(self.world_to_eye, points)[..., :3]
         return transform_points(self.eye_to_clip, eye)
 

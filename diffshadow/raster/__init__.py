@@ -1,4 +1,4 @@
-"""Which face each pixel sees, and depth and attributes there."""
+"""Rasterization: the face that each pixel sees, and its depth and attributes."""
 
 from ._bins import Capacity as Capacity
 from ._bins import Cull as Cull

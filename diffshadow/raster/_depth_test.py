@@ -11,11 +11,12 @@ _STEPS = {"unorm24": (1 << 24) - 1, "unorm16": (1 << 16) - 1}
 class DepthTest(NamedTuple):
     """A depth buffer's format, comparison and clear value.
 
-    - `format`: `"float32"`, or `"unorm24"` and `"unorm16"`, which round to the nearest of their steps (ties to even).
-    - `compare`: `"less"`, by which the first of several equal depths is seen, or `"less_equal"`, by which the last is.
-    - `clear`: what the buffer holds at first, in [0, 1]; a fragment must pass the comparison against it too.
+    - `format`: `"float32"`, or `"unorm24"` and `"unorm16"`, which round to the nearest step (ties to even).
+    - `compare`: `"less"`, with which the first of several equal depths is seen, or `"less_equal"`, with which the last
+        is seen.
+    - `clear`: the buffer's initial value, in [0, 1]; fragments must pass the comparison against it too.
 
-    **Raises** `ValueError` from `rasterize` for anything else.
+    `rasterize` **raises** `ValueError` for anything else.
     """
 
     format: Literal["float32", "unorm24", "unorm16"] = "float32"
@@ -32,11 +33,11 @@ class DepthTest(NamedTuple):
             raise ValueError(f"the depth buffer's clear value is {self.clear}; expected window depth in [0, 1]")
 
     def encode(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """What the buffer stores for window `depth`: itself, or the number of steps, which float32 holds exactly."""
+        """The buffer's value for window `depth`: the depth, or the number of steps, which float32 holds exactly."""
         return depth if self.format == "float32" else jnp.round(depth * _STEPS[self.format])
 
     def decode(self, stored: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Window depth as it is read back from the buffer: the number of steps divided by their count.
+        """Window depth as it is read back from the buffer: the depth, or the number of steps divided by their count.
 
         The quotient is rounded correctly, so `encode(decode(u)) == u` for every step `u`.
         """
@@ -51,15 +52,15 @@ class DepthTest(NamedTuple):
         return quotient + remainder * inverse
 
     def passes_clear(self, stored: Float[Array, "*n"]) -> Array:
-        """Whether what is `stored` passes the comparison against an empty buffer."""
+        """Whether the value `stored` passes the comparison against an empty buffer."""
         clear = self.encode(jnp.asarray(self.clear, stored.dtype))
         return stored < clear if self.compare == "less" else stored <= clear
 
     def resolution_at(self, greatest: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The unit of polygon offset, window depth, for a triangle whose greatest depth is `greatest`.
 
-        OpenGL asks for the smallest difference that the buffer is sure to resolve: here two steps of a fixed-point
-        one, as in Mesa, and a unit in the last place of the greatest depth in a float one.
+        OpenGL defines it as the smallest difference that the buffer is guaranteed to resolve: here, two steps of a
+        fixed-point buffer, as in Mesa, and a unit in the last place of the greatest depth for a float buffer.
         """
         if self.format == "float32":
             _, exponent = jnp.frexp(greatest)

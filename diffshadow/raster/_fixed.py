@@ -1,17 +1,16 @@
 """Fixed-point window coordinates and exact edge functions.
 
-Vertices snap to a grid of 1/256 pixel, as graphics hardware does, so a triangle's corners are integers and the sign
-of an edge function at a pixel centre is exact: two triangles that share an edge never both own a centre on it, and
-never leave it to nobody.
+Vertices snap to a grid of 1/256 pixel, as in graphics hardware. So a triangle's corners are integers, and the sign of
+an edge function at a pixel centre is exact: of two triangles that share an edge, exactly one owns a centre on it.
 
 The edge function of the directed edge from `a` to `b` at `p`, positive on the edge's left,
 
     E(p) = (b - a) x (p - a) = A (p_x - a_x) + B (p_y - a_y),   A = -(b_y - a_y),  B = b_x - a_x
 
-(Pineda 1988) needs up to 44 bits, and JAX has 32. Two facts make do. A step of one pixel adds `256 A` or `256 B`, so
-the sign at every centre follows from `floor(E / 256)` at one of them, with steps `A` and `B`. And 32-bit arithmetic
-wraps, so that floor comes out right whenever it is small, and where a float estimate says that it is not small, its
-sign alone matters.
+(Pineda 1988) needs up to 44 bits, but JAX has 32. Two facts make 32 bits sufficient. First, a step of one pixel adds
+`256 A` or `256 B`, so the sign at every centre follows from `floor(E / 256)` at one of them, with steps `A` and `B`.
+Second, 32-bit arithmetic wraps, so this floor is correct if it is small. If a float estimate shows that it is not, only
+its sign matters.
 """
 
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from .._types import Resolution
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
 
-# Vertices further than this from the viewport's middle, in pixels, are clipped away first. It keeps edge coefficients
+# Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
 # within 2²¹, and 256 of them within 2²⁹.
 GUARD_BAND = 4096
 # Beyond this an edge function cannot change sign within a block of 32 x 32 pixels (2²¹ · 2 · 32 = 2²⁷).
@@ -32,7 +31,7 @@ _FAR = 1 << 29
 
 
 Size = Resolution | Int[Array, "2"]
-"""A resolution that only positions depend on, no shape: it may be an array, so that all share a program."""
+"""A resolution on which no array shape depends: it may be an array, so that all resolutions use one program."""
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
@@ -52,7 +51,7 @@ def last_centre(high: Int[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def cross(ax: Int[Array, "*n"], ay: Int[Array, "*n"], bx: Int[Array, "*n"], by: Int[Array, "*n"]) -> Float[Array, "*n"]:
-    """`a x b` of fixed-point vectors, as a float whose sign is exact and which is 0 only where the product is."""
+    """`a x b` of fixed-point vectors, as a float whose sign is exact, and which is 0 only if the product is."""
     estimate = ax.astype(jnp.float32) * by.astype(jnp.float32) - ay.astype(jnp.float32) * bx.astype(jnp.float32)
     wrapped = (ax * by - ay * bx).astype(jnp.float32)
     return jnp.where(jnp.abs(estimate) < _FAR, wrapped, estimate)
@@ -68,8 +67,8 @@ def edge_at_pixel(
 ) -> Int[Array, "*n"]:
     """`floor(E / 256)` of an edge with coefficients `a` and `b` at the offset (`dx`, `dy`) from its start.
 
-    Where it is not small it is replaced by a large number of its sign. `owns_edge` says whether a centre exactly on
-    the edge is inside: the result is negative just where the centre is outside.
+    A large value is replaced by a large number of the same sign. `owns_edge` is whether a centre exactly on the edge is
+    inside: the result is negative exactly if the centre is outside.
     """
     dx_high, dx_low = dx >> SUBPIXEL_BITS, dx & (SUBPIXELS - 1)
     dy_high, dy_low = dy >> SUBPIXEL_BITS, dy & (SUBPIXELS - 1)

@@ -8,11 +8,11 @@ from .._misc import take
 
 
 class Crossings(eqx.Module):
-    """Places where segments cross grid lines, which are those on which one coordinate is a whole number.
+    """Crossings of segments with grid lines, on which x or y is an integer.
 
-    - `segment`: (n,), which segment; -1 where there is no crossing.
-    - `axis`: (n,), 0 where it crosses a line on which x is whole, 1 where y is.
-    - `line`: (n,), that whole number.
+    - `segment`: (n,), which segment; -1 for no crossing.
+    - `axis`: (n,), 0 if x is an integer on the line, 1 if y is.
+    - `line`: (n,), that integer.
     """
 
     segment: Int[Array, " n"]
@@ -23,8 +23,8 @@ class Crossings(eqx.Module):
 def count_crossings(start: Float[Array, "s 2"], end: Float[Array, "s 2"], used: Bool[Array, " s"]) -> Int[Array, "s 2"]:
     """How many grid lines of either axis each segment crosses, from `start` to `end` in pixels; 0 if not `used`.
 
-    A line through a segment's lower end is not crossed, and one through its upper end is: a chain of segments that
-    turns on a line crosses it twice or not at all.
+    A line through a segment's lower end does not count as crossed, and one through its upper end does. So a chain of
+    segments that turns back on a line crosses it twice or not at all.
     """
     low, high = jnp.floor(jnp.minimum(start, end)), jnp.floor(jnp.maximum(start, end))
     return jnp.where(used[:, None], (high - low).astype(jnp.int32), 0)
@@ -37,8 +37,8 @@ def grid_crossings(
 
     **Arguments:**
 
-    - `counts`: (s, 2), by `count_crossings`.
-    - `capacity`: the greatest number of crossings; further ones are left out.
+    - `counts`: (s, 2), from `count_crossings`.
+    - `capacity`: the maximum number of crossings; further ones are left out.
     """
     each = counts.reshape(-1)
     last = jnp.cumsum(each, dtype=jnp.int32)

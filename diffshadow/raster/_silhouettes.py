@@ -1,10 +1,9 @@
-"""Silhouettes: the edges at which a mesh, seen from a light, ends.
+"""Silhouettes: the edges of a mesh's outline, seen from a light.
 
-Every face is given an orientation: +1 if it counts as it is wound, -1 if it counts turned over, 0 if it does not
-count. The outline of all that count is then the sum, edge by edge, of the sides that their faces run along, each with
-its orientation: where two neighbours run along an edge in opposite ways, it cancels. What is left over is how often
-the edge belongs to the outline: never more than twice on a two-manifold, more often where further faces meet. Two
-finders work out that sum and agree, one from a table of the edges made beforehand, and one from the faces alone.
+Every face has an orientation: +1 if it counts as wound, -1 if it counts flipped, 0 if it does not count. The outline is
+the sum over these faces of their directed sides: sides of opposite direction along an edge cancel. The multiplicity of
+an edge is what remains. It is at most 2 on a two-manifold, and can be larger where more faces meet. Two functions
+compute the same sum: one from a table of the edges, and one from the faces alone.
 """
 
 import equinox as eqx
@@ -19,11 +18,11 @@ from ..geometry import AbstractLight, Edges, Mesh
 
 
 class Silhouettes(eqx.Module):
-    """Edges and how often each belongs to the outline of the faces that count.
+    """Edges and their multiplicities in the outline of the faces that count.
 
     - `vertices`: (e, 2), the ends of each.
-    - `multiplicity`: (e,), how many more of the faces, each turned as it counts, run along it from the first end to
-        the second than back; 0 where it is no silhouette.
+    - `multiplicity`: (e,), the number of oriented faces that traverse the edge from its first end to its second, minus
+        the number that traverse it backwards; 0 if it is not a silhouette.
     """
 
     vertices: Int[Array, "e 2"]
@@ -31,9 +30,9 @@ class Silhouettes(eqx.Module):
 
 
 def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
-    """Which side of each face the light sees: +1 its front, -1 its back, 0 where it sees the face edge-on.
+    """Which side of each face the light sees: +1 its front, -1 its back, 0 if it sees the face edge-on.
 
-    The light faces the front where ((a + b + c) / 3 - L) · ((b - a) x (c - b)) is negative.
+    It sees the front if ((a + b + c) / 3 - L) · ((b - a) x (c - b)) is negative.
     """
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     to_light = light.towards((a + b + c) / 3)
@@ -41,30 +40,30 @@ def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
 
 
 def silhouettes_by_adjacency(edges: Edges, orientation: Int[Array, " f"]) -> Silhouettes:
-    """The silhouettes of faces with `orientation` (f,), from the faces that meet in each edge.
+    """The silhouettes of faces with `orientation` (f,), from a table of the faces that meet in each edge.
 
     **Arguments:**
 
     - `edges`: of the mesh.
     - `orientation`: (f,), +1, -1 or 0.
 
-    **Returns:** a multiplicity for each row of `edges`. An edge of three or more faces has several rows, and the sum
-    of theirs.
+    **Returns:** a multiplicity for each row of `edges`. An edge of three or more faces has several rows, whose
+    multiplicities add up.
     """
     return Silhouettes(edges.vertices, jnp.sum(edges.directions * orientation[edges.faces], axis=1))
 
 
 def silhouettes_by_cancelling(faces: Faces, orientation: Int[Array, " f"]) -> Silhouettes:
-    """The same silhouettes, from pushing every face's sides onto a list and cancelling those that run back.
+    """The same silhouettes, by listing the directed sides of all faces and cancelling opposite ones.
 
     It sorts all sides, so it takes longer than `silhouettes_by_adjacency`, but needs no table.
 
     **Arguments:**
 
-    - `faces`: (f, 3), with neighbours naming the same vertices, as `share_vertices` makes them.
+    - `faces`: (f, 3), where neighbours use the same vertex indices, as from `share_vertices`.
     - `orientation`: (f,), +1, -1 or 0.
 
-    **Returns:** (3 f,) rows. Each silhouette is in one of them, from its lower vertex to its higher; the others hold
+    **Returns:** (3 f,) rows. Each silhouette is in one row, from its lower vertex to its higher; all other rows have
     multiplicity 0.
     """
     start, end = faces.reshape(-1), jnp.roll(faces, -1, axis=1).reshape(-1)

@@ -1,4 +1,4 @@
-"""What shading is."""
+"""The interface of shading."""
 
 import abc
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Visibilities = Float[Array, "*l h w"] | Sequence[Visibility]
 
 
 class AbstractShading(eqx.Module):
-    """A way to turn visibility into a picture."""
+    """Turns visibility into an image."""
 
     @abc.abstractmethod
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
@@ -25,9 +25,10 @@ class AbstractShading(eqx.Module):
         **Arguments:**
 
         - `light`: one light, or several in a sequence.
-        - `visibility`: (h, w), of the light, in [0, 1]; of several lights, one for each, (l, h, w) or in a sequence.
+        - `visibility`: (h, w), of the light, in [0, 1]. For several lights, one for each, (l, h, w) or in a sequence.
 
-        **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable, without NaN, by all arguments.
+        **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable with respect to all arguments,
+        without NaN.
 
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """

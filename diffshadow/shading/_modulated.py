@@ -1,4 +1,4 @@
-"""Shadow that darkens the finished picture, as the fixed-function pipeline of OpenGL 1.4 draws it."""
+"""Shadow that darkens the lit image, as in the fixed-function pipeline of OpenGL 1.4."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,17 +16,17 @@ class ModulatedShadow(AbstractShading):
 
         image = (factor + (1 - factor) · visibility) · lit image
 
-    A depth texture is compared with the texture coordinate R (`GL_COMPARE_R_TO_TEXTURE`), and the texture environment
-    `GL_MODULATE` multiplies what lighting made of the vertices by the result: 1 where lit, and `factor` where not,
-    which is the compare fail value of the extension ARB_shadow_ambient (OpenGL 1.4, section 3.8.14; without the
-    extension it is 0). Of several lights, each with its own texture unit, the factors multiply.
+    In OpenGL 1.4 a depth texture is compared with the texture coordinate R (`GL_COMPARE_R_TO_TEXTURE`), and the texture
+    environment `GL_MODULATE` multiplies the vertices' lit colour by the result: 1 if lit, `factor` if not. `factor` is
+    the compare fail value of the extension ARB_shadow_ambient (section 3.8.14; 0 without the extension). Several lights
+    each have a texture unit, and their factors multiply.
 
-    So here, other than in `Phong`, shadow darkens ambient light and what other lights add, and leaves some of the
-    shadowed light's own diffuse and specular reflection, highlights included. Where all light comes from one source,
-    a factor of 0 makes shadows black.
+    Unlike in `Phong`, shadow here darkens ambient light and the light of other sources too, and keeps a part of the
+    shadowed light's own diffuse and specular reflection, highlights included. With a single light, a factor of 0 makes
+    shadows black.
 
     - `lit`: shading of the scene without shadows.
-    - `factor`: what shadow leaves, 0 to 1.
+    - `factor`: fraction of the colour that is left in shadow, 0 to 1.
 
     **Raises** `ValueError` for a factor outside [0, 1].
     """
@@ -45,6 +45,6 @@ class ModulatedShadow(AbstractShading):
         pairs = each_light(visibility, light)
         image = self.lit(surface, [jnp.ones_like(seen) for seen, _ in pairs], [light for _, light in pairs], camera)
         for seen, _ in pairs:
-            share = self.factor + (1 - self.factor) * seen
-            image = image * jnp.where(surface.mask, share, 1)[..., None]
+            weight = self.factor + (1 - self.factor) * seen
+            image = image * jnp.where(surface.mask, weight, 1)[..., None]
         return image

@@ -3,8 +3,8 @@
     image = albedo · ambient + Σ visibility · arriving · (albedo · max(N·L, 0) + specular · highlight)
     arriving = intensity · attenuation(distance) · cone
 
-with the sum over the lights. Shadow takes away what comes from the light itself, and never the ambient part. All
-colours are linear.
+with the sum over the lights. Shadow removes the light's own contribution, and never the ambient one. All colours are
+linear.
 """
 
 from typing import Any, Literal
@@ -28,11 +28,11 @@ def _colour(value: Any) -> Vec3:
 
 
 class Attenuation(eqx.Module):
-    """How light at a finite distance `d` falls off, `1 / (constant + linear · d + quadratic · d²)`, `d` in world units.
+    """Distance attenuation, `1 / (constant + linear · d + quadratic · d²)`, with distance `d` in world units.
 
-    The OpenGL specification, version 2.1, section 2.14.1. The default is no fall-off.
+    As in the OpenGL specification, version 2.1, section 2.14.1. The default is no attenuation.
 
-    **Raises** `ValueError` unless all are 0 or more and `constant` more than 0.
+    **Raises** `ValueError` unless all are 0 or more and `constant` is more than 0.
     """
 
     constant: Scalar = eqx.field(converter=as_float, default=1.0)
@@ -48,26 +48,25 @@ class Attenuation(eqx.Module):
             )
 
     def __call__(self, distance: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The share of light left at `distance`, in world units."""
+        """The fraction of the light that arrives at `distance`, in world units."""
         return 1 / (self.constant + self.linear * distance + self.quadratic * distance**2)
 
 
 class Phong(AbstractShading):
-    """Reflection of lights by surfaces that are partly matt and partly glossy.
+    """Ambient, diffuse and specular reflection.
 
-    - `ambient`: (3,), light that comes from everywhere and that nothing shadows; it counts once, however many lights
-        there are.
-    - `intensity`: (3,), of the light; a matt white surface that faces it shines with this much. Several lights share
-        the one number, each shining with all of it: to keep the brightness, divide it among them.
-    - `specular`: share of the light that the highlight reflects; `shininess`: its exponent.
+    - `ambient`: (3,), light from all directions that nothing shadows; added once, whatever the number of lights.
+    - `intensity`: (3,), of each light: the colour of a white diffuse surface that faces the light. With several lights,
+        divide it by their number to keep the brightness.
+    - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: (3,), colour of pixels without a surface.
     - `attenuation`: with the distance to a light that is not directional.
-    - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H halfway between the ways to light and eye (Blinn 1977),
-        or `"phong"`, (R·V)^shininess with R the mirrored light (Phong 1975).
+    - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H the half vector (Blinn 1977), or `"phong"`,
+        (R·V)^shininess with R the reflected light direction (Phong 1975).
 
-    Colours are linear, each a number or three. A spot light that has an inner angle lights its cone alone.
+    Colours are linear; give one number or three. A spot light with an inner angle lights only its cone.
 
-    **Raises** `ValueError` if the model is unknown or the shininess not above 0.
+    **Raises** `ValueError` if the model is unknown or the shininess is not above 0.
     """
 
     ambient: Vec3 = eqx.field(converter=_colour, default=0.3)
@@ -94,13 +93,13 @@ class Phong(AbstractShading):
         return jnp.where(surface.mask[..., None], image, self.background)
 
     def _reflected(self, surface: Surface, light: AbstractLight, to_camera: VectorMap) -> VectorMap:
-        """What the surface makes of an unshadowed light, ambient light apart."""
+        """Diffuse and specular reflection of an unshadowed light."""
         path = light.towards(surface.position)
         to_light = normalize(path)
         normal = surface.shading_normal
         cosine = jnp.maximum(dot(normal, to_light), 0)[..., None]
         highlight = self._highlight(normal, to_light, to_camera)[..., None]
-        # A surface turned away from the light has no highlight either.
+        # A surface that faces away from the light has no highlight either.
         reflected = surface.albedo * cosine + self.specular * jnp.where(cosine > 0, highlight, 0)
         return self._fall_off(path, surface, light)[..., None] * self.intensity * reflected
 
@@ -114,7 +113,7 @@ class Phong(AbstractShading):
         return jnp.where(positive, jnp.where(positive, cosine, 1) ** self.shininess, 0)
 
     def _fall_off(self, path: VectorMap, surface: Surface, light: AbstractLight) -> Float[Array, "h w"]:
-        """The share of light that neither distance nor the spot's cone takes away."""
+        """The fraction of the light left after distance attenuation and the spot's cone."""
         if light.is_directional:
             return jnp.ones(path.shape[:-1])
         return self.attenuation(safe_norm(path)) * light.cone_fraction(surface.position)

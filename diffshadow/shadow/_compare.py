@@ -1,4 +1,4 @@
-"""Depth comparisons: whether, or how far, a receiver lies behind what the map has seen."""
+"""Depth compares: whether a receiver lies behind the stored depth, as a hard or a smooth step."""
 
 import abc
 from typing import Literal
@@ -15,7 +15,7 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 
 
 class AbstractCompare(eqx.Module):
-    """Compares stored depths with a receiver's.
+    """Compares stored depth with receiver depth.
 
     - `has_depth_derivative`: whether the result has a derivative with respect to depth.
     """
@@ -33,13 +33,13 @@ class AbstractCompare(eqx.Module):
         **Arguments:**
 
         - `stored`: window depth in the map.
-        - `receiver`: window depth of the receiver, less its bias.
-        - `depth_per_texel`: window depth per texel's width at the receiver.
+        - `receiver`: window depth of the receiver, minus its bias.
+        - `depth_per_texel`: window depth per texel width at the receiver.
         """
 
 
 class HardCompare(AbstractCompare):
-    """Lit or not, as hardware compares: its gradient is zero everywhere.
+    """The compare of graphics hardware: 1 if lit, 0 if shadowed. Its gradient is zero everywhere.
 
     - `operator`: `"less_equal"`, lit where `receiver <= stored`, or `"less"`, lit where `receiver < stored`.
     """
@@ -86,12 +86,12 @@ _KERNELS = {
 
 
 class SoftCompare(AbstractCompare):
-    """A compare that rises smoothly from dark to lit, `k((stored - receiver) / width)`.
+    """A compare that rises smoothly from shadowed to lit, `k((stored - receiver) / width)`.
 
-    - `width`: in texels' widths along the light's axis, more than 0; towards 0 it becomes the hard compare.
-    - `kernel`: `"logistic"` 1 / (1 + exp(-t)); `"gaussian"`, the normal distribution function with standard
-        deviation `width`; `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"` min(1, exp(t)),
-        as in exponential shadow maps (Annen et al. 2008).
+    - `width`: in texel widths along the light's axis, more than 0. In the limit 0 it is the hard compare.
+    - `kernel`: `"logistic"`, 1 / (1 + exp(-t)); `"gaussian"`, the normal CDF with standard deviation `width`;
+        `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"`, min(1, exp(t)), as in exponential
+        shadow maps (Annen et al. 2008).
     """
 
     width: Scalar = eqx.field(converter=as_float)

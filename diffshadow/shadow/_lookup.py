@@ -1,4 +1,4 @@
-"""Look-ups: where biased receivers look into the map, and what they compare with."""
+"""Look-ups: where biased receivers sample the map, and the depth they compare with."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,21 +16,21 @@ from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """Where receivers look into the map, and what they compare with: the pixels of an image, or in any other layout.
+    """Where receivers sample the map, and the depth they compare with. Shapes are those of an image; any other works.
 
-    - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes them as one
-        array `texel` (h, w, 2).
+    - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes both as one array
+        `texel` (h, w, 2).
     - `depth`: (h, w), the receiver's window depth minus its bias.
     - `depth_per_texel`: (h, w), window depth per texel width, the unit of a soft compare.
     - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
-    - `slope`: window depth per texel along x and y, (h, w) each, by which each tap's depth follows the receiver's
-        plane to the centre of its texel; none where all taps compare with the same depth. `Lookup(...)` takes one array
+    - `slope`: the receiver plane's window depth per texel along x and y, (h, w) each. Each tap compares with the plane
+        at the centre of its texel. None if all taps compare with the same depth. `Lookup(...)` takes one array
         (h, w, 2).
     - `layer`: (h, w), which of the light's maps is read; none if there is only one.
-    - `deepest`: (h, w), the greatest window depth of a plane that taps follow; none for no limit.
+    - `deepest`: (h, w), upper bound on the window depth of the receiver plane; none for no bound.
     """
 
-    # x and y apart, since XLA vectorizes neither when they are interleaved in memory.
+    # Separate arrays for x and y: XLA does not vectorize them when they are interleaved in memory.
     x: Float[Array, "*n"]
     y: Float[Array, "*n"]
     depth: Float[Array, "*n"]
@@ -61,7 +61,7 @@ class Lookup(eqx.Module):
         return jnp.stack([self.x, self.y], axis=-1)
 
     def at(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> "Lookup":
-        """The same look-up at another place."""
+        """The same look-up at another position."""
         return eqx.tree_at(lambda lookup: (lookup.x, lookup.y), self, (x, y))
 
     def detached(self) -> "Lookup":
@@ -70,7 +70,7 @@ class Lookup(eqx.Module):
 
 
 def rearranged(tree: Any, function: Callable[[Array], Array]) -> Any:
-    """`function` of all arrays of a look-up or a kernel that have a value for each pixel."""
+    """Applies `function` to all arrays of a look-up or a kernel that have one value per pixel."""
     return jax.tree.map(lambda leaf: function(leaf) if eqx.is_array(leaf) and leaf.ndim else leaf, tree)
 
 
@@ -86,7 +86,7 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
         slope = at.slope * at.depth_per_texel[..., None]
         deepest = None if terms.deepening is None else depth + terms.deepening
     if shadow_map.depth_format != "float32":
-        # Fixed-point maps are compared with what they could hold (OpenGL 4.6, section 8.23.1).
+        # For fixed-point maps the compared depth is clamped to [0, 1] (OpenGL 4.6, section 8.23.1).
         if slope is None:
             depth = jnp.clip(depth, 0, 1)
         else:
@@ -95,6 +95,6 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
 
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
-    """Whether each receiver reads a texel of the map rather than its border, (h, w)."""
+    """Whether each receiver falls inside the map rather than on its border, (h, w)."""
     height, width = shadow_map.resolution
     return lookup.inside & (lookup.x >= 0) & (lookup.y >= 0) & (lookup.x <= width) & (lookup.y <= height)

@@ -30,11 +30,11 @@ DepthLayer = Literal["nearest", "midpoint", "second"]
 class ShadowMap(eqx.Module):
     """The depth that a light sees.
 
-    - `depth`: (h, w), window depth; 1 where the light meets nothing. Row 0 is the bottom row. Of a light that looks
-        several ways, such as a point light, (l, h, w).
+    - `depth`: (h, w), window depth; 1 where the light sees nothing. Row 0 is the bottom row. (l, h, w) for a light with
+        several views, such as a point light.
     - `light`: the light it was drawn from.
     - `depth_format`: how depths are stored.
-    - `silhouettes`: where casters end within texels; none where that is not known.
+    - `silhouettes`: the casters' outlines within texels; none if the map was drawn without edges.
     """
 
     depth: Float[Array, "*l h w"]
@@ -69,27 +69,28 @@ def draw_shadow_map(
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
-    Depth differentiates with respect to vertices and light, but for which face a texel sees. With `edges`, so does the
-    shadow's outline, and hard shadows are accurate below a texel. A map does not depend on bias or filter: with the
-    light fixed, draw it once.
+    Depth is differentiable with respect to vertices and light, with the face that each texel sees held constant. With
+    `edges`, the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend
+    on bias or filter: if the light is fixed, draw it once.
 
     **Arguments:**
 
     - `resolution`: (height, width) in texels.
-    - `layer`: which surface each texel holds. `"nearest"`. `"midpoint"` (Woo, "The Shadow Depth Map Revisited",
-        Graphics Gems III, 1992), the mean of the window depths of the two nearest, or of the nearest and the far plane
-        where there is but one: no bias is needed but near silhouettes, where the two meet. `"second"`, the second
-        nearest (Wang & Molnar 1994), where a surface that has none behind it casts no shadow.
+    - `layer`: which surface each texel holds. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow Depth Map
+        Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the nearest and
+        the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces meet.
+        `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
     - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway; light
-        leaks where a face lies close behind them. Only for closed meshes: of an open one it leaves out what casts.
-    - `depth_format`: how depths are stored; fixed-point ones are rounded to the nearest of their steps, and receivers
-        are compared with them at a depth clamped to [0, 1].
-    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias that is stored in the map: each face lies
-        deeper by `factor · max(|dz/dx|, |dz/dy|) + units · r`, slopes per texel and `r` the least difference of depths
-        that the format is sure to resolve.
-    - `edges`: of the mesh, for a map with silhouettes, which holds the nearest surface with nothing culled.
-    - `capacity`: how many triangles and silhouettes can be drawn, by `plan_shadow_map`; needed under a trace.
-    - `overflows`: a list that is appended whether each capacity is too small, instead of an error; see `rasterize`.
+        leaks where another surface lies close behind the unlit faces. It is for closed meshes only: an open mesh loses
+        casters.
+    - `depth_format`: how depths are stored. Fixed-point depths are rounded to the nearest step, and receivers are
+        compared with them at a depth clamped to [0, 1].
+    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias stored in the map. Each face is stored deeper
+        by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
+        that the format is guaranteed to resolve.
+    - `edges`: the mesh's edges, for a map with silhouettes; needs layer `"nearest"` and cull `"none"`.
+    - `capacity`: how many triangles and silhouettes can be drawn, from `plan_shadow_map`; required under a trace.
+    - `overflows`: a list. Instead of raising, each capacity appends whether it is too small; see `rasterize`.
 
     **Raises** `ValueError` if `layer` is unknown, if `edges` are given with another `layer` than `"nearest"` or with
     `cull`, and what `rasterize` raises.
@@ -98,8 +99,8 @@ def draw_shadow_map(
         raise ValueError(f'the shadow map\'s layer is {layer!r}; expected "nearest", "midpoint" or "second"')
     if edges is not None and (layer != "nearest" or cull != "none"):
         raise ValueError(
-            f'silhouettes were asked for of the {layer!r} layer with cull {cull!r}; expected "nearest" and "none": '
-            "leave edges out, or change these"
+            f'edges were given with layer {layer!r} and cull {cull!r}; expected "nearest" and "none": leave edges out, '
+            "or change layer and cull"
         )
     clip = clip_vertices(mesh, light)
     triangles = None if capacity is None else capacity.triangles
@@ -139,7 +140,7 @@ def draw_shadow_map(
 class MapSettings(NamedTuple):
     """How a shadow map is drawn; see `draw_shadow_map`.
 
-    - `silhouettes`: whether the map holds silhouettes. With `None`, it does where lights or meshes are fitted, since
+    - `silhouettes`: whether the map holds silhouettes. With `None`, it does if lights or meshes are fitted, because
         derivatives with respect to these need them.
     """
 
@@ -157,23 +158,23 @@ class MapSettings(NamedTuple):
 
 
 class MapCapacity(NamedTuple):
-    """The capacity to draw a shadow map: of `triangles`, and of crossings of `silhouettes` with sides of texels.
+    """How much a shadow map can draw: `triangles`, and crossings of `silhouettes` with the sides of texels.
 
-    Both are static: another capacity compiles another program.
+    Both are static: a new capacity recompiles.
     """
 
     triangles: Capacity
     silhouettes: int = 0
 
     def grown_to(self, other: "MapCapacity") -> "MapCapacity":
-        """The least capacity that is enough for both."""
+        """The smallest capacity that is enough for both."""
         return MapCapacity(self.triangles.grown_to(other.triangles), max(self.silhouettes, other.silhouettes))
 
 
 def plan_shadow_map(
     mesh: Mesh, light: AbstractLight, resolution: Resolution, *, cull: Cull = "none", edges: Edges | None = None
 ) -> MapCapacity:
-    """The capacity that drawing this map needs, each number rounded up.
+    """The capacity needed to draw this map, each number rounded up.
 
     **Arguments:** as for `draw_shadow_map`; not for use inside `jax.jit`.
     """
@@ -191,7 +192,7 @@ def _corners(resolution: Resolution) -> Resolution:
 
 
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
-    """Clip coordinates of an image whose pixels' centres are the corners of a map's texels."""
+    """Clip coordinates of an image whose pixel centres are the corners of the map's texels."""
     height, width = resolution
     return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
 
@@ -218,7 +219,7 @@ def _silhouettes(
     capacity: int,
     checked: bool,
 ) -> tuple[SilhouetteMap, Overflow]:
-    """The silhouettes in a map, and whether some are missing, which is an error if it is `checked`."""
+    """The silhouettes in a map, and whether some did not fit the capacity, which is an error if `checked`."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
     overflow = jnp.sum(outline.counts) > capacity
@@ -226,15 +227,15 @@ def _silhouettes(
         outline = eqx.error_if(
             outline,
             overflow,
-            f"the shadow map's silhouette capacity of {capacity} is too small for these edges, and none may be "
-            "dropped; expected as much as there are sides of texels that they cross: call plan_shadow_map(...) on them",
+            f"the shadow map's silhouette capacity of {capacity} is too small for these edges; expected at least as "
+            "many as the sides of texels that they cross: call plan_shadow_map(...) with them",
         )
     return find_silhouettes(depth, corners.astype(depth.dtype), outline, capacity), overflow
 
 
 @eqx.filter_jit
 def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: DepthTest) -> Float[Array, "*n"]:
-    """The mean of two depths, as a buffer would hold it; what is empty stays so."""
+    """The mean of two depths, rounded as the buffer stores it; empty texels stay empty."""
     middle = (nearest + second) / 2
     return with_gradient_of(middle, test.decode(test.encode(middle)))
 
@@ -244,7 +245,7 @@ def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
     """Clip coordinates of a mesh's vertices in each of the light's views."""
     view = light.view()
     layers = view.world_to_eye.shape[:-2]
-    # A matrix of each layer for all vertices.
+    # Broadcasts each layer's matrix over all vertices.
     spread = view.world_to_eye[..., None, :, :] if layers else view.world_to_eye
     return eqx.tree_at(lambda view: view.world_to_eye, view, spread).clip(mesh.vertices)
 

@@ -1,12 +1,12 @@
 """Projective texture shadows: the casters' silhouette as a texture (Blinn 1988; Segal et al. 1992).
 
-The light sees the casters black on white, and that picture is projected onto what does not cast, as a slide would be.
-No depth is compared, so there is no acne and no bias, and the picture may be blurred at will.
+The casters are drawn as seen from the light, black on white, and this texture is projected onto all other surfaces like
+a slide. No depth is compared, so there is no acne and no bias, and the texture can be blurred freely.
 
-    visibility = 1 - coverage at the place in the texture that the light sees the receiver at
+    visibility = 1 - coverage(where the light sees the receiver)
 
-It knows nothing of order: casters do not shadow themselves or one another, and a receiver in front of a caster is
-shadowed as well as one behind it.
+The technique ignores depth order: casters shadow neither themselves nor each other, and a receiver in front of a caster
+is shadowed like one behind it.
 """
 
 import equinox as eqx
@@ -28,12 +28,12 @@ LayerMap = Int[Array, "h w"]
 class ProjectiveTexture(eqx.Module):
     """The casters' silhouette as a light sees it.
 
-    - `coverage`: (h, w), how much of each texel's surroundings the casters cover, 0 to 1. Row 0 is the bottom row. Of a
-        light that looks several ways, (l, h, w).
-    - `light`: the light that sees it.
+    - `coverage`: (h, w), the fraction of each texel that the casters cover, after the blur. Row 0 is the bottom row.
+        (l, h, w) for a light with several views.
+    - `light`: the light it was drawn from.
     - `casts`: (f,), which faces of the scene's mesh are the casters'.
-    - `margin`: how many texels at each side lie beyond the light's frustum. There is nothing there but what the blur
-        spreads out.
+    - `margin`: how many texels on each side lie outside the light's frustum. They hold only what the blur spreads
+        there.
     """
 
     coverage: Float[Array, "*l h w"]
@@ -52,14 +52,12 @@ class ProjectiveShadow(AbstractTechnique):
     """Shadows by a projected texture, with bilinear look-ups.
 
     - `resolution`: of the texture, (height, width) in texels.
-    - `blur`: radius of the kernel that the silhouette is averaged over, in texels; up to 0.5 nothing is blurred.
-    - `max_blur`: the largest blur that can be asked for; defaults to `blur`, and is needed if that is traced.
-    - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, which ends at three of its standard
-        deviations.
+    - `blur`: radius of the blur kernel, in texels; up to 0.5 nothing is blurred.
+    - `max_blur`: upper bound on `blur`. Defaults to `blur`; required if `blur` is traced.
+    - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.
 
-    Differentiable by what moves receivers within the texture, their positions and the light, while the texture stays,
-    and by its blur. A texel is covered or not by its centre, so how the silhouette moves with casters and light has no
-    gradient: those of their poses are not to be trusted.
+    Differentiable with respect to the blur and to where receivers fall in the texture. Coverage is sampled at texel
+    centres, so it has no derivative with respect to casters or light: do not rely on gradients of their poses.
 
     **Raises** `ValueError` if `blur` is negative or above `max_blur`, or `kernel` is unknown.
     """
@@ -89,7 +87,7 @@ class ProjectiveShadow(AbstractTechnique):
     ) -> ProjectiveTexture:
         """The silhouette of the scene's casters under its only light. It does not depend on `surface`.
 
-        **Arguments:** `capacity` as for `rasterize`; needed under a trace.
+        **Arguments:** `capacity` as for `rasterize`; required under a trace.
         """
         casters, light = scene.casters, scene.light
         face = rasterize(clip_vertices(casters, light), casters.faces, self.resolution, capacity=capacity).face
@@ -101,8 +99,8 @@ class ProjectiveShadow(AbstractTechnique):
     def visibility(self, state: ProjectiveTexture, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What the texture does not show is lit, as is what lies behind the light, and every caster. A surface that faces
-        away from the light's centre is dark, the casters' too. Pixels without a surface are lit.
+        Casters are lit, and so is everything outside the texture or behind the light. A surface that faces away from
+        the light's centre is dark, also a caster's. Pixels without a surface are lit.
         """
         light = state.light
         cosine = dot(surface.normal, normalize(light.towards(surface.position)))
@@ -112,7 +110,7 @@ class ProjectiveShadow(AbstractTechnique):
 
     @eqx.filter_jit
     def covered(self, state: ProjectiveTexture, surface: Surface) -> Mask:
-        """Pixels whose surface the texture is projected on, (h, w): those within the light's frustum."""
+        """Pixels whose surface lies within the light's frustum, (h, w): those that the texture is projected onto."""
         texel, in_front, _ = _project(state, surface)
         height, width = state.resolution
         inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)
@@ -125,7 +123,7 @@ def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l
 
 
 def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
-    """Where the light sees each surface point, in texels, whether it lies in front of the light, and in which view."""
+    """Where the light sees each surface point, in texels; whether it is in front of the light; and in which view."""
     view = texture.light.view()
     layer = texture.light.layer(surface.position)
     clip = (view if layer is None else view.facing(layer)).clip(surface.position)
@@ -137,6 +135,6 @@ def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Ma
 
 
 def _seen(texture: ProjectiveTexture, texel: TexelMap, in_front: Mask, layer: LayerMap | None) -> Visibility:
-    """The coverage at `texel` (h, w, 2), blended from the four texels round it; nothing lies beyond the border."""
+    """Bilinear coverage at `texel` (h, w, 2); 0 beyond the border."""
     fetch = bilinear_fetch(texture.resolution, texel, layer, texture.margin)
     return jnp.where(in_front, fetch(texture.coverage), 0)

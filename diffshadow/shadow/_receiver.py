@@ -1,4 +1,4 @@
-"""Receivers: the surface points whose visibility is asked for, seen from the light."""
+"""Receivers: the surface points that are shaded, as the light sees them."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,28 +11,28 @@ from ..geometry import View, transform_points, transform_vectors
 from ..raster import DepthTest, Surface
 from ._map import ShadowMap
 
-# Points nearer to a light's plane than this share of its near distance count as behind it.
+# Points closer to the light's plane than this fraction of its near distance count as behind it.
 _BESIDE = 1e-3
-# A receiver steeper than this (89.4°) is taken to be this steep: grazing light would ask for an infinite bias.
+# Slopes are clamped to this (89.4°): grazing light would need an infinite bias.
 _MAX_SLOPE = 100.0
-# Positions, normals and stored depths each carry a few roundings. Measured, they add up to 3 units in the last place,
-# and to 8 where triangles are a hundred times as wide as the map.
+# Positions, normals and stored depths are each rounded a few times. The measured sum is 3 units in the last place, and
+# 8 where triangles are a hundred times as wide as the map.
 _ROUNDINGS = 8
 
 
 class Receiver(eqx.Module):
-    """The surface as the light sees it, which is what a bias may depend on.
+    """The surface as the light sees it: the input of a bias.
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
-    - `cosine`: (h, w), of the angle between the normal and the way to the light's centre.
+    - `cosine`: (h, w), of the angle between the normal and the direction to the light's centre.
     - `texel`: (h, w, 2), where it falls in the map, x and y in texels; `depth`: (h, w), its window depth.
-    - `in_front`: (h, w), whether it lies before the light rather than behind it.
-    - `texel_size`: (h, w), the width of a shadow-map texel there, in world units.
-    - `depth_per_texel`: (h, w), how much window depth changes over that length along the light's axis.
-    - `slope`: (h, w, 2), how its depth rises along the map's x and y, in those texels' widths per texel.
-    - `rounding`: (h, w), how far rounding may part its depth, or its plane's under a kernel, from what the map holds of
-        it, in window depth.
-    - `layer`: (h, w), which of the light's maps it falls in; none where there is but one.
+    - `in_front`: (h, w), whether it is in front of the light.
+    - `texel_size`: (h, w), width of a shadow-map texel there, in world units.
+    - `depth_per_texel`: (h, w), change of window depth over that length along the light's axis.
+    - `slope`: (h, w, 2), the receiver plane's depth slope along the map's x and y, in texel widths per texel.
+    - `rounding`: (h, w), bound on the rounding error between its depth, or its plane's under a kernel, and the map's,
+        in window depth.
+    - `layer`: (h, w), which of the light's maps it falls in; none if there is only one.
     """
 
     position: VectorMap
@@ -49,11 +49,11 @@ class Receiver(eqx.Module):
 
 
 def receiver(shadow_map: ShadowMap, surface: Surface) -> Receiver:
-    """The surface as the light sees it. Pixels without a surface hold harmless numbers."""
+    """The surface as the light sees it. Pixels without a surface hold finite dummy values."""
     layer = shadow_map.light.layer(surface.position)
     view = view_of(shadow_map, layer)
     eye = transform_points(view.world_to_eye, surface.position)[..., :3]
-    # Behind a spot light the answer does not matter, but must not divide by zero.
+    # Behind a spot light the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
     distance = jnp.where(surface.mask, ahead, view.far)
     extent = view.texel_extent(distance, shadow_map.resolution)
@@ -84,15 +84,15 @@ def view_of(shadow_map: ShadowMap, layer: Int[Array, "h w"] | None) -> View:
 def project(
     shadow_map: ShadowMap, position: VectorMap, layer: Int[Array, "h w"] | None
 ) -> tuple[TexelMap, DepthMap, Mask]:
-    """Where `position` (h, w, 3) falls in the map, by the shadow matrix: texel, window depth and whether in front."""
+    """Projects `position` (h, w, 3) into the map: texel, window depth, and whether it is in front of the light."""
     view = view_of(shadow_map, layer)
     clip = view.clip(position)
     w = clip[..., 3]
-    # Beside a spot light the divide overflows; so near to it, nothing casts a shadow.
+    # In the plane of a spot light the divide overflows; nothing that close to the plane casts a shadow.
     in_front = w > (_BESIDE * view.near if view.is_perspective else 0)
     window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = shadow_map.resolution
-    # Coordinate by coordinate: XLA never writes to memory what is stacked and then taken apart again.
+    # One coordinate at a time: XLA elides a stack that is taken apart again.
     return jnp.stack([window(0) * width, window(1) * height], axis=-1), window(2), in_front
 
 
@@ -104,11 +104,11 @@ def _slope(
     extent: Float[Array, "h w 2"],
     texel_size: Float[Array, "h w"],
 ) -> TexelMap:
-    """How much deeper the receivers' planes lie per texel across, along the map's x and y, in `texel_size`.
+    """The receiver planes' depth slope per texel along the map's x and y, in units of `texel_size`.
 
-    With `r` the ray through a point, per unit of distance along the axis, and `n` the plane's normal, both in eye
-    space, it is `n_xy / -(n · r)`; across a perspective's rays as well as across parallel ones, for window depth is
-    linear in the window along a plane.
+    It is `n_xy / -(n · r)`, with `n` the plane's normal and `r` the ray through the point per unit of distance along
+    the axis, both in eye space. This holds for perspective and parallel rays alike, since window depth is linear in the
+    window over a plane.
     """
     n = transform_vectors(view.world_to_eye, normal)
     along = eye / distance[..., None] if view.is_perspective else jnp.array([0.0, 0.0, -1.0])
@@ -127,10 +127,10 @@ def _rounding(
     position: VectorMap,
     slope: TexelMap,
 ) -> Float[Array, "h w"]:
-    """How far the depth of the receiver's plane, under a kernel as wide as the map, may be from what the map holds.
+    """Bound on the rounding error of the receiver plane's depth, under a kernel as wide as the map.
 
-    Coordinates are known to a share of their size, and so is a point of the plane; an error across the plane is one of
-    depth, which is larger the steeper the plane. A fixed-point map rounds to the nearest of its steps besides.
+    Coordinates have a relative error, and so have points of the plane. An error across the plane becomes an error of
+    depth that grows with the plane's slope. A fixed-point map adds half a step.
     """
     position, eye, distance, slope = lax.stop_gradient((position, eye, distance, slope))
     size = lambda x: jnp.max(jnp.abs(x), axis=-1)

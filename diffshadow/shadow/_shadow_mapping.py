@@ -17,14 +17,14 @@ from ._technique import AbstractTechnique
 from .biases import AbstractBias
 from .filters import AbstractFilter
 
-# Texels beyond the map's border, and so far that no filter reaches it.
+# A texel position so far outside the map that no filter reaches it.
 _NOWHERE = -1e6
 
 
 class ShadowMapping(AbstractTechnique):
-    """Shadow mapping (Williams 1978), and how its map becomes visibility.
+    """Shadow mapping (Williams 1978).
 
-    - `filter`: where the map is tapped.
+    - `filter`: where the map is tapped, and how the taps are weighted.
     - `bias`: what keeps surfaces from shadowing themselves.
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
@@ -47,17 +47,17 @@ class ShadowMapping(AbstractTechnique):
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        A receiver beyond the map's border or its far plane is lit; one whose surface faces away from the light's centre
-        is dark, since light would have to come through it. Pixels without a surface are lit.
+        A receiver outside the map or beyond its far plane is lit. A surface that faces away from the light's centre is
+        dark. Pixels without a surface are lit.
         """
         return _visibility(self.filter, self.bias, self.compare, state, surface)
 
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): those that the map can say something of."""
+        """Pixels whose surface lies within the light's frustum, (h, w): those that the map covers."""
         return _covered(self.bias, state, surface)
 
 
-# Without the settings of the map, on which these programs do not depend.
+# These take no map settings: the compiled programs do not depend on them.
 @eqx.filter_jit
 def _visibility(
     filter: AbstractFilter, bias: AbstractBias, compare: AbstractCompare, shadow_map: ShadowMap, surface: Surface
@@ -65,10 +65,10 @@ def _visibility(
     lookup, cosine = _look_up(bias, shadow_map, surface)
     faces_away = surface.mask & ~(cosine > 0)
     active = surface.mask & lookup.inside & ~faces_away
-    # The others look where nothing has to be computed.
+    # Inactive pixels look far outside the map, where no work is done.
     lookup = lookup.at(*(jnp.where(active, place, _NOWHERE) for place in (lookup.x, lookup.y)))
-    # Barrier: otherwise XLA recomputes the projection for every tap. One for each array, so that those without a
-    # derivative stay without one.
+    # Barrier: otherwise XLA recomputes the projection for every tap. One barrier per array, so that arrays without a
+    # derivative do not get one.
     lookup = jax.tree.map(lax.optimization_barrier, lookup)
     lit = in_unit_range(filter(shadow_map, lookup, compare))
     return jnp.where(active, lit, jnp.where(faces_away, 0, 1))
@@ -82,6 +82,6 @@ def _covered(bias: AbstractBias, shadow_map: ShadowMap, surface: Surface) -> Mas
 
 @eqx.filter_checkpoint
 def _look_up(bias: AbstractBias, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
-    # Reverse mode recomputes this: storing what it needs for every pixel takes longer.
+    # Reverse mode recomputes this, which is faster than storing residuals for every pixel.
     at = receiver(shadow_map, surface)
     return look_up(shadow_map, at, bias(at)), at.cosine

@@ -1,4 +1,4 @@
-"""Techniques: ways to find which surfaces a light reaches."""
+"""Techniques: algorithms that find which surfaces a light reaches."""
 
 import abc
 from typing import Any
@@ -13,9 +13,9 @@ from ..raster import Surface
 class AbstractTechnique(eqx.Module):
     """Draws the shadows of a scene in two steps.
 
-    `prepare` makes a state of what the light sees: a shadow map, a texture, or the edges to extrude. `visibility` then
-    makes an image of it. The state depends on meshes, light and, for some techniques, the camera; it depends on
-    neither bias nor filter, so one state serves every setting of these.
+    `prepare` makes a state from what the light sees: a shadow map, a texture, or the edges to extrude. `visibility`
+    makes an image from the state. The state depends on meshes, light and, for some techniques, the camera. It does not
+    depend on bias or filter, so one state serves all their settings.
     """
 
     @abc.abstractmethod
@@ -24,8 +24,8 @@ class AbstractTechnique(eqx.Module):
 
         **Arguments:**
 
-        - `surface`: what `scene.camera` sees, for techniques that fit their maps to it. They draw it if it is left
-            out; all others ignore it.
+        - `surface`: what `scene.camera` sees, for techniques that fit their maps to it. They draw it themselves if it
+            is left out; all other techniques ignore it.
 
         **Raises** `ValueError` if the scene has several lights, see `Scene.lit_by`.
         """
@@ -42,4 +42,4 @@ class AbstractTechnique(eqx.Module):
 
     @abc.abstractmethod
     def covered(self, state: Any, surface: Surface) -> Mask:
-        """The pixels that the technique can say something of, (h, w); the others have a surface outside its maps."""
+        """Pixels that the technique covers, (h, w). The others have no surface, or one outside the technique's maps."""

@@ -1,12 +1,12 @@
 """Shadow volumes (Crow 1977): the space that casters hide from a light, and whether surfaces lie inside it.
 
-Every caster's silhouette is extruded away from the light to infinity. How many more volumes a view ray enters than it
-leaves before it meets a surface says whether that surface is shadowed; a stencil buffer counts them (Heidmann 1991).
-No map is sampled, so these shadows are exact up to the rounding of the rasterizer.
+Every caster's silhouette is extruded away from the light to infinity. A surface is shadowed if a view ray enters more
+volumes than it leaves before it hits the surface; a stencil buffer counts them (Heidmann 1991). No map is sampled, so
+the shadows are exact up to the rounding of the rasterizer.
 
-A solid, which is closed and has the light outside of it, is counted by its faces that are turned to the light. The
-faces of any other mesh, open, crossing itself or with edges of three faces, are all turned to the light one by one, and
-what is left of their sides after cancelling is extruded as often as it is left (Kim, Kim & Hong 2008, "A shadow volume
+Of a solid (closed, with the light outside), the faces that face the light count. In any other mesh (open,
+self-intersecting or non-manifold), every face that faces away is flipped, edges shared by faces of opposite winding
+cancel, and each remaining edge is extruded as many times as it remains (Kim, Kim & Hong 2008, "A shadow volume
 algorithm for opaque and transparent non-manifold casters").
 """
 
@@ -34,30 +34,29 @@ from ..raster import (
 )
 from ._technique import AbstractTechnique
 
-# Surfaces count as this much nearer, in window depth, than they are, so that the caps that lie in them lie behind them
-# whatever the rounding. It is some thousand times what float64 rounds off, and what float32 rounds off is 65,000 times
-# as much again.
+# Surfaces are moved this much nearer, in window depth, so that coplanar caps lie behind them despite rounding. It is
+# thousands of times the rounding error of float64, and 1/65,000 of that of float32.
 _BEFORE = 2.0**-40
-# A parallel view sees nothing of points at infinity, so there volumes end this many times its far distance away.
+# A parallel projection cannot show points at infinity, so volumes end this many far distances away.
 _NEARLY_INFINITE = 2.0**20
-# The light counts as outside of a solid that is seen to surround less than this share of it.
+# The light counts as outside a solid that subtends less than this fraction of the sphere of directions around it.
 _OUTSIDE = 0.25
 
 
 class VolumeCapacity(NamedTuple):
-    """The capacity to draw what is seen, `scene`, and the faces of the `volumes`; `ShadowVolumes.plan` counts both."""
+    """How much can be drawn of the visible `scene` and of the faces of `volumes`; from `ShadowVolumes.plan`."""
 
     scene: Capacity
     volumes: Capacity
 
 
 class VolumeScene(eqx.Module):
-    """What shadow volumes are made of and seen with.
+    """The input of shadow volumes.
 
-    - `casters`: seen, and cast shadows. Volumes close without a gap if vertices at one place are equal to the bit.
+    - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
     - `light`, `camera`: where volumes are extruded from, and where they are seen from.
     - `edges`: of `casters`.
-    - `receivers`: further surfaces, which are seen and cast none; or none.
+    - `receivers`: further surfaces, which are visible but cast no shadow; or none.
     """
 
     casters: Mesh
@@ -70,9 +69,9 @@ class VolumeScene(eqx.Module):
 class Volumes(eqx.Module):
     """The faces of shadow volumes, in the camera's clip space.
 
-    - `clip`: (v, 4), vertices, first the casters' own, then those at infinity.
-    - `faces`: (t, 3), anticlockwise seen from outside where the weight is positive, clockwise where it is negative.
-    - `weights`: (t,), how often each face counts; 0 for those that are no part of a volume.
+    - `clip`: (v, 4), vertices: first the casters' own, then those at infinity.
+    - `faces`: (t, 3), anticlockwise seen from outside if the weight is positive, clockwise if it is negative.
+    - `weights`: (t,), how many times each face counts; 0 for faces that are not part of a volume.
     """
 
     clip: ClipVertices
@@ -81,18 +80,18 @@ class Volumes(eqx.Module):
 
 
 class ShadowVolumes(AbstractTechnique):
-    """Hard shadows by counting the shadow volumes round each visible surface point.
+    """Hard shadows by counting the shadow volumes around each visible surface point.
 
-    - `method`: which faces of volumes are counted. `"z_fail"`, those at or behind the surface, with volumes closed by
-        caps at either end (Bilodeau & Songy 1999; Carmack 2000): right wherever the eye is. `"z_pass"`, those in front
-        of the surface, without caps: cheaper, but wrong where the eye is inside a volume or the near plane cuts one.
+    - `method`: which faces of volumes are counted. `"z_fail"`: those at or behind the surface, with volumes capped at
+        both ends (Bilodeau & Songy 1999; Carmack 2000); correct wherever the eye is. `"z_pass"`: those in front of the
+        surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts one.
 
-    Lights of any kind count as points, or as infinitely far away: a spot light's cone is not obeyed, nor is a size.
+    Every light is a point light or a directional one: a spot light's cone is ignored, and so is a light's size.
 
-    A mesh that does not cast stops neither light nor shadow: a caster's shadow falls on such a wall, and once more on
-    whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid it.
+    A mesh that does not cast stops neither light nor shadow: a caster's shadow falls on such a wall, and again on
+    whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid this.
 
-    The counts are whole numbers, without gradient.
+    The counts are integers and have no gradient.
 
     **Raises** `ValueError` if the method is unknown.
     """
@@ -106,7 +105,7 @@ class ShadowVolumes(AbstractTechnique):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
         """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.
 
-        Edges depend on the mesh alone: find them once where one mesh is drawn often.
+        Edges depend on the mesh alone: to draw one mesh many times, find them once.
         """
         casters = scene.casters
         return VolumeScene(casters, scene.light, scene.camera, Edges.of(casters), scene.receivers)
@@ -114,16 +113,15 @@ class ShadowVolumes(AbstractTechnique):
     def counts(self, state: VolumeScene, *, capacity: VolumeCapacity | None = None) -> Int[Array, "h w"]:
         """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
 
-        A solid counts once for each of its faces turned to the light that lie between it and the point, an open mesh
-        once for each of its faces there. Where nothing is seen the number means nothing.
+        Of a solid, each face that faces the light and lies between the light and the point counts once; of an open
+        mesh, each face between them. The count is undefined at pixels without a surface.
 
         **Arguments:**
 
-        - `capacity`: how many triangles can be drawn. Left out, they are counted first, which needs concrete
-            arguments; inside `jax.jit` it must be given, by `plan`.
+        - `capacity`: how many triangles can be drawn. If left out, they are counted first, which needs concrete
+            arguments. Required inside `jax.jit`; get it from `plan`.
 
-        **Raises** `ValueError` if `capacity` is left out under a trace; and a runtime error that names the capacity
-        that is too small.
+        **Raises** `ValueError` if `capacity` is left out under a trace, and a runtime error if a capacity is too small.
         """
         return self._count(state, capacity).counts
 
@@ -132,12 +130,12 @@ class ShadowVolumes(AbstractTechnique):
     ) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        A point is lit if it lies in no volume, and its surface, on the side that the camera sees, faces the light.
-        Pixels without a surface between the camera's near and far distances are lit.
+        A point is lit if it lies in no volume and the camera sees the side of its surface that faces the light. Pixels
+        without a surface between the camera's near and far distances are lit.
 
         **Arguments:**
 
-        - `surface`: not needed: the faces that the state's camera sees are found again, in double precision.
+        - `surface`: ignored: the faces that the state's camera sees are drawn again, in double precision.
         - `capacity`, and errors: as for `counts`.
         """
         found = self._count(state, capacity)
@@ -159,8 +157,8 @@ class ShadowVolumes(AbstractTechnique):
         return _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
 
     def _count(self, state: VolumeScene, capacity: VolumeCapacity | None) -> "_Found":
-        # The view is the one that surfaces are drawn with, to the bit. All else is in double precision: a wall may
-        # pass closer to a surface than single-precision depths can tell.
+        # The view is bitwise the one that surfaces are drawn with. All else is in double precision: a volume's side may
+        # pass closer to a surface than single-precision depths can resolve.
         view = _view(state.camera)
         scene, sides = (None, None) if capacity is None else capacity
         with jax.enable_x64(True):
@@ -183,16 +181,16 @@ def shadow_volumes(
     **Arguments:**
 
     - `edges`: of `casters`.
-    - `caps`: whether volumes are closed, by the casters' faces themselves and by the same at infinity.
+    - `caps`: whether volumes are capped, by the casters' faces and by the same faces at infinity.
     """
     view = _endless(camera.view())
     return _volumes(view.clip(casters.vertices), casters, light, view, edges, caps)
 
 
 class _Drawing(eqx.Module):
-    """What has to be drawn, in float64: all that is seen, (v, 4) and (f, 3), and the volumes.
+    """What is drawn, in float64: the visible meshes, (v, 4) and (f, 3), and the volumes.
 
-    - `lit_side`: (f,), whether the camera sees the same side of a face as the light.
+    - `lit_side`: (f,), whether camera and light see the same side of a face.
     - `farthest`: window depth of the camera's own far plane.
     """
 
@@ -204,8 +202,8 @@ class _Drawing(eqx.Module):
 
 
 class _Seen(eqx.Module):
-    """The surface at each pixel, all (h, w): its depth in float64, whether it shows the light's side, and whether there
-    is one before the far plane."""
+    """The surface at each pixel, all (h, w): its depth in float64; whether the camera sees its lit side; and whether
+    there is a surface before the far plane."""
 
     depth: DepthMap
     lit_side: Mask
@@ -213,7 +211,7 @@ class _Seen(eqx.Module):
 
 
 class _Found(eqx.Module):
-    """As `_Seen`, with the number of volumes in place of the depth."""
+    """As `_Seen`, with the number of volumes instead of the depth."""
 
     counts: Int[Array, "h w"]
     lit_side: Mask
@@ -221,7 +219,7 @@ class _Found(eqx.Module):
 
 
 def _widened(tree: tuple[Any, ...]) -> tuple[Any, ...]:
-    """All floating arrays of `tree` in float64; to be used under `jax.enable_x64`."""
+    """Converts all floating arrays of `tree` to float64; for use under `jax.enable_x64`."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, tree)
 
 
@@ -255,14 +253,14 @@ def _plan(drawing: _Drawing, resolution: Resolution) -> VolumeCapacity:
 
 @eqx.filter_jit
 def _behind(face: FaceMap, drawing: _Drawing) -> _Seen:
-    """What is seen where `face` (h, w) is the face at each pixel."""
+    """The surface at each pixel, given its face (h, w)."""
     at = barycentrics(face, drawing.clip, drawing.faces)
     depth = interpolate_depth(at, drawing.clip, drawing.faces)
     return _Seen(depth - _BEFORE, drawing.lit_side[at.face], at.mask & (depth <= drawing.farthest))
 
 
 def _endless(view: View) -> View:
-    """The view with its far plane at infinity, if it is a perspective one."""
+    """The view with its far plane at infinity; a parallel view is returned as it is."""
     if not view.is_perspective:
         return view
     return eqx.tree_at(lambda view: view.eye_to_clip, view, infinite_far(view.eye_to_clip, view.near))
@@ -275,7 +273,7 @@ def _volumes(clip: ClipVertices, casters: Mesh, light: AbstractLight, view: View
     count = casters.vertices.shape[0]
     away = -light.towards(casters.vertices)
     if light.is_directional and view.is_perspective:
-        # All sides run to one point, and volumes need no cap there.
+        # All sides meet at one point at infinity, so volumes need no back cap.
         ends = _at_infinity(view, away[:1])
         sides = [jnp.stack([b, a, jnp.full_like(a, count)], axis=1)]
         back = []
@@ -285,14 +283,14 @@ def _volumes(clip: ClipVertices, casters: Mesh, light: AbstractLight, view: View
         back = [casters.faces + count]
     weights = [outline.multiplicity] * len(sides)
     if caps:
-        # In the vertices' own order, whatever the orientation, so that depths are those of the faces seen.
+        # Caps keep the faces' vertex order whatever their orientation, so that their depths equal the visible faces'.
         sides += [casters.faces, *back]
         weights += [orientation, -orientation][: 1 + len(back)]
     return Volumes(jnp.concatenate([clip, ends]), jnp.concatenate(sides), jnp.concatenate(weights))
 
 
 def _orientation(casters: Mesh, light: AbstractLight, edges: Edges) -> Int[Array, " f"]:
-    """How each face counts: solids by their faces turned to the light, all other faces turned over if need be."""
+    """How each face counts: for solids, 1 if it faces the light, else 0; for other meshes, -1 if it must be flipped."""
     sides = light_sides(casters, light)
     is_solid = edges.solid
     if not light.is_directional:
@@ -301,7 +299,7 @@ def _orientation(casters: Mesh, light: AbstractLight, edges: Edges) -> Int[Array
 
 
 def _surrounds(casters: Mesh, light: AbstractLight, edges: Edges) -> Bool[Array, " c"]:
-    """Whether the light lies inside each component, by the share of all directions in which it is seen from there.
+    """Whether the light lies inside each component, by the component's solid angle as seen from the light.
 
     Van Oosterom & Strackee 1983, "The solid angle of a plane triangle".
     """
@@ -309,12 +307,12 @@ def _surrounds(casters: Mesh, light: AbstractLight, edges: Edges) -> Bool[Array,
     a, b, c = (from_light[casters.faces[:, k]] for k in range(3))
     la, lb, lc = (jnp.sqrt(dot(v, v)) for v in (a, b, c))
     angle = 2 * jnp.arctan2(dot(a, jnp.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
-    share = jax.ops.segment_sum(angle, edges.component, edges.solid.shape[0]) / (4 * jnp.pi)
-    return jnp.abs(share) > _OUTSIDE
+    fraction = jax.ops.segment_sum(angle, edges.component, edges.solid.shape[0]) / (4 * jnp.pi)
+    return jnp.abs(fraction) > _OUTSIDE
 
 
 def _at_infinity(view: View, directions: Float[Array, "n 3"]) -> Float[Array, "n 4"]:
-    """Clip coordinates of the points infinitely far away along `directions` (n, 3)."""
+    """Clip coordinates of the points at infinity along `directions` (n, 3)."""
     eye = transform_vectors(view.world_to_eye, directions)
     columns = view.eye_to_clip.T
     return eye[:, 0:1] * columns[0] + eye[:, 1:2] * columns[1] + eye[:, 2:3] * columns[2]

@@ -113,7 +113,7 @@ scene:
         build(text=text)
     first, second = (str(problem) for problem in caught.value.mistakes)
     assert first == (
-        "configuration:4: scene.meshes.0.options.sise: is no option of box; expected size; did you mean 'size'?"
+        "configuration:4: scene.meshes.0.options.sise: is not an option of box; expected size; did you mean 'size'?"
     )
     assert second == (
         "configuration:6: scene.meshes.1.options.size: is -3; expected world units from 1e-06 to 1e+09; change it"
@@ -124,7 +124,7 @@ scene:
     ("override", "said"),
     [
         ("scene.camera={eye: [0, 3, 0], target: [0, 3, 0]}", "scene.camera: the camera's eye and target are both"),
-        ("scene.camera={eye: [0, 3, 0], target: [0, 9, 0]}", "scene.camera: the whole scene lies behind the camera"),
+        ("scene.camera={eye: [0, 3, 0], target: [0, 9, 0]}", "scene.camera: the whole scene is behind the camera"),
         ("scene.camera.near=1e6", "scene.camera: the camera has near = 1000000.0"),
         ("scene.light={type: spot, position: [0, 0.3, 0]}", "scene.light: the spot light at"),
     ],
@@ -140,7 +140,7 @@ def test_poses_that_cannot_be_are_told_with_their_key(override, said):
     [
         ("{path: builtin:box, scale: 1e12}", "scene.meshes.0: reaches 1e+12 world units from the origin"),
         ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches inf world units from the origin"),
-        ("{path: builtin:torus, options: {name: 3}}", "scene.meshes.0.options.name: is no option of torus"),
+        ("{path: builtin:torus, options: {name: 3}}", "scene.meshes.0.options.name: is not an option of torus"),
         ("{path: builtin:torus, options: {segments: 4294967296}}", "scene.meshes.0.options.segments: is 4294967296"),
     ],
 )
@@ -218,7 +218,7 @@ def test_truth_that_no_fit_can_find_is_told(initial):
         build_fit(config)
     assert str(caught.value).startswith(
         "file.yaml:2: fit.parameters.scene.meshes.0.translate.x: is 0 in the scene, from which the reference is traced"
-        "; expected a truth that a fit can find, from lower = 4 to upper = 9; widen the bounds"
+        "; expected a value within the fit's bounds, lower = 4 to upper = 9; widen the bounds"
     )
 
 
@@ -396,7 +396,7 @@ def test_open_caster_is_refused_where_back_faces_cast_for_it():
         build_scene(parse_config(CASTING.format(box="true"), source="file.yaml"))
     assert str(caught.value).startswith(
         "file.yaml:3: scene.meshes.0: is an open mesh that casts shadows, while shadow_map.cull is front; expected "
-        "closed meshes, whose back faces can cast for them: set casts: false if it only receives"
+        "closed meshes, since only back faces cast: set casts: false if it only receives"
     )
     volumes = parse_config(CASTING.format(box="true"), ["technique.type=shadow_volumes"])
     assert build_scene(volumes).receivers is None
@@ -416,8 +416,7 @@ def test_fit_of_a_technique_without_a_gradient_is_refused():
     with pytest.raises(ConfigError) as caught:
         build_fit(config)
     assert str(caught.value).startswith(
-        "file.yaml:2: technique.type: is shadow_volumes, whose visibility is whole numbers without a gradient; "
-        "expected shadow_map"
+        "file.yaml:2: technique.type: is shadow_volumes, whose visibility has no gradient; expected shadow_map"
     )
 
 

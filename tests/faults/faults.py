@@ -954,7 +954,7 @@ _SHADOW = (
     _fault(
         "early-out: the first samples weigh half",
         "shadow/filters/_random_disk.py",
-        "share * first + (1 - share) * others",
+        "weight * first + (1 - weight) * others",
         "(first + others) / 2",
         "test_filters.py",
     ),
@@ -968,7 +968,7 @@ _SHADOW = (
     _fault(
         "soft shadows: blockers' depth not divided by their share",
         "shadow/filters/_pcss.py",
-        "depth / jnp.where(some, share, 1)",
+        "depth / jnp.where(some, fraction, 1)",
         "depth",
         "test_pcss.py",
     ),
@@ -1132,8 +1132,8 @@ _SHADING = (
     _fault(
         "modulated shadow: darkens the background",
         "shading/_modulated.py",
-        "jnp.where(surface.mask, share, 1)[..., None]",
-        "share[..., None]",
+        "jnp.where(surface.mask, weight, 1)[..., None]",
+        "weight[..., None]",
         "test_shading.py",
     ),
 )
@@ -1751,8 +1751,8 @@ _CONFIG = (
     _fault(
         "built shading: every light as bright as one",
         "config/building/_modules.py",
-        "share = _INTENSITY / len(config.scene.each_light)",
-        "share = _INTENSITY",
+        "default = _INTENSITY / len(config.scene.each_light)",
+        "default = _INTENSITY",
         "test_config_build.py",
     ),
     _fault(

@@ -333,7 +333,7 @@ def test_bad_meshes_are_refused():
     with pytest.raises(ValueError, match=r"1 of the mesh's 3 vertices.*first is vertex 2"):
         Mesh([*triangle[:2], [0, math.nan, 0]], [[0, 1, 2]])
     for faces in ([[0, 1, 3]], [[-1, 0, 1]]):
-        with pytest.raises(ValueError, match=r"faces name vertices -?\d to \d, but it has 3"):
+        with pytest.raises(ValueError, match=r"faces use vertices -?\d to \d, but it has 3"):
             Mesh(triangle, faces)
     with pytest.raises(ValueError, match="no meshes to merge"):
         merge([])

@@ -195,7 +195,7 @@ def test_blob_depends_on_its_seed_and_not_on_its_resolution():
 def test_library_names_the_nearest_piece_and_option():
     with pytest.raises(ValueError, match=r"no mesh called 'torusknot'.*did you mean 'torus_knot'.*plane"):
         library_mesh("torusknot")
-    with pytest.raises(ValueError, match=r"raduis is no option of sphere; .*; did you mean 'radius'\?"):
+    with pytest.raises(ValueError, match=r"raduis is not an option of sphere; .*; did you mean 'radius'\?"):
         library_mesh("sphere", raduis=1.0)
 
 
@@ -219,7 +219,7 @@ def test_library_names_the_nearest_piece_and_option():
         ("torus_knot", {"p": 10**30}, "p is 1"),
         ("fence", {"slats": 10**9}, "slats is 1000000000; expected a whole number from 1 to 10000"),
         ("blob", {"seed": -1}, "seed is -1"),
-        ("fence", {"slats": 100}, "leave no gaps"),
+        ("fence", {"slats": 100}, "leaves no gaps"),
         ("blob", {"amplitude": 1.0}, "amplitude is 1.0"),
         ("chair", {"spindles": 101}, "spindles is 101; expected a whole number from 0 to 100"),
         ("chair", {"sides": 257}, "sides is 257; expected a whole number from 3 to 256"),

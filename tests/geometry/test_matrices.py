@@ -125,7 +125,7 @@ def test_matrices_can_be_traced_once_their_kind_is_known():
 
     slope = jax.jit(jax.jacfwd(lambda shift: eye(shift, is_perspective=True)))(jnp.zeros(3))
     np.testing.assert_allclose(slope, -view.world_to_eye[:3, :3].T, atol=1e-6)
-    with pytest.raises(ValueError, match="eye_to_clip is traced, so its kind is not known; expected is_perspective"):
+    with pytest.raises(ValueError, match="eye_to_clip is traced, so its kind is unknown; expected is_perspective"):
         jax.jit(eye)(jnp.zeros(3))
 
 
@@ -148,14 +148,14 @@ def changed(matrix, row, column, value):
         (RIGID[:3], FRUSTUM, {}, r"'s world_to_eye has shape \(3, 4\); expected one matrix, \(4, 4\)"),
         (RIGID, FRUSTUM[None], {}, r"'s eye_to_clip has shape \(1, 4, 4\)"),
         (changed(RIGID, 0, 3, np.nan), FRUSTUM, {}, "'s world_to_eye is .*nan.*; expected finite numbers"),
-        (RIGID.T, FRUSTUM, {}, "expected a rotation and a shift.* transpose it if it acts on row vectors"),
-        (RIGID @ np.diag([2.0, 2.0, 2.0, 1.0]), FRUSTUM, {}, "expected a rotation and a shift.* take out its scale"),
+        (RIGID.T, FRUSTUM, {}, "expected a rotation and translation.* transpose it if it acts on row vectors"),
+        (RIGID @ np.diag([2.0, 2.0, 2.0, 1.0]), FRUSTUM, {}, "expected a rotation and translation.* remove any scale"),
         (np.diag([1.0, 1.0, -1.0, 1.0]) @ RIGID, FRUSTUM, {}, "mirror it if its eye looks along"),
         (RIGID, FRUSTUM.T, {}, r"'s eye_to_clip has the last row .*; expected 0, 0, -1, 0 of a perspective"),
         (RIGID, FRUSTUM, {"is_perspective": False}, "has is_perspective = False, and .*; expected them to agree"),
-        (RIGID, changed(FRUSTUM, 1, 1, -1.0), {}, "turn y round if it runs down"),
+        (RIGID, changed(FRUSTUM, 1, 1, -1.0), {}, "flip y if it points down"),
         (RIGID, changed(FRUSTUM, 2, 0, 0.3), {}, "leave oblique near planes out"),
-        (RIGID, changed(BOX, 0, 1, 0.3), {}, "expected what glFrustum or glOrtho makes"),
+        (RIGID, changed(BOX, 0, 1, 0.3), {}, "expected a matrix like that of glFrustum or glOrtho"),
         (RIGID, np.asarray(perspective(SIDES, SIDES, FAR, NEAR)), {}, "has near = 9.0.* expected 0 < near < far"),
         (RIGID, np.asarray(orthographic(SIDES, SIDES, FAR, NEAR)), {}, "expected near < far"),
         (RIGID, changed(changed(FRUSTUM, 2, 2, -1.0), 2, 3, -1.0), {}, "and far = .*inf; expected 0 < near < far"),

@@ -42,7 +42,7 @@ def test_a_mesh_that_contributes_nothing_is_named_with_its_cause(mesh, cause, tm
     (tmp_path / "line.obj").write_text(COLLINEAR)
     (remark,) = remarks(mesh, tmp_path)
     assert remark.startswith("scene.meshes.2 (")
-    assert "covers no pixel and casts no shadow into the picture: " in remark
+    assert "covers no pixel and casts no shadow into the image: " in remark
     assert cause in remark
 
 

@@ -34,14 +34,14 @@ NOTHING = surface_at([0, 0, 0], seen=False)
 @pytest.mark.parametrize(
     ("camera", "cause"),
     [
-        ("{eye: [0, 0.5, 0], target: [9, 0.5, 0]}", "its eye lies inside scene.meshes.0 (builtin:box)"),
+        ("{eye: [0, 0.5, 0], target: [9, 0.5, 0]}", "its eye is inside scene.meshes.0 (builtin:box)"),
         (
             "{eye: [3, 3, 3], target: [0, 0, 0], near: 50, far: 60}",
-            "what it looks at is 5.2 world units away; its near is 50",
+            "its target is 5.2 world units away; its near is 50",
         ),
-        ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1, far: 2}", "what it looks at is 5.2 world units away"),
+        ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1, far: 2}", "its target is 5.2 world units away"),
         ("{eye: [3, 3, 3], target: [0, 0.5, 0]}", "no triangle covers one"),
-        ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1e-30}", "single precision tells no depths apart"),
+        ("{eye: [3, 3, 3], target: [0, 0, 0], near: 1e-30}", "single precision cannot distinguish depths"),
         ("{eye: [1e9, 1e9, 1e9], target: [0, 0, 0]}", "no triangle covers one"),
     ],
 )
@@ -55,8 +55,8 @@ def test_camera_that_sees_nothing_names_the_cause(camera, cause):
 def test_near_that_follows_from_a_far_mesh_is_told():
     said = blind_camera(*scene_of("scene.meshes.0.translate=[1e6, 0, 0]"), NOTHING)
     assert said is not None
-    assert "what it looks at is 2.17 world units away; its near is " in said
-    assert "check the sizes and places of the meshes" in said
+    assert "its target is 2.17 world units away; its near is " in said
+    assert "check the sizes and positions of the meshes" in said
 
 
 def test_camera_that_sees_a_surface_has_no_cause():
@@ -68,18 +68,26 @@ def test_camera_that_sees_a_surface_has_no_cause():
     [
         (
             "{type: spot, position: [0, 0.5, 0], target: [0, 0, 0], outer_angle: 40}",
-            "of 2 pixels with a surface, 2 lie behind it, and it stands inside scene.meshes.0 (builtin:box)",
-            "move it out of that mesh, turn it by its target",
+            "of 2 pixels with a surface, 2 are behind it, and it is inside scene.meshes.0 (builtin:box)",
+            "move it out of that mesh, change its target",
         ),
-        ("{type: spot, position: [0, 5, 0], target: [0, 9, 0], outer_angle: 40}", "2 lie behind it;", "by its target"),
-        ("{type: spot, position: [0, 5, 0], near: 1, far: 2}", "2 lie beyond its far;", "raise its far"),
+        (
+            "{type: spot, position: [0, 5, 0], target: [0, 9, 0], outer_angle: 40}",
+            "2 are behind it;",
+            "change its target",
+        ),
+        ("{type: spot, position: [0, 5, 0], near: 1, far: 2}", "2 are beyond its far;", "raise its far"),
         (
             "{type: spot, position: [9, 5, 0], target: [9, 0, 0], outer_angle: 9}",
-            "2 lie beside its beam;",
+            "2 are beside its frustum;",
             "outer_angle",
         ),
-        ("{type: spot, position: [1e9, 1e9, 0]}", "none is within its beam, for single precision", "move it nearer"),
-        ("{type: point, position: [0, 5, 0], near: 1, far: 2}", "2 lie beyond its far;", "raise its far"),
+        (
+            "{type: spot, position: [1e9, 1e9, 0]}",
+            "none is within its frustum, since single precision",
+            "move it nearer",
+        ),
+        ("{type: point, position: [0, 5, 0], near: 1, far: 2}", "2 are beyond its far;", "raise its far"),
     ],
 )
 def test_light_that_misses_what_is_seen_names_the_cause(light, cause, mend):
@@ -89,9 +97,9 @@ def test_light_that_misses_what_is_seen_names_the_cause(light, cause, mend):
     assert "and the scene's size 5.74 world units; expected a surface that both see" in said
 
 
-def test_bias_that_moves_receivers_out_of_the_beam_is_named():
+def test_bias_that_moves_receivers_out_of_the_frustum_is_named():
     said = blind_light(*scene_of("bias.normal_offset=4000"), surface_at([0, 1, 0]))
-    assert "a normal_offset of 4000 texels moves all out of its beam" in said
+    assert "a normal_offset of 4000 texels moves all out of its frustum" in said
     assert "lower bias.normal_offset" in said
 
 

@@ -1,1 +1,1 @@
-"""From a configuration to the modules that do the work. Of this room, only this folder loads JAX."""
+"""Builds modules from a configuration. In this subpackage, only this folder imports JAX."""

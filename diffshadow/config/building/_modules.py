@@ -1,4 +1,4 @@
-"""A scene, a technique, a shading and a fit, each whole, from a configuration."""
+"""Builds the scene, the technique, the shading and the fit of a configuration."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,18 +17,18 @@ from ..whole._schema import Config
 from ._scene import build_camera, build_light, build_mesh, stage_of
 from ._technique import build_bias, build_compare, build_filter
 
-# With normals, colours and indices, 120 bytes each.
+# 120 bytes per triangle, with normals, colours and indices.
 _MOST_TRIANGLES = 1 << 25
-# Of all lights together, where none is given.
+# Default intensity of all lights together.
 _INTENSITY = 0.7
 
 
 class FitPlan(NamedTuple):
-    """What is fitted, by which solver, and how the compare's width shrinks meanwhile.
+    """The parameters to fit, the solver, and the annealing of the compare's width.
 
-    - `arrangement`: technique, lights and meshes as the scene says, where lights or meshes are moved; else none.
-    - `levels`, `starts`: of a fit that moves them, as `fit.fit` takes them.
-    - `truth`: the scene's own values of what is moved, by name, where the reference is traced from it.
+    - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
+    - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
+    - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     """
 
     parameters: list[fit.Parameter]
@@ -43,10 +43,10 @@ class FitPlan(NamedTuple):
 def build_scene(config: Config) -> geometry.Scene:
     """The scene of `config`: its meshes, its camera and its lights.
 
-    Warns with `io.MeshWarning` of what mesh files hold beside triangles.
+    Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
-    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with the key it comes from, and for an
-    open mesh that casts where only faces that face away from the light cast.
+    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with its key, and for an open mesh that
+    casts if only back faces cast.
     """
     meshes = _meshes_of(config)
     casts = tuple(mesh.casts for mesh in config.scene.meshes)
@@ -63,9 +63,9 @@ def build_scene(config: Config) -> geometry.Scene:
 
 
 def _meshes_of(config: Config) -> list[geometry.Mesh]:
-    """The scene's meshes one by one.
+    """The scene's meshes.
 
-    **Raises** `ConfigError` with a mistake for each that cannot be made.
+    **Raises** `ConfigError` with a mistake for each mesh that cannot be made.
     """
     meshes, mistakes, triangles = [], [], 0
     for i, section in enumerate(config.scene.meshes):
@@ -93,8 +93,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
 
     **Arguments:**
 
-    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the
-        section `fit` counts for nothing: a box filter takes only the taps that the radius of `config` needs.
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the section
+        `fit` is ignored: a box filter takes only the taps that the radius of `config` needs.
 
     **Raises** `ConfigError` if its parts cannot be made.
     """
@@ -107,7 +107,7 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
 
 
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
-    """The shadow mapping of `config`, whatever its technique; as `build_technique`."""
+    """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
     with _blame(config, ("bias",)):
         bias = build_bias(config, fitting=fitting)
     with _blame(config, ("compare",)):
@@ -118,16 +118,16 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
-    """How pictures are shaded.
+    """The shading of `config`.
 
     **Raises** `ConfigError` if it cannot be made.
     """
     section = config.shading
-    share = _INTENSITY / len(config.scene.each_light)
+    default = _INTENSITY / len(config.scene.each_light)
     with _blame(config, ("shading",)):
         phong = shading.Phong(
             ambient=section.ambient,
-            intensity=share if section.intensity is None else section.intensity,
+            intensity=default if section.intensity is None else section.intensity,
             specular=section.specular,
             shininess=section.shininess,
             background=section.background,
@@ -142,9 +142,9 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Arguments:**
 
-    - `scene`: the scene of `config`, if it has been built; only a fit that moves lights or meshes needs it.
+    - `scene`: the scene of `config`, if it has been built; only a fit of lights or meshes needs it.
 
-    **Raises** `ConfigError` if one of them cannot be made, or the technique has nothing that a fit could change.
+    **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
     """
     if config.technique.type != "shadow_map":
         raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
@@ -173,9 +173,9 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
 
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
-    """The technique of `config`, and its lights and meshes as they stand.
+    """The technique of `config`, with its lights and meshes in their initial poses.
 
-    **Raises** `ConfigError` for a vertex to fit that its mesh does not have.
+    **Raises** `ConfigError` if a vertex to fit does not exist in its mesh.
     """
     poses = []
     for i, (mesh, section) in enumerate(zip(scene.meshes, config.scene.meshes, strict=True)):
@@ -191,7 +191,7 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
 
 
 def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tuple[str, float]:
-    """Where the parameter `name` is in what is fitted, and what the configuration sets it to."""
+    """The path of the parameter `name` in the fitted module, and its value in the configuration."""
     pose = pose_of(config, name) if is_pose(name) else None
     if pose is not None:
         return pose.path, float(fit.resolve(arrangement, pose.path))
@@ -200,27 +200,27 @@ def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tu
 
 
 def _within(value: float, bounds: FitParameterConfig, unit: str) -> float:
-    """An angle turned by whole turns, so that it lies within its bounds if it can."""
-    turned = bounds.lower + (value - bounds.lower) % 360
-    return turned if unit == "degrees" and turned <= bounds.upper else value
+    """Wraps an angle by full turns into its bounds, if possible."""
+    wrapped = bounds.lower + (value - bounds.lower) % 360
+    return wrapped if unit == "degrees" and wrapped <= bounds.upper else value
 
 
 def _reachable(truth: float, bounds: FitParameterConfig) -> float:
-    """`truth`, where it lies within the bounds.
+    """`truth`, if it is within the bounds.
 
-    **Raises** `ValueError` where it does not.
+    **Raises** `ValueError` if it is not.
     """
     if not bounds.lower <= truth <= bounds.upper:
         raise ValueError(
-            f"is {truth:g} in the scene, from which the reference is traced; expected a truth that a fit can find, "
-            f"from lower = {bounds.lower:g} to upper = {bounds.upper:g}; widen the bounds, or move it in the scene"
+            f"is {truth:g} in the scene, from which the reference is traced; expected a value within the fit's bounds, "
+            f"lower = {bounds.lower:g} to upper = {bounds.upper:g}; widen the bounds, or move it in the scene"
         )
     return truth
 
 
 @contextmanager
 def _blame(config: Config, path: KeyPath) -> Iterator[None]:
-    """Lays errors of what is built inside to the key at `path`."""
+    """Reports errors raised inside as mistakes of the key at `path`."""
     try:
         yield
     except ConfigError:
@@ -237,15 +237,15 @@ def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
 
 
 def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
-    """**Raises** `ConfigError` for every open mesh that casts, if only faces turned away from the light cast."""
+    """**Raises** `ConfigError` for every open mesh that casts, if only back faces cast."""
     if config.technique.type != "shadow_map" or config.shadow_map.cull != "front":
         return
-    said = (
-        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, whose back faces "
-        "can cast for them: set casts: false if it only receives, or shadow_map.cull to none"
+    what = (
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "
+        "faces cast: set casts: false if it only receives, or shadow_map.cull to none"
     )
     mistakes = [
-        Mistake(*_at(config, ("scene", "meshes", i)), said)
+        Mistake(*_at(config, ("scene", "meshes", i)), what)
         for i, (mesh, section) in enumerate(zip(meshes, config.scene.meshes, strict=True))
         if section.casts and not geometry.Edges.of(mesh).is_closed
     ]
@@ -255,7 +255,7 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
 
 def _no_gradient(kind: str) -> str:
     why = {
-        "shadow_volumes": "whose visibility is whole numbers without a gradient",
+        "shadow_volumes": "whose visibility has no gradient",
         "projective_texture": "which has neither a bias nor a filter to fit",
     }[kind]
-    return f"is {kind}, {why}; expected shadow_map, the technique that fits: change it, or render instead"
+    return f"is {kind}, {why}; expected shadow_map, which can be fitted: change it, or render instead"

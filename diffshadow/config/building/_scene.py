@@ -1,4 +1,4 @@
-"""Meshes, cameras and lights from their sections."""
+"""Builds meshes, cameras and lights from their sections."""
 
 from typing import NamedTuple
 
@@ -20,16 +20,16 @@ from ..sections._lights import (
 from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
 from ..sections._section import FARTHEST
 
-# Room left round the scene along the view axis, as a share of its depth.
+# Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01
-# Nearer than this share of `far`, a perspective depth has little precision left for the rest.
+# Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
 _LEAST_NEAR = 1e-3
 
 
 def build_mesh(config: MeshConfig) -> geometry.Mesh:
-    """One mesh, at its place in the scene.
+    """One mesh, placed in the scene.
 
-    **Raises** `ValueError` if its file cannot be used, its options do not suit it, or it reaches too far.
+    **Raises** `ValueError` if its file cannot be used, its options are not valid, or it reaches too far.
     """
     if config.builtin is not None:
         mesh = geometry.library_mesh(config.builtin, **config.options)
@@ -51,8 +51,8 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
 
 
 class Stage(NamedTuple):
-    """What cameras and lights are placed by: all points (n, 3), those of what casts (m, 3), and the first mesh's middle
-    and radius."""
+    """What cameras and lights are placed relative to: all points (n, 3), the casters' points (m, 3), and the first
+    mesh's centre and radius."""
 
     points: Float[HostArray, "n 3"]
     casters: Float[HostArray, "m 3"]
@@ -60,7 +60,7 @@ class Stage(NamedTuple):
     radius: float
 
     def around(self, azimuth: float, elevation: float, distance: float) -> Vec3:
-        """The point at `distance` radii from the middle, at the angles in degrees."""
+        """The point at `distance` radii from the centre, in the direction given by angles in degrees."""
         return geometry.orbit_eye(jnp.asarray(self.middle), distance * self.radius, azimuth, elevation)
 
 
@@ -72,11 +72,11 @@ def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh)
     return Stage(used(whole), used(casters), middle, radius)
 
 
-# Compiled as one, since a mesh's first dozens of single operations would take longer than all the rest.
+# Compiled, since dispatching dozens of single operations would take longer than everything else.
 @eqx.filter_jit
 def _placed(mesh: geometry.Mesh, scale: Scalar, rotate: Vec3, translate: Vec3) -> geometry.Mesh:
-    """The mesh scaled, turned about x, y and z in turn by `rotate` degrees, then moved."""
-    # Some devices multiply matrices in half the digits unless told not to.
+    """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated."""
+    # Some devices multiply matrices in lower precision by default.
     with jax.default_matmul_precision("highest"):
         x, y, z = (geometry.rotation(axis, jnp.deg2rad(turn)) for axis, turn in zip(jnp.eye(3), rotate, strict=True))
         return mesh.transformed(geometry.translation(translate) @ z @ y @ x @ geometry.scaling(scale))
@@ -92,7 +92,7 @@ def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: 
     if bool((eye == target).all()):
         raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
     up = jnp.asarray(config.up)
-    # What the scene spans across the view, and along it.
+    # The scene's extent across the view, and along it.
     view = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)
     across, upwards, backward = (stage.points @ view[:3, :3].T + view[:3, 3]).T
     near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
@@ -109,17 +109,17 @@ def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: 
 
 
 def _depth_range(depth: Float[HostArray, "n"], *, perspective: bool) -> tuple[float, float]:
-    """Near and far that hold the points at `depth` (n,) along the view axis, tightly; all in world units.
+    """Near and far that tightly bound the points at `depth` (n,) along the view axis; all in world units.
 
-    **Raises** `ValueError` if `perspective` and all points lie behind the eye.
+    **Raises** `ValueError` if `perspective` and all points are behind the eye.
     """
     low, high = float(depth.min()), float(depth.max())
     if perspective and high <= 0:
         raise ValueError(
-            f"the whole scene lies behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
-            "expected some of it in front: turn the camera round by its eye or target"
+            f"the whole scene is behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
+            "expected some of it in front: change the camera's eye or target"
         )
-    # A scene that is flat seen from the camera still needs a range.
+    # A scene seen edge-on still needs a depth range.
     margin = max(_MARGIN * (high - low), _LEAST_NEAR * max(abs(low), abs(high)))
     near, far = low - margin, high + margin
     return (max(near, _LEAST_NEAR * far) if perspective else near), far
@@ -128,7 +128,7 @@ def _depth_range(depth: Float[HostArray, "n"], *, perspective: bool) -> tuple[fl
 def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
     """One light.
 
-    **Raises** `ValueError` if it cannot be placed so.
+    **Raises** `ValueError` if it cannot be placed there.
     """
     if isinstance(config, DirectionalLightConfig):
         return _directional(config, stage)
@@ -161,7 +161,7 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
             )
     near = tight.near if config.near is None else config.near
     far = tight.far if config.far is None else config.far
-    # By its constructor, so that a near and a far that do not go together are refused.
+    # By its constructor, which checks near and far.
     return type(tight)(**{**vars(tight), "near": near, "far": far})
 
 

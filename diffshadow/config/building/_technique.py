@@ -1,4 +1,4 @@
-"""Techniques from their sections."""
+"""Builds filters, biases and compares from their sections."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ from ..sections._filters import PatternedConfig
 from ..sections._technique import CompareConfig, SoftCompareConfig
 from ..whole._schema import Config
 
-# Patterns whose name differs from that of the function that makes them.
+# Patterns whose function has another name.
 _PATTERNS = {"poisson": "poisson_disk"}
 
 
 def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
-    """The filter of `config`: the module that its section names, with the section's keys as arguments.
+    """The filter of `config`: the module that its section builds, with the section's keys as arguments.
 
     **Arguments:**
 
@@ -61,11 +61,11 @@ def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
 
 
 def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:
-    """The values of the keys of the section `holder`, in a fit with a number for those that it fits."""
+    """The values of the keys of the section `holder`. With `fitting`, keys that are fitted have numbers."""
     section: Any = config
     for key in holder.split("."):
         section = getattr(section, key)
     values = {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
-    # What is not set cannot be fitted, unless the fit says where it starts.
+    # A key that is not set has the fit's initial value, if it is fitted.
     starts = {key for key, value in values.items() if value is None and f"{holder}.{key}" in config.fit.parameters}
     return values | {key: config.initial(f"{holder}.{key}") for key in starts if fitting}

@@ -1,4 +1,4 @@
-"""Lights, one kind a file."""
+"""Lights, one kind per file."""
 
 from ._abstract import AbstractLight as AbstractLight
 from ._abstract import Domain as Domain

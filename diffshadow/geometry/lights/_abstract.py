@@ -1,8 +1,7 @@
 """Lights: the view that a shadow map is drawn from, and the rays that a reference is traced with.
 
-Every light answers two questions. `view()` says how its shadow map projects; `towards(points, sample)` says which way
-the light lies. A light may have a size: `sample` picks a point of it, `(0, 0)` its centre, which is where the shadow
-map is drawn from.
+`view()` is the projection of the light's shadow map; `towards(points, sample)` is the direction to the light. A light
+may have a size: `sample` picks a point on it. `(0, 0)` is its centre, from which the shadow map is drawn.
 """
 
 import abc
@@ -22,7 +21,7 @@ Domain = Literal["disk", "square"]
 """Where samples of a light lie: in the disk of radius 1, or in the square [-1, 1]²."""
 
 UP = (0.0, 1.0, 0.0)
-"""The upright direction of shadow maps, unless a light says otherwise."""
+"""The default up direction of shadow maps."""
 
 
 class AbstractLight(eqx.Module):
@@ -39,43 +38,43 @@ class AbstractLight(eqx.Module):
         **Arguments:**
 
         - `points`: (..., 3), world units.
-        - `sample`: (..., 2), a point of the light's `domain` for each of them; which point of the light is meant.
-            Samples even over the domain are even over the light's area, or over what of it shows its outline. The
-            centre if left out.
+        - `sample`: (..., 2), for each point, a sample of the light's `domain`, which selects a point on the light.
+            Samples uniform over the domain are uniform over the light's area, or over its visible disk. The centre if
+            left out.
 
-        **Returns:** (..., 3). To a light at a finite distance, the whole way in world units; to a directional light,
-        a vector along the way whose length means nothing.
+        **Returns:** (..., 3). For a light at a finite distance, the vector to it in world units; for a directional
+        light, a vector of arbitrary length towards it.
         """
 
     @abc.abstractmethod
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
-        """Which of its views sees each of `points`; `None` for a light that looks one way only."""
+        """Which of its views sees each of `points`; `None` for a light with one view."""
 
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """The fraction of its light, (...,) in [0, 1], that the light sends towards each of `points` (..., 3), in world
-        units; 1 for a light without a cone. Shading obeys it, visibility does not."""
+        """The fraction of its light, (...,) in [0, 1], that the light emits towards each of `points` (..., 3), in world
+        units; 1 for a light without a cone. It affects shading, but not visibility."""
         return jnp.ones(points.shape[:-1])
 
     def pose(self) -> LightPose:
-        """The numbers by which the light can be placed, as it stands; all none for a kind that cannot be."""
+        """The light's pose; all fields are none for a light whose pose cannot be fitted."""
         return LightPose()
 
     def at(self, pose: LightPose) -> "AbstractLight":
-        """The same light in a `pose` of its kind. The frustum of its shadow map does not follow: see `refitted`."""
+        """The same light in another `pose`. The frustum of its shadow map does not follow: see `refitted`."""
         return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":
         """The same light with the frustum of its shadow map refitted to `points` (n, 3), also under a trace.
 
-        The frustum carries no gradient; where the light stands and which way it shines do. A light that cannot be
-        refitted stays as it is.
+        The frustum carries no gradient; the light's position and direction do. A light that cannot be refitted is
+        returned as it is.
         """
         return self
 
     @property
     @abc.abstractmethod
     def domain(self) -> Domain:
-        """Where the samples that `towards` takes lie."""
+        """The domain of the samples that `towards` takes."""
 
     @property
     @abc.abstractmethod
@@ -89,7 +88,7 @@ class AbstractLight(eqx.Module):
 
 
 def check_direction(name: str, direction: Vec3, what: str = "direction") -> None:
-    """**Raises** `ValueError` if `direction` is known and points nowhere."""
+    """**Raises** `ValueError` if `direction` is known and is zero or not finite."""
     d = concrete(direction)
     if d is not None and not (np.isfinite(d).all() and (d != 0).any()):
         raise ValueError(f"{name}'s {what} is {d.tolist()}; expected a finite vector that is not zero")

@@ -18,12 +18,12 @@ from ._pose import LightPose, angles
 class DirectionalLight(AbstractLight):
     """Light from infinitely far away, such as the sun's.
 
-    - `direction`: (3,), the way the light travels; any length but 0.
+    - `direction`: (3,), the direction in which the light travels; any length but 0.
     - `center`: (3,), a world point on the axis of the shadow map's box.
     - `extent`: (2,), width and height of that box in world units.
-    - `near`, `far`: where the box begins and ends along `direction`, measured from `center`, in world units; `near`
-        is negative where the box begins before `center`.
-    - `angular_radius`: half the angle under which the light's disk is seen, in degrees (the sun's is 0.27).
+    - `near`, `far`: where the box begins and ends along `direction`, measured from `center`, in world units; `near` is
+        negative if the box begins before `center`.
+    - `angular_radius`: half the angular diameter of the light's disk, in degrees (the sun's is 0.27).
 
     `DirectionalLight.around` fits the box to a scene.
 
@@ -56,10 +56,10 @@ class DirectionalLight(AbstractLight):
         *,
         receivers: Float[Array, "m 3"] | None = None,
     ) -> "DirectionalLight":
-        """The light along `direction` whose shadow map holds `points` (n, 3), tightly.
+        """The light along `direction` whose shadow map tightly bounds `points` (n, 3).
 
-        With `receivers` (m, 3) its box goes on until it has passed them too, but gets no wider: where `points` are what
-        casts shadows, no texel is spent on what only receives them.
+        With `receivers` (m, 3) its box is made deep enough for them too, but not wider: if `points` are the casters, no
+        texels are spent on surfaces that only receive.
         """
         direction = as_float(direction)
         check_direction("the directional light", direction)

@@ -1,4 +1,4 @@
-"""What lights that shine one way share: frusta fitted to a scene, and points of a plane that faces along them."""
+"""Common code of lights with a single view: frusta fitted to a scene, and points on a plane across the view axis."""
 
 from typing import NamedTuple
 
@@ -13,20 +13,20 @@ from .._view import View
 from ._abstract import check_direction
 
 MARGIN = 0.01
-"""Room left round the scene in a fitted frustum, as a share of its extent: keeps its points clear of the border."""
+"""Margin around the scene in a fitted frustum, as a fraction of its extent: keeps its points clear of the border."""
 FLAT = 1e-3
-"""A scene that is flat seen from the light still gets a frustum this deep, as a share of its size or its distance."""
-# A light whose nearest point is closer than this share of its farthest counts as inside the scene.
+"""Minimum depth of a fitted frustum, as a fraction of the scene's size or distance, for scenes that the light sees
+edge-on."""
+# If a light's nearest point is closer than this fraction of its farthest, the light counts as inside the scene.
 _NEAREST = 1e-3
-# The near plane stays this share of the farthest point's distance clear of the light: window depth spends its precision
-# there.
+# Minimum near distance, as a fraction of the farthest point's distance: a nearer plane would waste depth precision.
 _CLEAR = 1e-2
-# Bounds on half the opening of a frustum that follows a light about, in degrees.
+# Bounds on the half-angle of a refitted frustum, in degrees.
 _NARROWEST, _WIDEST = 0.1, 80.0
 
 
 class Frustum(NamedTuple):
-    """A square frustum: its axis (3,), half its opening in degrees, and where it begins and ends along the axis."""
+    """A square frustum: its axis (3,), its half-angle in degrees, and its near and far distances along the axis."""
 
     direction: Vec3
     outer_angle: Scalar | float
@@ -43,7 +43,7 @@ class Frustum(NamedTuple):
         up: Vec3,
         outer_angle: float | None,
     ) -> "Frustum":
-        """The frustum from `position` to `target`, by default the middle of the points' box, that just holds `points`.
+        """The tight frustum around `points` from `position` towards `target`, by default the centre of their box.
 
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
@@ -56,7 +56,7 @@ class Frustum(NamedTuple):
         if outer_angle is None:
             if not bool(_is_clear(low, high)):
                 raise ValueError(
-                    f"{name} at {position.tolist()} stands inside the scene, so no cone holds all of it; expected a "
+                    f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
                     "position outside, or an outer_angle in degrees: move the light or give the angle"
                 )
             tangent = jnp.max(jnp.abs(eye[..., :2]) / distance[..., None]) * (1 + 2 * MARGIN)
@@ -65,7 +65,7 @@ class Frustum(NamedTuple):
 
     @classmethod
     def framing(cls, position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3 | None = None) -> "Frustum":
-        """As `around`, under a trace as well, and along `direction` if given: points beside or behind the light stay
+        """As `around`, also under a trace, and along `direction` if given. Points beside or behind the light stay
         outside the frustum."""
         if direction is None:
             direction = (points.min(axis=0) + points.max(axis=0)) / 2 - position
@@ -85,15 +85,15 @@ def distances_along(position: Vec3, direction: Vec3, points: Float[Array, "n 3"]
 
 
 def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
-    """The least and the greatest of the distances ahead of a light."""
-    # What lies behind the light casts no shadow; if all does, the frustum is as long as the scene is far.
+    """The least and the greatest distance in front of a light."""
+    # Points behind the light cast no shadow. If all are behind it, the frustum is as long as the largest distance.
     high = jnp.max(distance)
     high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
     return jnp.clip(jnp.min(distance), 0, high), high
 
 
 def near_far(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
-    """Near and far for what lies at distances `low` to `high`; `low` is 0 where the light stands amid it."""
+    """Near and far for points at distances `low` to `high`; `low` is 0 if the light is among them."""
     pad = jnp.maximum(MARGIN * (high - low), FLAT / 2 * high)
     clear = _CLEAR * high
     near = jnp.maximum(low - pad, jnp.where(_is_clear(low, high), jnp.minimum(clear, (1 - MARGIN) * low), clear))
@@ -120,6 +120,6 @@ def check_frustum(name: str, direction: Vec3, outer_angle: Scalar, near: Scalar,
 
 
 def on_plane(direction: Vec3, up: Vec3, place: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
-    """Offsets by `place` to the right and up, seen by who looks along `direction`."""
+    """Offsets by `place` to the right and up, as seen along `direction`."""
     right, up, _ = frame(direction, up)
     return place[..., 0:1] * right + place[..., 1:2] * up

@@ -14,18 +14,18 @@ from ._abstract import AbstractLight, Domain
 
 
 class MatrixLight(AbstractLight):
-    """Light without a size, given by the matrices that its shadow map is drawn with, such as another program's.
+    """Light without a size, given by the matrices of its shadow map, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), as `perspective` and `orthographic` make it, also off the centre. Depth in clip space goes
-        from -1 to 1, as OpenGL's does.
-    - `is_perspective`: of a perspective projection, the light stands at the eye; of a parallel one, it is directional
-        and shines along `-z` of eye space. By default `eye_to_clip` says which; under a trace it must be given.
+    - `eye_to_clip`: (4, 4), a projection like those of `perspective` and `orthographic`, which may be off-centre. Depth
+        in clip space is from -1 to 1, as in OpenGL.
+    - `is_perspective`: with a perspective projection, the light is at the eye; with a parallel one, it is directional
+        and shines along `-z` of eye space. By default it is read from `eye_to_clip`; required under a trace.
 
     Its pose cannot be fitted.
 
     **Raises** `ValueError` for matrices that are not finite or not (4, 4), a view that is not rigid, a projection of
-    another form, or one whose near and far are not near < far, or, of a perspective, 0 < near < far.
+    another form, or unless near < far (0 < near < far for a perspective projection).
     """
 
     world_to_eye: Mat4
@@ -42,7 +42,7 @@ class MatrixLight(AbstractLight):
 
     @property
     def position(self) -> Vec3:
-        """The eye's place (3,), world units; where the light stands, unless it is directional."""
+        """The eye's position (3,), world units; the light's position, unless it is directional."""
         return eye_of(self.world_to_eye)
 
     def view(self) -> View:

@@ -15,7 +15,8 @@ from ._abstract import AbstractLight, Domain, check_position, check_size
 from ._frustum import near_far
 from ._pose import LightPose, Vector
 
-# The ways the faces look, in OpenGL's order, and what is upright in each, as for a spot light that looks the same way.
+# The faces' view directions, in OpenGL's order, and their up vectors, which are those of a spot light that looks the
+# same way.
 _FORWARD = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
 _UPRIGHT = np.array([(0, 1, 0), (0, 1, 0), (1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0)], dtype=float)
 # Rows right, up and backward of each face.
@@ -25,17 +26,17 @@ _FACES = np.stack([np.cross(_FORWARD, _UPRIGHT), _UPRIGHT, -_FORWARD], axis=1)
 class PointLight(AbstractLight):
     """Light from a point, or from a sphere, in all directions. Its shadow map is a cube's six faces.
 
-    The faces look along +x, -x, +y, -y, +z and -z, and each is drawn a little wider than its 90 degrees, so that taps
-    of a filter find in the face's own map what lies round the corner, and no seams show. That holds while they stay
-    within `guard_texels` of where the receiver is seen: a filter of that radius at most, less half a texel if its taps
-    are bilinear, and less a normal offset. Beyond, taps meet the map's border, where all is lit.
+    The faces look along +x, -x, +y, -y, +z and -z. Each is drawn a little wider than its 90 degrees, so that filter
+    taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
+    `guard_texels` of the receiver's texel position. The filter's radius may be that large, minus half a texel for
+    bilinear taps and minus a normal offset. Taps farther out reach the map's border, where everything is lit.
 
     - `position`: (3,), world units.
-    - `near`, `far`: distances along a face's axis of window depth 0 and 1, world units. What is nearer to the light
-        along all three axes than `near` casts no shadow.
-    - `radius`: of the sphere that shines, world units; 0 for a point.
-    - `guard`: how far a face reaches beyond its 90 degrees, as a share of half their width. It costs as
-        much resolution.
+    - `near`, `far`: distances along a face's axis of window depth 0 and 1, world units. Surfaces closer to the light
+        than `near` along all three axes cast no shadow.
+    - `radius`: of the emitting sphere, world units; 0 for a point.
+    - `guard`: how far a face extends beyond its 90 degrees, as a fraction of half their width. Resolution drops by the
+        same fraction.
 
     `PointLight.around` fits near and far to a scene.
 
@@ -55,16 +56,16 @@ class PointLight(AbstractLight):
         check_size("the point light", "radius", self.radius)
         guard = concrete(self.guard)
         if guard is not None and not 0 <= guard <= 1:
-            raise ValueError(f"the point light's guard is {guard}; expected a share of half a face's width, 0 to 1")
+            raise ValueError(f"the point light's guard is {guard}; expected a fraction of half a face's width, 0 to 1")
 
     @classmethod
     def around(
         cls, position: Vec3, points: Float[Array, "n 3"], *, radius: float = 0.0, guard: float = 0.1
     ) -> "PointLight":
-        """The light at `position` whose near and far hold `points` (n, 3).
+        """The light at `position` with near and far fitted to `points` (n, 3).
 
-        Far just does. So does near if an axis parts the light from the points; a light amid them gets a hundredth of
-        far, for surfaces may pass nearer to it than any of their points.
+        Far is tight. Near is tight if some axis separates the light from the points. Otherwise the light is among them,
+        and near is a hundredth of far, since a surface may be closer to the light than any of its points.
         """
         position = as_float(position)
         check_position("the point light", position)
@@ -83,8 +84,8 @@ class PointLight(AbstractLight):
         return PointLight(self.position, tight.near, tight.far, self.radius, self.guard)
 
     def guard_texels(self, resolution: Resolution) -> float:
-        """How far from where a receiver is seen a tap may go, in texels of faces of `resolution`, without meeting the
-        border. Only for concrete lights."""
+        """How far from the receiver's texel position a tap may be without reaching the border, in texels of faces of
+        `resolution`. Only for concrete lights."""
         guard = float(self.guard)
         return guard / (1 + guard) * min(resolution) / 2
 
@@ -108,11 +109,11 @@ class PointLight(AbstractLight):
         return (2 * axis + (along < 0)).astype(jnp.int32)
 
     def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
-        """Vectors from `points` to the light; its samples lie on the disk whose rim is the sphere's outline.
+        """Vectors from `points` to the light; samples lie on the disk bounded by the sphere's outline.
 
-        With `c` the centre, `w` the unit vector and `d` the distance to it, the outline of a sphere of radius `r` has
-        its centre at c - (r²/d) w and the radius r √(1 - r²/d²). From a point inside the sphere, the disk is the
-        sphere's section through the centre.
+        With `c` the vector to the centre, `w` its unit vector and `d` its length, the outline of a sphere of radius `r`
+        has its centre at c - (r²/d) w and radius r √(1 - r²/d²). For a point inside the sphere, the disk is the
+        sphere's cross-section through its centre.
         """
         centre = self.position - points
         if sample is None:
@@ -141,7 +142,7 @@ class PointLight(AbstractLight):
 
 
 def _across(unit: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
-    """Two unit vectors at right angles to `unit` and to one another.
+    """Two unit vectors orthogonal to `unit` and to each other.
 
     Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6(1), 2017.
     """

@@ -1,4 +1,4 @@
-"""The numbers by which a light can be placed."""
+"""The parameters of a light's pose."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from ..._types import Scalar, Vec3
 
 
 class Vector(eqx.Module):
-    """Three numbers, each of which can be fitted by itself."""
+    """Three numbers, each of which can be fitted separately."""
 
     x: Scalar = eqx.field(converter=as_float, default=0.0)
     y: Scalar = eqx.field(converter=as_float, default=0.0)
@@ -21,11 +21,11 @@ class Vector(eqx.Module):
 
 
 class LightPose(eqx.Module):
-    """Where a light stands, which way it shines, and how large it is; what a kind of light lacks is none.
+    """A light's position, direction and size; a field that does not apply to the kind of light is none.
 
     - `position`: of a light at a finite distance, world units.
-    - `azimuth`, `elevation`: where the light of a directional or a spot light comes from, along its axis, in degrees:
-        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. Elevation may go on beyond 90, over the pole.
+    - `azimuth`, `elevation`: the direction that a directional or spot light comes from, along its axis, in degrees:
+        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. Elevation may exceed 90, over the pole.
     - `radius`: a directional light's `angular_radius` in degrees, a spot or a point light's `radius` in world units.
     """
 
@@ -42,7 +42,7 @@ class LightPose(eqx.Module):
 
     @property
     def direction(self) -> Vec3:
-        """The unit vector, (3,), along which the light shines, of a light that has angles."""
+        """The unit vector, (3,), in which a light that has angles shines."""
         assert self.azimuth is not None
         assert self.elevation is not None
         a, e = jnp.deg2rad(self.azimuth), jnp.deg2rad(self.elevation)
@@ -50,7 +50,7 @@ class LightPose(eqx.Module):
 
 
 def angles(direction: Vec3) -> tuple[Scalar, Scalar]:
-    """Azimuth and elevation, in degrees, of what shines along `direction`, of any length."""
+    """Azimuth and elevation, in degrees, of a light that shines along `direction`, of any length."""
     x, y, z = -normalize(direction)
-    # By the tangent, which keeps its digits near the pole.
+    # By the arc tangent, which stays accurate near the pole.
     return jnp.rad2deg(jnp.arctan2(x, z)), jnp.rad2deg(jnp.arctan2(y, jnp.hypot(x, z)))

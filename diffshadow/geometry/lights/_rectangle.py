@@ -13,15 +13,14 @@ from ._pose import LightPose, Vector
 
 
 class RectangleLight(AbstractLight):
-    """Light from a rectangle, such as a panel or a window. Its shadow map is drawn from its centre, as a spot light's.
+    """Light from a rectangle, such as a panel or window. Its shadow map is drawn from its centre, like a spot light's.
 
     - `position`: (3,), its centre, world units.
-    - `direction`: (3,), the way it faces; any length but 0.
+    - `direction`: (3,), the direction it faces; any length but 0.
     - `size`: (2,), width and height, world units.
-    - `outer_angle`: half the opening of the shadow map's square frustum, in degrees.
+    - `outer_angle`: half-angle of the shadow map's square frustum, in degrees.
     - `near`, `far`: distances along `direction` of window depth 0 and 1, world units.
-    - `up`: (3,), the way that its height runs, as far as it is at right angles to `direction`; the shadow map stands
-        upright along it too.
+    - `up`: (3,), up direction of the rectangle and of its shadow map; only its part orthogonal to `direction` counts.
 
     `RectangleLight.around` fits angle, near and far to a scene.
 
@@ -54,9 +53,9 @@ class RectangleLight(AbstractLight):
         outer_angle: float | None = None,
         up: Vec3 | None = None,
     ) -> "RectangleLight":
-        """The light of `size` at `position` whose near, far and, unless given, frustum just hold `points` (n, 3).
+        """The light of `size` at `position` with near, far and, unless given, angle fitted to `points` (n, 3).
 
-        It faces `target`, by default the middle of the points' box.
+        It faces `target`, by default the centre of the points' box.
 
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
@@ -67,7 +66,7 @@ class RectangleLight(AbstractLight):
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
 
     def pose(self) -> LightPose:
-        """Its position alone: hard shadows do not tell which way it faces, nor how large it is."""
+        """Its position only: hard shadows depend neither on its orientation nor on its size."""
         return LightPose(Vector(*self.position))
 
     def at(self, pose: LightPose) -> "RectangleLight":
@@ -75,7 +74,7 @@ class RectangleLight(AbstractLight):
 
     def refitted(self, points: Float[Array, "n 3"]) -> "RectangleLight":
         """The same light with angle, near and far refitted to `points` (n, 3), also under a trace; they carry no
-        gradient. It goes on facing the way it does, and opens by 80 degrees at most."""
+        gradient. Its direction is kept, and the angle is at most 80 degrees."""
         seen = lax.stop_gradient((self.position, points, self.up, self.direction))
         _, angle, near, far = Frustum.framing(*seen)
         return RectangleLight(self.position, self.direction, self.size, angle, near, far, self.up)

@@ -14,16 +14,16 @@ from ._pose import LightPose, Vector, angles
 
 
 class SpotLight(AbstractLight):
-    """Light from a point, or from a small disk round it, into a cone.
+    """Light from a point, or from a small disk around it, into a cone.
 
     - `position`: (3,), world units.
     - `direction`: (3,), the cone's axis, away from the light; any length but 0.
-    - `outer_angle`: half the cone's full opening, in degrees. The shadow map's square frustum encloses the cone.
+    - `outer_angle`: half-angle of the cone, in degrees. The shadow map's square frustum encloses the cone.
     - `near`, `far`: distances along the axis of window depth 0 and 1, world units.
-    - `radius`: of the disk that shines, which faces along `direction`; world units, 0 for a point.
-    - `inner_angle`: degrees. Inside this half-angle the light shines in full, and from there to `outer_angle` it fades
-        by a smooth step in the cosine. Left out, shading does not obey the cone. Visibility never does.
-    - `up`: (3,), the way that the shadow map stands upright, as far as it is at right angles to `direction`.
+    - `radius`: of the emitting disk, which faces along `direction`; world units, 0 for a point.
+    - `inner_angle`: degrees. Inside this half-angle the light has full intensity; from there to `outer_angle` it falls
+        off by a smooth step in the cosine. If left out, shading ignores the cone. Visibility always ignores it.
+    - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.
 
     `SpotLight.around` fits angle, near and far to a scene.
 
@@ -64,9 +64,9 @@ class SpotLight(AbstractLight):
         inner_angle: float | None = None,
         up: Vec3 | None = None,
     ) -> "SpotLight":
-        """The light at `position` whose near, far and, unless given, cone just hold `points` (n, 3).
+        """The light at `position` with near, far and, unless given, cone fitted to `points` (n, 3).
 
-        It looks at `target`, by default the middle of the points' box.
+        It points at `target`, by default the centre of the points' box.
 
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
@@ -84,10 +84,10 @@ class SpotLight(AbstractLight):
         return eqx.tree_at(parts, self, (pose.place, pose.direction, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "SpotLight":
-        """The same light with near and far fitted anew to `points` (n, 3), also under a trace; they carry no gradient.
+        """The same light with near and far refitted to `points` (n, 3), also under a trace; they carry no gradient.
 
-        A cone that is obeyed, as `inner_angle` says, stays as it is. One that is not only frames the map: it is turned
-        to the middle of the points and opened until it holds them, or by 80 degrees at most.
+        With an `inner_angle`, the cone is kept. Without one, the cone is only the map's frustum: it is pointed at the
+        centre of the points' box and fitted to them, with an angle of at most 80 degrees.
         """
         if self.inner_angle is not None:
             near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))
@@ -112,7 +112,7 @@ class SpotLight(AbstractLight):
             return super().cone_fraction(points)
         to_light = normalize(self.towards(points))
         outer = jnp.cos(jnp.deg2rad(self.outer_angle))
-        # Equal angles make the cone's rim hard.
+        # If both angles are equal, the cone has a hard edge.
         width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)
         t = jnp.clip((-dot(to_light, normalize(self.direction)) - outer) / width, 0, 1)
         return t * t * (3 - 2 * t)

@@ -1,4 +1,4 @@
-"""What a bias is."""
+"""The interface of biases."""
 
 import abc
 from typing import Any, Literal
@@ -13,18 +13,18 @@ from ..._types import Scalar, VectorMap
 from .._receiver import Receiver
 
 BiasUnit = Literal["texels", "depth"]
-"""Of a bias along the light's axis: texels' widths at the receiver, or window depth."""
+"""Unit of a bias along the light's axis: texel widths at the receiver, or window depth."""
 UNIT_NAMES = {"texels": "texels", "depth": "of window depth"}
 
 
 class BiasTerms(eqx.Module):
-    """What a bias does to a look-up; the terms of several add up.
+    """What a bias does to a look-up. Terms of several biases can be added.
 
-    - `depth`: (h, w), how much nearer to the light the receiver is taken to be, in window depth.
-    - `displacement`: (h, w, 3), how far the point moves before it is projected, in world units; none for not at all.
-    - `follows_plane`: whether each tap compares with the depth of the receiver's plane at its own texel.
-    - `deepening`: (h, w), how much deeper than the receiver that may be, in window depth; none for as deep as the plane
-        goes. Of several the least counts.
+    - `depth`: (h, w), subtracted from the receiver's window depth.
+    - `displacement`: (h, w, 3), added to the receiver's position before projection, in world units; or none.
+    - `follows_plane`: whether each tap compares with the depth of the receiver plane at its own texel.
+    - `deepening`: (h, w), upper bound on that depth relative to the receiver's, in window depth; none for no bound. A
+        sum has the smaller bound.
     """
 
     depth: Float[Array, "h w"]
@@ -46,27 +46,27 @@ class AbstractBias(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, receiver: Receiver) -> BiasTerms:
-        """What the bias does at each receiver."""
+        """The bias at each receiver."""
 
 
 def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> Float[Array, "h w"]:
-    """A `bias` along the light's axis in window depth."""
+    """Converts a `bias` along the light's axis to window depth."""
     per_unit = receiver.depth_per_texel if unit == "texels" else jnp.ones_like(receiver.depth_per_texel)
     return bias * per_unit
 
 
 def at_most(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
-    """`x`, or `bound` where that is less; none for no bound. On the bound itself it has the derivative of `x`."""
+    """`min(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
     return x if bound is None else jnp.where(x > bound, bound, x)
 
 
 def at_least(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
-    """`x`, or `bound` where that is more; none for no bound. On the bound itself it has the derivative of `x`."""
+    """`max(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
     return x if bound is None else jnp.where(x < bound, bound, x)
 
 
 def optional_float(x: Any) -> Scalar | None:
-    """`x` as a scalar, and none as none."""
+    """`x` as a scalar; none stays none."""
     return None if x is None else as_float(x)
 
 
@@ -78,7 +78,7 @@ def check_not_negative(name: str, value: Scalar | None, unit: str = "texels") ->
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """**Raises** `ValueError` if `value` is none of `choices`."""
+    """**Raises** `ValueError` if `value` is not one of `choices`."""
     if value not in choices:
         raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
 

@@ -11,17 +11,17 @@ from ._abstract import AbstractBias, BiasTerms, check_not_negative, in_depth
 
 
 class AdaptiveBias(AbstractBias):
-    """Just as much as lifts the receiver to its own plane at the centre of the texel it falls into.
+    """The smallest bias that moves the receiver to the depth of its own plane at the centre of its texel.
 
-    That point of the plane is what the map would hold of it, the only thing that could shadow it falsely. Where it is
-    deeper than the receiver, no bias is needed. On a plane with depth slopes `g_x` and `g_y` the bias is
-    `(|g_x| + |g_y|) / 2` texels at the most, in the corner of a texel, where a constant bias needs that everywhere.
+    The map stores the plane's depth at that point, and only this depth can shadow the receiver falsely. If it is deeper
+    than the receiver, no bias is needed. On a plane with depth slopes `g_x` and `g_y` the bias is at most
+    `(|g_x| + |g_y|) / 2` texels, reached in the corners of a texel; a constant bias needs this maximum everywhere.
 
-    It serves one nearest look-up. Wider kernels look into other texels too: they need a `ReceiverPlane`.
+    It is made for one nearest look-up. Wider kernels read other texels too: they need a `ReceiverPlane`.
 
-    - `epsilon`: added, in texels. That is the paper's adaptive epsilon, a length carried over to window depth where the
-        receiver is; its length is a share of the scene's size, here of a texel's. Rounding is taken care of besides
-        (`Receiver.rounding`).
+    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length converted to window depth at the
+        receiver; the paper's length is a fraction of the scene's size, here it is a fraction of a texel. Rounding is
+        covered separately (`Receiver.rounding`).
 
     **Raises** `ValueError` if `epsilon` is negative or not finite.
     """
@@ -33,6 +33,6 @@ class AdaptiveBias(AbstractBias):
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         centre = jnp.floor(lax.stop_gradient(receiver.texel)) + 0.5
-        # Window depth is linear in the window along a plane, under every light.
+        # Window depth is linear in the window over a plane, for every light.
         lift = jnp.maximum(dot(receiver.slope, receiver.texel - centre), 0)
         return BiasTerms(in_depth(lift + self.epsilon, "texels", receiver) + receiver.rounding)

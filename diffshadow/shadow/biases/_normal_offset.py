@@ -1,4 +1,4 @@
-"""Normal offset: the look-up moves out along the receiver's normal (Holbert, "Saying Goodbye to Shadow Acne", 2011)."""
+"""Normal offset: the look-up moves along the receiver's normal (Holbert, "Saying Goodbye to Shadow Acne", 2011)."""
 
 from typing import Literal
 
@@ -15,7 +15,7 @@ OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]
 
 
 class NormalOffset(AbstractBias):
-    """Looks up at a point moved out along the normal, by `value` texels times a profile of the angle θ to the light.
+    """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
     - `profile`: `"sine"` sin θ, `"constant"` 1, or `"one_minus_cosine"` 1 - cos θ.
 

@@ -1,4 +1,4 @@
-"""Receiver-plane bias (Isidoro, "Shadow Mapping: GPU-based Tips and Techniques", GDC 2006)."""
+"""Receiver plane depth bias (Isidoro, "Shadow Mapping: GPU-based Tips and Techniques", GDC 2006)."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,21 +10,23 @@ from ._abstract import AbstractBias, BiasTerms, at_most, check_not_negative, in_
 
 
 class ReceiverPlane(AbstractBias):
-    """Each tap compares with the depth of the receiver's plane at its own place, so that a filter of any width sees a
-    plane as flat.
+    """Receiver plane depth bias: each tap compares with the depth of the receiver's plane at the tap, so that a planar
+    receiver does not shadow itself under a filter of any width.
 
-    The plane is evaluated at the centre of each tap's texel, where the map's depth was taken, and not where the tap
-    itself falls: both then mean the same point of the plane, and nothing remains to be covered but rounding, which is
-    (`Receiver.rounding`). Implementations that evaluate it at the tap are wrong by up to half a texel and subtract
-    `min(Σ texel · |dz/duv|, 0.01)`, the `fudge` and `limit` here, which then is not needed.
+    The plane is evaluated at the centre of each tap's texel, which is where the map sampled its depth. Both depths then
+    belong to the same point of the plane, and only rounding remains to be covered (`Receiver.rounding`). Other
+    implementations evaluate the plane at the tap itself and are wrong by up to half a texel. They subtract the
+    fractional sampling error (Isidoro 2006), `min(Σ texel · |dz/duv|, 0.01)`, which is not needed here but available
+    as `fudge` and `limit`.
 
-    - `fudge`: subtracted besides, in units of `|g_x| + |g_y|` texels, the slopes along the map's axes; 1 is usual
-        elsewhere.
-    - `limit`: the most that `fudge` may subtract, in texels; none for no limit.
-    - `deepening`: how much deeper than the receiver a tap may be compared, in texels; none for as deep as the plane
-        goes. The plane of a steep wall runs far below the floor at its foot, which then shadows the wall wherever the
-        kernel reaches over it: 0 ends that, and brings no acne, but lights a little where something touches the wall.
-        A plane far in front of what is there only lights, as it should. No receiver counts as steeper than 89.4°.
+    - `fudge`: scale of the fractional sampling error, `|g_x| + |g_y|` texels with `g` the depth slopes along the map's
+        axes. Other implementations use 1.
+    - `limit`: upper bound on the fractional sampling error times `fudge`, in texels; none for no bound.
+    - `deepening`: upper bound on the plane's depth at a tap relative to the receiver's, in texels; none for no bound.
+        The plane of a steep wall runs far below the floor at its foot, and so the floor shadows the wall wherever the
+        kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something touches the
+        wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes are clamped
+        at 89.4°.
 
     **Raises** `ValueError` if a number is negative or not finite.
     """

@@ -1,4 +1,4 @@
-"""Slope bias: the steeper the receiver, the more."""
+"""Slope-scaled bias: it grows with the slope of the receiver."""
 
 from typing import Literal
 
@@ -26,17 +26,17 @@ SlopeProfile = Literal["tangent", "one_minus_cosine"]
 
 
 class SlopeBias(AbstractBias):
-    """In proportion to how steep the receiver is, `clip(value · profile, least, most)`.
+    """Slope-scaled bias, `clip(value · profile, least, most)`.
 
     - `value`: along the light's axis, in `unit`.
-    - `profile`: `"tangent"`, the norm of the slope of the receiver's depth in the map: under a directional light and
-        with square texels tan θ, θ between normal and light. Nearest look-ups on a plane need a `value` between 1/2
-        (slanted along an axis of the map) and 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ, which
-        is bounded and so too little for the steepest receivers.
+    - `profile`: `"tangent"`, the norm of the receiver's depth slope in the map. With square texels and a directional
+        light it is tan θ, θ being the angle between normal and light. Nearest look-ups on a plane need a `value` from
+        1/2 (sloped along an axis of the map) to 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ,
+        which is bounded and therefore too small for the steepest receivers.
     - `least`, `most`: bounds of the bias, in `unit`; none for no bound.
     - `unit`: `"texels"`, or `"depth"` for window depth. `SlopeBias(0.05, "one_minus_cosine", least=0.005,
-        unit="depth")` is the bias that shader cookbooks print; in texels its numbers are those divided by the window
-        depth per texel, `view.texel_size(distance, resolution) · view.depth_slope(distance)`.
+        unit="depth")` is the common bias of shader tutorials. To convert such values to texels, divide them by the
+        window depth per texel, `view.texel_size(distance, resolution) · view.depth_slope(distance)`.
 
     **Raises** `ValueError` if a number is negative or not finite, or `least` is above `most`.
     """

@@ -1,4 +1,4 @@
-"""Several biases at once."""
+"""The sum of several biases."""
 
 from typing import Any
 
@@ -10,10 +10,10 @@ from ._slope import SlopeBias
 
 
 class Bias(AbstractBias):
-    """Constant bias, slope bias and normal offset together, and one that knows the receiver's plane.
+    """The sum of constant bias, slope bias, normal offset and a bias that uses the receiver's plane.
 
-    - `constant`, `slope`, `normal_offset`: a number of texels each, or a module of its own.
-    - `plane`: a `ReceiverPlane` or an `AdaptiveBias`; none for neither.
+    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module.
+    - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
 
     **Raises** `ValueError` if a number is negative or not finite.
     """

@@ -1,4 +1,4 @@
-"""Filters: ways to turn a shadow map into visibility, one technique a file."""
+"""Filters: ways to turn a shadow map into visibility, one technique per file."""
 
 from ._abstract import AbstractFilter as AbstractFilter
 from ._castano import Castano as Castano

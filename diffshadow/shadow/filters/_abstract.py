@@ -1,4 +1,4 @@
-"""What a filter is."""
+"""The interface of filters."""
 
 import abc
 
@@ -11,7 +11,7 @@ from .._map import ShadowMap
 
 
 class AbstractFilter(eqx.Module):
-    """A way to turn a shadow map and a look-up into visibility: where it taps the map, and how it weighs the taps."""
+    """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted."""
 
     @abc.abstractmethod
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:

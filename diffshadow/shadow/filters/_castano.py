@@ -14,15 +14,15 @@ from ..kernels import AbstractRow, Footprint, Span, sum_over_rows
 from ._abstract import AbstractFilter
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
-"""The weights of bilinear compares one texel apart, along each axis, that the taps of each size add up to."""
+"""Weights along each axis, by size, of the bilinear compares one texel apart that the taps are equivalent to."""
 
 
 class Castano(AbstractFilter):
-    """A bell-shaped kernel of fixed width: `size` by `size` bilinear compares one texel apart, weighed by
+    """A bell-shaped kernel of fixed width: `size` by `size` bilinear compares one texel apart, weighted by
     `CASTANO_KERNELS` along both axes.
 
-    On a GPU it takes 4, 9 or 16 bilinear look-ups, placed between texels such that they add up to the same. It has no
-    radius to fit: `Tent` does.
+    On a GPU, 4, 9 or 16 bilinear look-ups placed between texels give the same result. It has no radius to fit; `Tent`
+    has one.
 
     - `size`: 3, 5 or 7.
 
@@ -42,8 +42,8 @@ class Castano(AbstractFilter):
 class _Row(AbstractRow):
     """One row of texels, numbered from the lowest.
 
-    With s the share of the texel to the right of a position between two texels' centres, a kernel k slides as
-    (1 - s) k + s k', where k' is k one texel on.
+    A position between two texel centres, a fraction s of the way to the right one, has the weights (1 - s) k + s k',
+    where k' is the kernel k shifted by one texel.
     """
 
     size: int = eqx.field(static=True)
@@ -65,6 +65,6 @@ class _Row(AbstractRow):
         return jnp.asarray(self.size / 2 + 0.5)
 
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """The first texel along one axis, and how far the kernel has slid from it."""
+        """The first texel along one axis, and the fraction of a texel that the kernel is shifted by."""
         own = jnp.floor(position - 0.5)
         return own - self.size // 2, position - 0.5 - own

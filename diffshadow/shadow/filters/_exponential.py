@@ -15,17 +15,16 @@ _MAX_EXPONENT = 80.0
 
 
 class ExponentialShadowMap(AbstractPrefiltered):
-    """Visibility is min(1, exp(k (z_m - z_r))), whose factor of the map's depth is blurred apart from the receiver's.
+    """Visibility is min(1, exp(k (z_m - z_r))): the factor exp(k z_m) is stored in the map and blurred.
 
-    It is right where no depth round a receiver is greater than its own, as on a planar receiver; elsewhere, the blur's
-    few deep texels light it.
+    It is correct where no depth around a receiver is greater than the receiver's, as on a planar receiver. Elsewhere a
+    few deeper texels under the blur are enough to light it.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `exponent`: k, for linear depth that runs from 0 at the light's near plane to 1 at its far plane; in [0, 80].
-        Light reaches about 1 / k behind an occluder.
+    - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane; in [0, 80]. Light leaks to
+        about 1 / k behind an occluder.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
@@ -48,7 +47,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
         self.exponent = as_float(exponent)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        # Relative to the far plane, exponentials neither overflow nor vanish.
+        # Relative to the far plane, so that exponentials neither overflow nor underflow.
         return (jnp.exp(self.exponent * (depth - 1)),)
 
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:

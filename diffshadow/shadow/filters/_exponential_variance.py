@@ -10,26 +10,26 @@ from ..._types import DepthMap, Scalar, Visibility
 from ..kernels import Shape
 from ._prefilter import AbstractPrefiltered, chebyshev
 
-# e^84, the square of the largest warped depth, is still a number in 32 bits.
+# e^84, the square of the largest warped depth, is still finite in float32.
 _MAX_EXPONENT = 42.0
-# A second moment e^30 times the receiver's square bounds nothing any more; below, its square does not overflow.
+# Clamp on the log of moments relative to the receiver's: larger ones leave no bound, and their squares would overflow.
 _MAX_LOG_MOMENT = 30.0
 
 
 class ExponentialVarianceShadowMap(AbstractPrefiltered):
-    """Variance shadow maps of two warps of depth, e^(c₊ w) and -e^(-c₋ w) with w = 2z - 1; visibility is the lesser of
-    both bounds.
+    """Variance shadow maps of two warps of depth, e^(c₊ w) and -e^(-c₋ w) with w = 2z - 1; visibility is the smaller of
+    the two bounds.
 
-    The first warp leaves less light behind overlapping occluders, the second on receivers that deeper ones surround.
+    The positive warp reduces light bleeding behind overlapping occluders, the negative one on receivers with deeper
+    surfaces around them.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z that runs from 0 at the light's near plane
-        to 1 at its far plane; more than 0, and at most 42.
-    - `least_variance`: floor on the variance of linear depth, which the warps scale by their slope at the receiver;
-        more than 0.
+    - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z from 0 at the light's near plane to 1 at
+        its far plane; more than 0, and at most 42.
+    - `least_variance`: lower bound on the variance of linear depth, which the warps scale by their slope at the
+        receiver; more than 0.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
@@ -77,12 +77,12 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
         return jnp.minimum(upper, lower)
 
     def _bound_of_warp(self, exponent: Scalar, mean: DepthMap, square: DepthMap, receiver: DepthMap) -> Visibility:
-        """Chebyshev's bound for the warp with this exponent, in units of the receiver's own warped depth."""
+        """Chebyshev's bound for the warp with this exponent, in units of the receiver's warped depth."""
         relative = lambda moment, power: jnp.exp(
             jnp.minimum(jnp.log(moment) - power * exponent * receiver, _MAX_LOG_MOMENT)
         )
         mean, square = relative(mean, 1), relative(square, 2)
-        # The warp of w = 2z - 1 has the slope 2c times itself.
+        # The derivative of e^(c w) by z, with w = 2z - 1, is 2c e^(c w).
         least = 4 * exponent * exponent * self.least_variance
         variance = jnp.maximum(square - mean * mean, least)
         sign = jnp.sign(exponent)

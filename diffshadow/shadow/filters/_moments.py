@@ -10,28 +10,27 @@ from ..._types import DepthMap, Scalar, Visibility
 from ..kernels import Shape
 from ._prefilter import AbstractPrefiltered
 
-# Moments of 3/8 spread over both ends of [-1, 1] and 5/8 in its middle: far from what any two depths can have.
+# Moments of the weights 3/16, 5/8 and 3/16 at -1, 0 and 1: far from the moments of any two depths.
 _WELL_CONDITIONED = (0.0, 0.375, 0.0, 0.375)
-# What rounding in 32 bits leaves of a variance that is 0.
+# Rounding error in float32 of a variance that is 0.
 _ROUNDING = 1e-7
-# A quadratic's leading coefficient below which one of its roots counts as infinitely far away.
+# If the leading coefficient of a quadratic is smaller than this, one of its roots counts as infinite.
 _ALMOST_LINEAR = 1e-6
 
 
 class MomentShadowMap(AbstractPrefiltered):
-    """The map holds the first four powers of depth, blurred; visibility is the most that any distribution of depths
-    with these moments allows (Hamburger's moment problem).
+    """The map holds the first four powers of depth, blurred. Visibility is the largest that any distribution of depths
+    with these moments allows (Hamburger moment problem).
 
-    The bound is exact for two depths besides the receiver's, so that it takes three occluders for light to bleed.
+    The bound is exact for two depths besides the receiver's, so light bleeds only with three occluders or more.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `moment_bias`: how far moments are blended towards those of a broad distribution, against rounding; in
-        [1e-7, 1]. More bleeds more.
+    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding; in
+        [1e-7, 1]. A larger one bleeds more light.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99]. The authors advise
-        0.02, which undoes the moment bias.
+        0.02, which compensates the moment bias.
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
@@ -64,21 +63,21 @@ class MomentShadowMap(AbstractPrefiltered):
 
 
 def _least_shadow(b: tuple[DepthMap, ...], z: DepthMap) -> Visibility:
-    """The least share below `z` of any distribution with the moments `b` (algorithm 3 of the paper).
+    """The least mass below `z` of any distribution with the moments `b` (algorithm 3 of the paper).
 
-    One such distribution has masses at z and at two more depths only: the roots of c₁ + c₂ x + c₃ x² with
-    B c = (1, z, z²) and B the Hankel matrix of the moments. No other has less below z.
+    The minimum is attained by the distribution with masses at z and two more depths: the roots of c₁ + c₂ x + c₃ x²,
+    where B c = (1, z, z²) and B is the Hankel matrix of the moments.
     """
     c1, c2, c3, largest = _solve_hankel(b, z)
     low, high = _roots(c1, c2, c3)
-    # Masses at low, z and high: they add up to 1, and give the mean b₁.
+    # The masses at low, z and high add up to 1 and have the mean b₁.
     at_z = 1 / largest
     at_low = (high * (1 - at_z) - b[0] + z * at_z) / (high - low)
     return jnp.where(z < low, 0, jnp.where(z > high, 1 - at_z, at_low))
 
 
 def _solve_hankel(b: tuple[DepthMap, ...], z: DepthMap) -> tuple[DepthMap, ...]:
-    """c of B c = (1, z, z²) by the Cholesky factors B = L D Lᵀ, and (1, z, z²) · c."""
+    """Solves B c = (1, z, z²) by Cholesky, B = L D Lᵀ. Returns c and (1, z, z²) · c."""
     b1, b2, b3, b4 = b
     d22 = jnp.maximum(b2 - b1 * b1, _ROUNDING)
     l32_d22 = b3 - b1 * b2
@@ -93,15 +92,15 @@ def _solve_hankel(b: tuple[DepthMap, ...], z: DepthMap) -> tuple[DepthMap, ...]:
 
 
 def _roots(c1: DepthMap, c2: DepthMap, c3: DepthMap) -> tuple[DepthMap, DepthMap]:
-    """Both roots of c₁ + c₂ x + c₃ x², which are real, the lesser first."""
+    """Both roots of c₁ + c₂ x + c₃ x², which are real, the smaller first."""
     # A root at infinity has no mass, on whichever side it lies.
     c3 = jnp.where(jnp.abs(c3) < _ALMOST_LINEAR, _ALMOST_LINEAR, c3)
     squared = c2 * c2 - 4 * c1 * c3
     positive = squared > 0
     root = jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
-    # The sum whose terms have one sign loses no digits; the other root follows from the product c₁ / c₃.
+    # Adding terms of the same sign avoids cancellation; the other root follows from the product c₁ / c₃.
     q = -(c2 + jnp.where(c2 < 0, -root, root)) / 2
     one, other = q / c3, safe_divide(c1, q)
-    # Apart, so that rounding does not let them meet.
+    # Keeps the roots distinct despite rounding.
     low = jnp.minimum(one, other)
     return low, jnp.maximum(jnp.maximum(one, other), low + _ROUNDING)

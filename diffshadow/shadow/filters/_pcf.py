@@ -15,14 +15,14 @@ from ._prefilter import check_radius, radius_limit
 
 
 class PercentageCloser(AbstractFilter):
-    """The share of a box of the map that does not shadow the receiver.
+    """The fraction of a box in the map that does not shadow the receiver.
 
-    The box slides and grows smoothly: a texel counts by the part of it that the box covers. A radius of 0.5 is the
-    bilinear compare; 2.5 covers 5 x 5 texels.
+    The box moves and grows smoothly: each texel is weighted by the area of it that the box covers. A radius of 0.5 is
+    the bilinear compare; 2.5 covers 5 x 5 texels.
 
     - `radius`: half the box's width, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels; the number of taps grows with its square. It
-        defaults to `radius`, and is rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
+        rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is negative or above `max_radius`.
     """
@@ -43,7 +43,7 @@ class PercentageCloser(AbstractFilter):
 
 
 class _Row(AbstractSizedRow):
-    """One row of the box's texels, numbered from the lowest that any box of these radii covers."""
+    """One row of the box's texels, numbered from the lowest that a box of these radii can cover."""
 
     def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
         column, left = _lower_edge(lookup.x, self.radius)
@@ -55,25 +55,25 @@ class _Row(AbstractSizedRow):
 
 
 def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:
-    """The texel that the lower edge of a box round `position` lies in, and how far into that texel it lies."""
+    """The texel that contains the lower edge of a box around `position`, and where in that texel the edge lies."""
     own = jnp.floor(position)
-    # Measured from the position's own texel, so that shares add up to 1 however far away that is.
+    # Measured from the position's own texel, so that weights add up to 1 at any distance from the origin.
     edge = position - own - radius
     first = jnp.floor(edge)
     return own + first, edge - first
 
 
 def _width(edge: Float[Array, "*n"], radius: Float[Array, "..."]) -> Float[Array, "*n"]:
-    """The width of a box as rounded, which is the sum of what it covers of all texels.
+    """The width of a box as rounded, which is the sum of the parts it covers of all texels.
 
-    A narrow box is a small difference of larger numbers: its covered parts would not add up to exactly `2 · radius`.
+    A narrow box is a small difference of larger numbers: its parts do not add up to exactly `2 · radius`.
     """
     return (edge + 2 * radius) - edge
 
 
 def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Span:
-    """The part that a box covers of texel `number` from the one its lower `edge` lies in."""
+    """The part that a box covers of texel `number`, counted from the texel with its lower `edge`."""
     upper = edge + 2 * radius - number
-    # Rather than a clip, whose derivatives halve on its corners at some cost.
+    # Cheaper than a clip, which halves derivatives at its bounds.
     low, high = jnp.where(number == 0, edge, 0), jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))
     return Span(high - low, low - 0.5, high - 0.5)

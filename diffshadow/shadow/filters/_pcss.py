@@ -16,36 +16,36 @@ from ..kernels import mean_of_taps
 from ..patterns import Pattern, stratified
 from ._abstract import AbstractFilter
 
-# A share of blockers that counts as none: rounding leaves less.
+# Up to this fraction of blockers counts as no blocker; it is above rounding error.
 _FEW = 1e-5
 
 
 class PercentageCloserSoft(AbstractFilter):
-    """The mean of bilinear taps over a disk as wide as the penumbra that the receiver lies in.
+    """The mean of bilinear taps over a disk as wide as the receiver's penumbra.
 
-    A first round of taps searches the part of the map that may hide the light for blockers: it is as wide as the light
-    seen from the receiver at the near plane, `light_size · (z_r - near) / near`. From the blockers' mean depth z_b
-    follows the penumbra's half width, `light_size · (z_r - z_b) / z_b`, which is the second round's radius. Under a
-    directional light of angular radius a they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances
-    from the light here. Receivers without blockers are lit.
+    The blocker search taps the part of the map that can hide the light. Its radius is that of the light projected
+    through the receiver onto the near plane, `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
+    gives the half width of the penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For
+    a directional light of angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are
+    distances from the light here. Receivers without blockers are lit.
 
-    The search is wide, and takes a slanted receiver for its own blocker unless the bias follows its plane: use a
-    `ReceiverPlane`, best with `deepening=0`.
+    The search is wide, and mistakes a slanted receiver for its own blocker unless the bias follows the receiver's
+    plane: use a `ReceiverPlane`, best with `deepening=0`.
 
-    A soft compare weighs blockers by how dark each leaves the receiver, and makes visibility differentiable with
-    respect to bias. The mean is that of window depths, of which a perspective light's penumbra is a linear function:
-    it is the mean of all blockers' penumbrae.
+    A soft compare weights each blocker by how much light it blocks, and makes visibility differentiable with respect to
+    bias. The mean is over window depths. A perspective light's penumbra is linear in window depth, so the result is the
+    mean of the blockers' penumbrae.
 
-    - `light_size`: what takes the place of the light's own size, so that it can be fitted: half the angle in degrees
-        for a directional light, else the radius of its disk or sphere in world units. The light's own if left out; a
-        rectangle counts as the disk of its area.
-    - `search`: where the first round taps; another table of the classic kind if left out. Where all its taps miss a
+    - `light_size`: overrides the light's own size, so that it can be fitted: half the angle in degrees for a
+        directional light, otherwise the radius of its disk or sphere in world units. Defaults to the light's size; a
+        rectangle counts as the disk of equal area.
+    - `search`: pattern of the blocker search; a second classic offset table if left out. If all its taps miss a
         blocker, the shadow has a hole.
-    - `pattern`: where the second round taps; the classic offset table if left out.
+    - `pattern`: pattern of the filter taps; the classic offset table if left out.
     - `min_radius`, `max_radius`: bounds on the penumbra's half width, in texels; `max_radius` bounds the search too.
 
     **Raises** `ValueError` if the light's size or a radius is negative or not finite, or `min_radius` is above
-    `max_radius`; and when called with a light whose size is not known and none is given.
+    `max_radius`; and when called without `light_size` for a light that has no size.
     """
 
     light_size: Scalar | None
@@ -86,25 +86,26 @@ class PercentageCloserSoft(AbstractFilter):
         return jnp.where(some, lit, 1)
 
     def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
-        """What the first round of taps finds."""
+        """The result of the blocker search."""
         penumbra = _Penumbra.of(shadow_map, lookup, self.light_size)
         reach = jnp.minimum(penumbra.reach, self.max_radius)
         mean = lambda value, active: mean_of_taps(
             shadow_map, lookup, value, reach, self.search, "bilinear", active=active
         )
-        share = mean(_Blocking(compare), None)
-        some = share > _FEW
+        fraction = mean(_Blocking(compare), None)
+        some = fraction > _FEW
         depth = mean(_BlockingDepth(compare), some)
-        blocker = jnp.where(some, depth / jnp.where(some, share, 1), lookup.depth)
-        return BlockerSearch(share, blocker, jnp.clip(penumbra.half_width(blocker), self.min_radius, self.max_radius))
+        blocker = jnp.where(some, depth / jnp.where(some, fraction, 1), lookup.depth)
+        radius = jnp.clip(penumbra.half_width(blocker), self.min_radius, self.max_radius)
+        return BlockerSearch(fraction, blocker, radius)
 
 
 class BlockerSearch(eqx.Module):
-    """What percentage-closer soft shadows find on their way.
+    """The result of the blocker search of percentage-closer soft shadows.
 
-    - `share`: (h, w), of the search's taps that found a blocker.
-    - `depth`: (h, w), the blockers' mean window depth; the receiver's own where there are none.
-    - `radius`: (h, w), half the width of the penumbra that they make, within the filter's bounds, in texels.
+    - `share`: (h, w), the fraction of taps that found a blocker.
+    - `depth`: (h, w), the blockers' mean window depth; the receiver's own if there are none.
+    - `radius`: (h, w), half width of the penumbra, within the filter's bounds, in texels.
     """
 
     share: DepthMap
@@ -113,12 +114,12 @@ class BlockerSearch(eqx.Module):
 
     @property
     def some(self) -> Mask:
-        """Whether there are any, (h, w)."""
+        """Whether there are any blockers, (h, w)."""
         return self.share > _FEW
 
 
 class _Blocking(AbstractCompare):
-    """How much of the light a stored depth keeps from the receiver."""
+    """The fraction of the light that a stored depth blocks."""
 
     compare: AbstractCompare
 
@@ -131,19 +132,19 @@ class _Blocking(AbstractCompare):
 
 
 class _BlockingDepth(AbstractCompare):
-    """A stored depth, weighed by how much of the light it keeps from the receiver."""
+    """A stored depth, weighted by the fraction of the light that it blocks."""
 
     compare: AbstractCompare
 
     def __call__(self, stored, receiver, depth_per_texel):
-        # Texels that hold nothing are stored as a great depth, and weigh nothing.
+        # Empty texels are stored as a very large depth, and have weight 0.
         return (1 - self.compare(stored, receiver, depth_per_texel)) * jnp.minimum(stored, 1)
 
 
 class _Penumbra(eqx.Module):
-    """How wide blockers make the penumbrae that receivers lie in, in texels.
+    """The width of penumbrae at the receivers, in texels.
 
-    - `shadow_map`: whose view tells distances.
+    - `shadow_map`: its view converts window depth to distance.
     - `distance`: (h, w), of receivers along the light's axis, world units.
     - `light_size`: half the light's width in world units; of a directional light, at distance 1.
     """
@@ -159,11 +160,11 @@ class _Penumbra(eqx.Module):
 
     @property
     def reach(self) -> Float[Array, "h w"]:
-        """How far aside anything may stand that hides the light from a receiver."""
+        """Radius of the blocker search: nothing beyond it can hide the light from the receiver."""
         return self._between(self.shadow_map.view.near)
 
     def half_width(self, blocker: DepthMap) -> Float[Array, "h w"]:
-        """From the middle of the penumbra of something at the window depth `blocker` to where it ends."""
+        """Half width of the penumbra of a blocker at this window depth."""
         return self._between(self.shadow_map.view.eye_depth(jnp.clip(blocker, 0, 1)))
 
     def _between(self, blocker: Float[Array, "..."]) -> Float[Array, "h w"]:
@@ -179,11 +180,11 @@ def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
 
     **Arguments:**
 
-    - `size`: takes the place of the light's own: degrees for a directional light, else world units. If it is left out,
-        a directional light must have an `angular_radius`, any other a `radius` or a `size` (2,), whose rectangle counts
-        as the disk of its area.
+    - `size`: overrides the light's own: degrees for a directional light, otherwise world units. If it is left out, a
+        directional light must have an `angular_radius`, and any other light a `radius` or a `size` (2,), whose
+        rectangle counts as the disk of equal area.
 
-    **Raises** `ValueError` if it is left out and the light has none of these.
+    **Raises** `ValueError` if `size` is left out and the light has none of these.
     """
     if size is None:
         size = getattr(light, "angular_radius" if light.is_directional else "radius", None)

@@ -1,9 +1,8 @@
-"""Pre-filtering: blurring what a shadow map holds once, instead of filtering compares for each receiver.
+"""Pre-filtering: blurs the shadow map once, instead of filtering compares for each receiver.
 
-Depths cannot be blurred and then compared; what a pre-filtered map stores instead, such as moments of depth, can. A
-blur is separable, and a texel counts in it by the integral of the kernel over that texel, so that it grows smoothly
-with its radius. Everything beyond the border counts as depth 1, which is lit, and shadows near the border are blurred
-across it.
+Depths cannot be blurred before the compare; the moments that a pre-filtered map stores can. The blur is separable. Each
+texel is weighted by the integral of the kernel over it, so the blur grows smoothly with its radius. Everything beyond
+the border counts as depth 1, which is lit, and shadows near the border are blurred across it.
 """
 
 import abc
@@ -24,12 +23,12 @@ from .._map import ShadowMap
 from ..kernels import INTEGRALS, Shape, weight_between
 from ._abstract import AbstractFilter
 
-# The largest amount by which light bleeding can be reduced.
+# Upper bound on the reduction of light bleeding.
 _MAX_BLEEDING = 0.99
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
-    """The largest radius that a kernel can have, rounded up to half texels: `radius` itself, unless given."""
+    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out."""
     return max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
 
 
@@ -59,8 +58,8 @@ def check_number(name: str, what: str, value: Scalar, low: float, high: float) -
 class Blur(eqx.Module):
     """A separable blur of a map.
 
-    - `radius`: in texels; more than `max_radius` counts as that. Up to half a texel, the map stays as it is.
-    - `max_radius`: the largest radius.
+    - `radius`: in texels, clamped to `max_radius`. Up to half a texel, nothing is blurred.
+    - `max_radius`: upper bound on `radius`.
     - `kernel`: its shape.
     """
 
@@ -70,22 +69,22 @@ class Blur(eqx.Module):
 
     @property
     def reach(self) -> int:
-        """How many texels on each side of one the blur draws from."""
+        """How many texels on each side of a texel the blur reads."""
         return math.ceil(self.max_radius - 0.5)
 
     @property
     def margin(self) -> int:
-        """How many texels a blurred map is wider than the map, on each side: beyond, it holds what lies round it."""
+        """How many texels a blurred map is wider on each side than the map. Its outermost texels hold the border."""
         return self.reach + 1
 
     @property
     def weights(self) -> Float[Array, " k"]:
-        """The weights of the texels in a row, the middle one at the kernel's centre."""
+        """The weights of the texels in a row; the middle one is at the kernel's centre."""
         offset = jnp.arange(-self.reach, self.reach + 1, dtype=self.radius.dtype)
         return weight_between(self.kernel, jnp.minimum(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
 
     def __call__(self, values: Float[Array, "*n h w"], beyond: Scalar) -> Float[Array, "*n H W"]:
-        """`values` blurred, `margin` texels wider on each side; `beyond` is what lies round them."""
+        """`values` blurred, `margin` texels wider on each side; `beyond` is the value outside the border."""
         around = [(0, 0)] * (values.ndim - 2) + [(self.reach + self.margin,) * 2] * 2
         wide = jnp.pad(values, around, constant_values=beyond)
         weights = self.weights
@@ -93,23 +92,23 @@ class Blur(eqx.Module):
 
 
 def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Distance along the light's axis as a share of the way from near to far, in [0, 1], of window `depth`."""
+    """Window `depth` as distance along the light's axis, from 0 at the near plane to 1 at the far plane, clamped."""
     view = shadow_map.view
-    # Depths out of range can lie behind the eye. Rounding may part the far plane, where nothing is, from 1.
+    # Depths out of range can lie behind the eye. Rounding may keep the empty far plane from being exactly 1.
     inside = (depth >= 0) & (depth < 1)
-    share = (view.eye_depth(jnp.where(inside, depth, 0.5)) - view.near) / (view.far - view.near)
-    return jnp.where(inside, jnp.clip(share, 0, 1), jnp.where(depth < 0, 0.0, 1.0))
+    fraction = (view.eye_depth(jnp.where(inside, depth, 0.5)) - view.near) / (view.far - view.near)
+    return jnp.where(inside, jnp.clip(fraction, 0, 1), jnp.where(depth < 0, 0.0, 1.0))
 
 
 def bilinear_fetch(
     resolution: Resolution, texel: TexelMap, layer: Int[Array, "h w"] | None, margin: int
 ) -> Callable[[Float[Array, "*l H W"]], DepthMap]:
-    """Fetches at `texel` (h, w, 2) from maps that are `margin` texels wider on each side, clamped to what is there."""
+    """A function that fetches at `texel` (h, w, 2) from maps `margin` texels wider on each side; clamps to the edge."""
     height, width = (size + 2 * margin for size in resolution)
 
     def split(position: Array, size: int) -> tuple[Array, Array]:
-        """The texel to the left of `position`, and the share of the one to the right."""
-        # The margin's outermost texels hold what lies beyond, so look-ups may be clamped to them.
+        """The texel to the left of `position`, and the weight of the one to the right."""
+        # The margin's outermost texels hold the border's value, so look-ups may be clamped to them.
         position = jnp.clip(position - 0.5 + margin, 0, size - 1)
         left = jnp.minimum(jnp.floor(lax.stop_gradient(position)), size - 2)
         return left.astype(jnp.int32), position - left
@@ -131,7 +130,7 @@ def bilinear_fetch(
 
 
 def chebyshev(mean: DepthMap, variance: DepthMap, receiver: DepthMap) -> Visibility:
-    """Chebyshev's one-tailed bound: the most that can lie at `receiver` or beyond, of what has this mean and variance.
+    """Chebyshev's one-tailed bound: how much of a distribution with this mean and variance is at `receiver` or beyond.
 
     `variance` must be positive.
     """
@@ -143,23 +142,23 @@ def chebyshev(mean: DepthMap, variance: DepthMap, receiver: DepthMap) -> Visibil
 def reduce_light_bleeding(visibility: Visibility, amount: Scalar) -> Visibility:
     """Visibility up to `amount` becomes 0, and the rest is stretched (Lauritzen, GPU Gems 3, ch. 8).
 
-    A bound that is not tight leaves light in shadows; this takes it away, and narrows penumbrae.
+    A loose bound leaves light in shadows; this removes it, and narrows penumbrae.
     """
     return jnp.clip((visibility - amount) / (1 - amount), 0, 1)
 
 
 class AbstractPrefiltered(AbstractFilter):
-    """A filter that blurs moments of the map's depth, and bounds the visibility of each receiver by them.
+    """A filter that blurs moments of the map's depth, and computes from them a bound on each receiver's visibility.
 
-    Depths are linear here, from 0 at the light's near plane to 1 at its far plane. A fetch from the blurred maps is
-    bilinear. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but following the receiver's
-    plane has no effect.
+    Depths are linear here, from 0 at the light's near plane to 1 at its far plane. Blurred maps are fetched
+    bilinearly. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but a receiver plane depth
+    bias has no effect.
 
     - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, and is rounded up to a half
         texel.
     - `light_bleeding`: as in `reduce_light_bleeding`, in [0, 0.99].
 
-    A technique has its `name` for messages, and the `ranges`, both ends included, of the numbers that it adds.
+    Subclasses set `name`, for messages, and `ranges`, the closed intervals of the numbers that they add.
     """
 
     name: ClassVar[str]
@@ -195,8 +194,8 @@ class AbstractPrefiltered(AbstractFilter):
 
     @abc.abstractmethod
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        """What the blurred maps hold of a depth."""
+        """The moments of a depth, which the blurred maps hold."""
 
     @abc.abstractmethod
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
-        """The most light that depths with these `moments` let through to `receiver`."""
+        """Upper bound on the visibility of `receiver`, given the blurred `moments`."""

@@ -20,9 +20,8 @@ class RandomDisk(AbstractFilter):
 
     - `radius`: of the disk, in texels.
     - `pattern`: where the taps lie; the classic offset table if left out.
-    - `lookup`: `"bilinear"` or `"nearest"` taps. Nearest ones give `radius` no gradient.
-    - `early_out`: whether the first 8 samples, which lie far out, decide alone where they agree; the others are then
-        taken where they do not agree, and nowhere else.
+    - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
+    - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.
 
     **Raises** `ValueError` if `radius` is negative, or `lookup` is unknown.
     """
@@ -62,5 +61,5 @@ class RandomDisk(AbstractFilter):
         first = mean(part(offsets[:EARLY_SAMPLES]))
         agree = (first == 0) | (first == 1)
         others = mean(part(offsets[EARLY_SAMPLES:]), ~agree)
-        share = EARLY_SAMPLES / count
-        return jnp.where(agree, first, share * first + (1 - share) * others)
+        weight = EARLY_SAMPLES / count
+        return jnp.where(agree, first, weight * first + (1 - weight) * others)

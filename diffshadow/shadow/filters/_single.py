@@ -9,14 +9,14 @@ from ._abstract import AbstractFilter
 
 
 class Nearest(AbstractFilter):
-    """Compares with the one texel that a receiver falls into (Williams 1978)."""
+    """Compares with the one texel that contains the receiver (Williams 1978)."""
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "nearest")
 
 
 class Bilinear(AbstractFilter):
-    """Compares with the four texels round a receiver and blends the results."""
+    """Compares with the four texels around the receiver and interpolates the results."""
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "bilinear")

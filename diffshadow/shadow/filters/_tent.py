@@ -14,14 +14,14 @@ from ._prefilter import check_radius, radius_limit
 
 
 class Tent(AbstractFilter):
-    """The mean of compares with all texels round a receiver, weighed by a tent.
+    """The mean of compares with all texels around the receiver, weighted by a tent.
 
-    The tent slides and grows smoothly: a texel counts by the integral of the tent over it. Visibility then has a
-    continuous slope along the map, where that of a box has kinks.
+    The tent moves and grows smoothly: each texel is weighted by the integral of the tent over it. Visibility then has a
+    continuous derivative along the map, while that of a box has kinks.
 
-    - `radius`: from the tent's top to where it ends, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels; the number of taps grows with its square. It
-        defaults to `radius`, and is rounded up to a half texel.
+    - `radius`: from the tent's peak to its edge, in texels.
+    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
+        rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is negative or above `max_radius`.
     """

@@ -18,11 +18,10 @@ class VarianceShadowMap(AbstractPrefiltered):
     shadows.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: the largest radius that can be asked for, in texels. It defaults to `radius`, and is
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `least_variance`: floor on the variance of linear depth, which runs from 0 at the light's near plane to 1 at its
-        far plane; more than 0. It hides rounding and acne, and blurs contacts.
+    - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
+        its far plane; more than 0. It hides rounding errors and acne, and blurs contact shadows.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
@@ -45,7 +44,7 @@ class VarianceShadowMap(AbstractPrefiltered):
         self.least_variance = as_float(least_variance)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        # About the middle of the range, squares lose the fewest digits.
+        # Relative to the middle of the range, where squares lose the fewest digits.
         return depth - 0.5, (depth - 0.5) ** 2
 
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:

@@ -1,10 +1,10 @@
 """Kernels: the texels that filters read, their weights, and sums over them.
 
-For authors of filters, who choose one of these:
+To write a filter, use one of these:
 
-- `mean_of_taps` averages compares at the points of a pattern, `single_tap` makes one.
-- `sum_over_rows` weighs a square of texels, under a `SeparableRow` or another `AbstractRow`.
-- `sum_over` sums over any other `AbstractKernel`, on a map that `pad` has laid out.
+- `mean_of_taps` averages compares at the points of a pattern; `single_tap` makes one compare.
+- `sum_over_rows` sums over a square of texels, weighted by a `SeparableRow` or another `AbstractRow`.
+- `sum_over` sums over any other `AbstractKernel`, on a map padded by `pad`.
 """
 
 from ._kernel import AbstractKernel as AbstractKernel

@@ -1,4 +1,4 @@
-"""An image laid out in the tiles of a pattern."""
+"""Images cut into the tiles of a pattern."""
 
 import math
 
@@ -6,15 +6,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-# Pixels of a row that are laid out together: a vector's worth.
+# Pixels of a row in one SIMD vector.
 _VECTOR = 8
 
 
 class Blocks(eqx.Module):
     """An image cut into the tiles of a pattern, without moving anything in memory.
 
-    An image (h, w) becomes (h / rows, rows, w / columns, columns), of which a table (rows, 1, columns) is right for
-    all tiles. Tiles narrower than a vector are repeated.
+    An image (h, w) becomes (h / rows, rows, w / columns, columns), so that a table (rows, 1, columns) broadcasts to all
+    tiles. Tiles narrower than a vector are repeated.
     """
 
     shape: tuple[int, int] = eqx.field(static=True)
@@ -32,7 +32,7 @@ class Blocks(eqx.Module):
         return (0, -height % self.rows), (0, -width % self.columns)
 
     def cut(self, image: Array) -> Array:
-        # Pixels that fill up the last blocks are copies: whatever is evaluated there is as harmless as elsewhere.
+        # Pixels that fill up the last blocks are copies of actual ones, so that evaluating them is harmless.
         padded = jnp.pad(image, self._padding, mode="edge") if any(after for _, after in self._padding) else image
         height, width = padded.shape
         return padded.reshape(height // self.rows, self.rows, width // self.columns, self.columns)

@@ -1,7 +1,7 @@
 """Kernels: the texels that a filter reads around a receiver, and their weights.
 
-A filter is a sum of steps, such as taps or rows of texels; at each step its kernel names a few neighbouring texels. A
-kernel is separable: the weight of a texel is the product of its column's and its row's.
+A filter is a sum over steps, such as taps or rows of texels. At each step its kernel reads a few neighbouring texels.
+The weights of a step are separable: a texel's weight is the product of its column's and its row's.
 """
 
 import abc
@@ -17,13 +17,12 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup
 from ._padded_map import PaddedMap
 
-# The cost of a compare with a texel of a row, in nearest taps, which have to find theirs.
+# The cost of a compare with one texel of a row, in nearest taps. A tap costs more since it must locate its texel.
 _COST_OF_A_TEXEL = 0.4
 
 
 class Span(NamedTuple):
-    """The weight of a column or a row of texels, and the interval of it that the kernel covers, relative to its
-    middle."""
+    """The weight of a column or row of texels, and the part of it that the kernel covers, relative to its middle."""
 
     weight: Float[Array, "*n"] | float
     low: Float[Array, "*n"] | float = -0.5
@@ -33,8 +32,8 @@ class Span(NamedTuple):
 class Footprint(NamedTuple):
     """The texels that a step reads.
 
-    - `column`, `row`: (n,), of the first, whole numbers; rows are counted from `up` above it.
-    - `columns`, `rows`: the columns and rows from there on.
+    - `column`, `row`: (n,), of the first texel, integers; `rows` begin `up` rows above it.
+    - `columns`, `rows`: the consecutive columns and rows from there.
     """
 
     column: Float[Array, "*n"]
@@ -44,7 +43,7 @@ class Footprint(NamedTuple):
     up: Int[Array, "*n"] | int = 0
 
     def places(self, padded: PaddedMap, lookup: Lookup) -> list[tuple[Array, Array | int]]:
-        """Where all texels are stored, row by row: the place of the first, and the distance from it to each."""
+        """Where all texels are stored, row by row: the index of the first, and the offset from it to each."""
         first = padded.place(self.column, self.row, lookup.layer)
         texels = [(i, j) for j in range(len(self.rows)) for i in range(len(self.columns))]
         return [(first, (self.up + j) * padded.stride + i) for i, j in texels]
@@ -64,7 +63,7 @@ class Footprint(NamedTuple):
         return sum(rows, start=jnp.zeros_like(lookup.x))
 
     def depth(self, lookup: Lookup, right: Array | int, up: Array | int) -> Float[Array, "*n"]:
-        """The depth that a texel is compared with: that of the receiver's plane at the texel's centre."""
+        """The depth that a texel is compared with: that of the receiver plane at the texel's centre."""
         if lookup.slope is None:
             return lookup.depth
         along_x, along_y = lookup.slope
@@ -76,7 +75,7 @@ class Footprint(NamedTuple):
 class AbstractKernel(eqx.Module):
     """The texels that a filter reads around each look-up, step by step, and their weights.
 
-    Its arrays are scalars, or hold a value for each look-up; visibility is differentiable with respect to them.
+    Its arrays are scalars or have one value per look-up. Visibility is differentiable with respect to them.
 
     - `cost`: of a step, in nearest taps.
     """
@@ -87,17 +86,17 @@ class AbstractKernel(eqx.Module):
 
     @abc.abstractmethod
     def footprint(self, lookup: Lookup, step: Any) -> Footprint:
-        """The texels that look-ups read at a step, either one step for all or one for each."""
+        """The texels that look-ups read at a step, which is one for all look-ups or one for each."""
 
     @abc.abstractmethod
     def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
-        """Half the width, in texels, of a square around a look-up that contains all that it reads."""
+        """Half the width, in texels, of a square around a look-up that contains all texels it reads."""
 
 
 class AbstractRow(AbstractKernel):
-    """One row of a square of texels that a filter reads; a step is the row's number from the lowest.
+    """One row of the square of texels that a filter reads; a step is the row's number, counted from the lowest.
 
-    - `texels`: along a side of the square.
+    - `texels`: number of texels along a side of the square.
     """
 
     @property
@@ -110,9 +109,9 @@ class AbstractRow(AbstractKernel):
 
 
 class AbstractSizedRow(AbstractRow):
-    """One row of the texels under a kernel whose radius may change, up to a largest one.
+    """One row of the texels under a kernel whose radius may vary.
 
-    - `max_radius`: the largest radius, in texels; `radius`: one for all look-ups, or one for each.
+    - `max_radius`: upper bound on the radius, in texels; `radius`: one for all look-ups, or one for each.
     """
 
     max_radius: float = eqx.field(static=True)

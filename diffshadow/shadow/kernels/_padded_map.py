@@ -1,8 +1,8 @@
 """Shadow maps laid out for look-ups.
 
-A texel that holds nothing, and everything beyond the border, is lit however soft the compare. To that end the map is
-padded by as many texels as a look-up reads along a side: clamped look-ups then always land on texels that exist, and
-no branch is needed.
+Empty texels, and everything beyond the border, must be lit for any width of a soft compare. Therefore the map is padded
+with empty texels, as many as a look-up reads along a side. Clamped look-ups then always read texels that exist, without
+a branch.
 """
 
 import equinox as eqx
@@ -14,15 +14,15 @@ from ..._misc import take
 from .._map import ShadowMap
 from ..silhouettes._padded import PaddedSilhouettes
 
-# Deeper than any receiver by far more than any soft compare is wide.
+# The depth of empty texels: behind any receiver by far more than the width of any soft compare.
 _NOTHING = 1e6
 
 
 class PaddedMap(eqx.Module):
-    """A shadow map's depths as one row of memory, padded with depths that shadow nothing.
+    """A shadow map's depths as a flat array, padded with depths that shadow nothing.
 
     - `margin`: texels on each side.
-    - `silhouettes`: where casters end within texels, if that is known.
+    - `silhouettes`: the casters' outlines within texels, or none.
     """
 
     depth: Float[Array, " n"]
@@ -33,11 +33,11 @@ class PaddedMap(eqx.Module):
 
     @property
     def stride(self) -> int:
-        """Places from a texel to the one above it."""
+        """Offset in the flat array from a texel to the one above it."""
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Where texel (x, y), whole numbers, is stored: clamped so that a `margin` of texels from there on exist."""
+        """Index of texel (x, y), integers, clamped so that `margin` texels to the right of it and above it exist."""
         clamp = lambda p, size: jnp.clip(p, -self.margin, size).astype(jnp.int32) + self.margin
         row = clamp(y, self.height)
         if layer is not None:
@@ -45,26 +45,26 @@ class PaddedMap(eqx.Module):
         return row * self.stride + clamp(x, self.width)
 
     def depth_at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Float[Array, "*n"]:
-        """The depths stored `skip` places after `place`: fewer than `margin` texels to the right, and up.
+        """The depths stored `skip` after `place`: fewer than `margin` texels to the right and up.
 
-        Look-ups that differ by `skip` alone share what it takes to find them.
+        Look-ups that differ only in `skip` share their address computation.
         """
         return self.read(self.depth, place, skip)
 
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
-        """As `depth_at`, from another row of memory with the same layout."""
+        """As `depth_at`, from another flat array with the same layout."""
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
         return take(from_there, place)
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
-    """The map, padded by the texels that a look-up reads along a side, with empty texels that shadow nothing."""
+    """Pads a map with empty texels; `margin` is how many texels a look-up reads along a side."""
     height, width = shadow_map.resolution
     hides = lambda depth: jnp.where(depth < 1, depth, _NOTHING)
 
     def padded(values: Array, beyond: int | float) -> Array:
         sides = [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2
-        # Barrier: otherwise XLA pads again for each reader, or texel by texel for one row of memory.
+        # Barrier: otherwise XLA pads again for each reader, or texel by texel to make the flat array.
         return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
 
     found = shadow_map.silhouettes

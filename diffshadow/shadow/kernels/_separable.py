@@ -1,7 +1,7 @@
 """Separable kernels of any radius: box, tent and Gaussian.
 
-A texel's weight is the integral of the kernel over it, so that the kernel moves and grows smoothly. Integrals are given
-for radius 1, as pbrt gives its filters (Pharr, Jakob & Humphreys, "Physically Based Rendering", section 8.8).
+A texel's weight is the integral of the kernel over it, so that the kernel moves and grows smoothly. Integrals are for
+radius 1, like pbrt's filters (Pharr, Jakob & Humphreys, "Physically Based Rendering", section 8.8).
 """
 
 import math
@@ -24,7 +24,7 @@ Gaussian."""
 _DEVIATIONS = 3.0
 _WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
 LEAST_RADIUS = 1e-3
-"""In texels: a narrower kernel counts as a point."""
+"""In texels: smaller radii are clamped to this."""
 
 INTEGRALS: dict[Shape, Callable[[Array], Array]] = {
     "box": lambda u: u / 2,
@@ -43,12 +43,12 @@ def weight_between(
     """
     radius = jnp.maximum(radius, LEAST_RADIUS)
     until = lambda x: INTEGRALS[shape](jnp.clip(x / radius, -1, 1))
-    # Rounding must not make a weight negative: exponentials would follow it.
+    # Rounding must not make a weight negative: blurred exponentials would become negative.
     return jnp.maximum(until(high) - until(low), 0)
 
 
 class SeparableRow(AbstractSizedRow):
-    """One row of the texels under a kernel of this `shape`, numbered from the lowest that the widest one covers."""
+    """One row of the texels under a kernel of this `shape`, numbered from the lowest that the largest radius covers."""
 
     shape: Shape = eqx.field(static=True)
 
@@ -61,7 +61,7 @@ class SeparableRow(AbstractSizedRow):
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
         """The first texel along one axis, and where it begins, relative to `position`."""
         own = jnp.floor(position)
-        # Relative to the position's own texel, so that weights sum to 1 however far away that is.
+        # Relative to the position's own texel, so that weights sum to 1 at any distance from the origin.
         within = position - own
         first = jnp.floor(within - self.max_radius)
         return own + first, first - within

@@ -1,4 +1,4 @@
-"""Sums of compares over the texels that kernels read: what every filter is made of."""
+"""Sums of compares over the texels that kernels read: the basis of every filter."""
 
 import math
 from operator import itemgetter
@@ -19,7 +19,8 @@ from ._kernel import AbstractKernel, AbstractRow
 from ._padded_map import PaddedMap, pad
 from ._terms import AbstractTerms, total, zeros_like
 
-# The cost of a step of the loop over a kernel's, in nearest taps: longer ones run no faster and compile more slowly.
+# The cost of one iteration of the loop over a kernel's steps, in nearest taps: longer iterations run no faster and
+# compile more slowly.
 _COST_OF_A_STEP = 16
 # The cost of a step with its derivatives, relative to the step alone.
 _COST_OF_DERIVATIVES = 2
@@ -35,14 +36,15 @@ def sum_over(
 ) -> Array:
     """The weighted sum of compares with all texels that a kernel reads, for each look-up.
 
-    Where casters end within texels, the sum over stored depths is corrected by the map's silhouettes.
+    If the map has silhouettes, the sum over stored depths is corrected by them.
 
     **Arguments:**
 
-    - `lookup`: for the pixels of an image, (h, w), or for its `Blocks`; so are the arrays of `kernel`, or scalars.
-    - `steps`: what the kernel takes at each of its steps: a pytree of arrays whose first axis counts them. Arrays that
-        differ for each pixel of a block have its axes as well, (n, rows, 1, columns). They carry no gradient.
-    - `active`: of blocks, where the sum is needed: it is 0 elsewhere. Everywhere if left out.
+    - `lookup`: for the pixels of an image, (h, w), or for its `Blocks`. The arrays of `kernel` have the same shape, or
+        are scalars.
+    - `steps`: the kernel's steps: a pytree of arrays whose first axis is the step. Arrays that differ between the
+        pixels of a block have its axes too, (n, rows, 1, columns). They carry no gradient.
+    - `active`: in blocks, where the sum is needed; it is 0 elsewhere. Everywhere if left out.
 
     Differentiable with respect to all but `steps`.
     """
@@ -55,7 +57,8 @@ def sum_over(
         return blocks.join(sum_over(at[0], padded, compare, at[1], steps))
     if silhouettes is None:
         return total(_Plain(), padded, compare, (kernel, lookup), steps, active)
-    # A receiver that moves sees outlines pass. It sees no steps between texels, which a hard compare makes.
+    # With a hard compare, the derivative by a receiver's position comes from outlines alone: steps between texels have
+    # none.
     follows_outlines = not compare.has_depth_derivative
     plain_lookup = lookup.detached() if follows_outlines else lookup
     plain = total(_Plain(), padded, compare, (kernel, plain_lookup), steps, active)
@@ -65,15 +68,14 @@ def sum_over(
 
 
 def sum_over_rows(row: AbstractRow, shadow_map: ShadowMap, compare: AbstractCompare, lookup: Lookup) -> Array:
-    """The weighted sum of compares with the texels of all rows, for look-ups of the pixels of an image."""
+    """The weighted sum of compares with the texels of all rows, for the look-ups of an image."""
     return sum_over(row, pad(shadow_map, row.texels), compare, lookup, np.arange(row.texels))
 
 
 class _Plain(AbstractTerms):
     """Compares with stored depths, one step of the kernel after another.
 
-    A few steps are written out in each step of a loop: they run as one fused expression, which a long chain of them
-    does not.
+    The loop over steps is partly unrolled: XLA fuses a few steps into one expression, but not a long chain of them.
     """
 
     def term(self, padded, compare, at, step):
@@ -95,7 +97,7 @@ class _Plain(AbstractTerms):
             return total
 
         def step(total: Any, some: Any) -> tuple[Any, None]:
-            # Barrier: otherwise all steps read from memory what one of them could compute.
+            # Barrier: otherwise XLA hoists computations out of the loop, and each step reads them from memory.
             return add(total, *lax.optimization_barrier((at, some))), None
 
         total, loops = jax.tree.map(zeros_like, like), count // at_once
@@ -105,6 +107,6 @@ class _Plain(AbstractTerms):
             steps = jax.tree.map(lambda s: s[loops * at_once :], steps)
         # Barrier: otherwise every step computes the look-ups itself.
         total = add(total, lax.optimization_barrier(at), steps)
-        # Barrier: otherwise XLA iterates over the pixels in the order of whatever reads the sum, and no longer
-        # vectorizes. One by one, since derivatives need the sum before they are there themselves.
+        # Barrier: otherwise XLA iterates over the pixels in the order of the sum's consumer, and no longer vectorizes.
+        # One barrier per array, since derivatives use the sum before they are complete themselves.
         return jax.tree.map(lax.optimization_barrier, total)

@@ -27,9 +27,9 @@ _POINT = 1 / 512
 class Tap(AbstractKernel):
     """A tap at `radius · offset` from the look-up; a step is the offset (x, y).
 
-    A nearest tap compares with the texel that it falls into: its gradient does not depend on the position. Where a
-    caster ends in the texel, the side on which the tap lies counts. A bilinear tap compares with the four texels around
-    it, and blends the four results (never the depths).
+    A nearest tap compares with the texel that contains it; the result has no derivative with respect to position. If
+    the texel has a silhouette, the side that the tap lies on counts. A bilinear tap compares with the four texels
+    around it and interpolates the four results (never the depths).
 
     - `radius`: in texels.
     - `turn`: cosine and sine of the angle by which each look-up rotates its offsets; none for no rotation.
@@ -85,8 +85,8 @@ def mean_of_taps(
 
     - `radius`: in texels, a scalar or one for each look-up.
     - `pattern`: the offsets of each look-up, as the pixels of an image.
-    - `mode`: `"nearest"` or `"bilinear"` taps; nearest ones give `radius` and position no gradient.
-    - `active`: the look-ups whose mean is needed, (h, w): others are 0, and most of them cost nothing. All if left out.
+    - `mode`: `"nearest"` or `"bilinear"` taps. With nearest taps, `radius` and position have no gradient.
+    - `active`: the look-ups whose mean is needed, (h, w): others are 0, and mostly skipped. All if left out.
 
     Differentiable with respect to all but `pattern`.
     """
@@ -105,5 +105,5 @@ def _offsets(pattern: Pattern, blocks: Blocks) -> tuple[Float[Array, "n p 1 q"],
     """The pattern's offsets x and y for each pixel of a block."""
     offsets = lax.stop_gradient(pattern.offsets)
     wide = jnp.tile(offsets, (1, 1, blocks.columns // blocks.rows, 1))[:, :, None]
-    # Barrier: otherwise each tap cuts its own offset out of the pattern, at every pixel.
+    # Barrier: otherwise each tap slices its offset out of the pattern, at every pixel.
     return lax.optimization_barrier((wide[..., 0], wide[..., 1]))

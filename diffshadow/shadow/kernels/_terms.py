@@ -17,11 +17,11 @@ from .._lookup import Lookup, rearranged
 from ._kernel import AbstractKernel
 from ._padded_map import PaddedMap
 
-# Pixels that one step of the loop over active pixels takes.
+# Pixels per iteration of the loop over active pixels.
 _PIXELS_A_STEP = 8192
 
 At = tuple[AbstractKernel, Lookup]
-"""Where a sum is evaluated: look-ups, and a kernel whose arrays hold a value for each of them."""
+"""Where a sum is evaluated: look-ups, and a kernel whose arrays have one value per look-up."""
 
 
 class AbstractTerms(eqx.Module):
@@ -33,7 +33,7 @@ class AbstractTerms(eqx.Module):
 
     @abc.abstractmethod
     def add_up(self, function: Callable[[At, Any], Any], padded: PaddedMap, at: At, steps: Any) -> Any:
-        """The sum of `function(at, step)`, arrays with a value for each look-up, over all steps."""
+        """The sum of `function(at, step)`, arrays with one value per look-up, over all steps."""
 
 
 def _sum(
@@ -55,13 +55,13 @@ total: Any = eqx.filter_custom_jvp(_sum)
 
 @total.def_jvp
 def _total_jvp(primals, tangents):
-    """Each term gives its derivatives with respect to all numbers of a look-up at once, in reverse mode, and they are
-    summed as the terms are: a Jacobian then costs the same for any number of parameters. Derivatives with respect to
-    the map and the compare cannot be summed per look-up, and are added up separately."""
+    """Computes each term's derivatives with respect to the look-up's numbers in reverse mode, and sums them like the
+    terms. The cost of a Jacobian then does not depend on the number of parameters. Derivatives with respect to the map
+    and the compare are not per look-up, and are summed separately, in forward mode."""
     terms, padded, compare, at, steps, active = primals
     _, d_padded, d_compare, d_at, _, _ = tangents
     kernel, lookup = at
-    # A number of all look-ups has a derivative at each.
+    # A scalar that all look-ups share has a derivative at each.
     spread = lambda leaf: jnp.broadcast_to(leaf, lookup.depth.shape) if eqx.is_inexact_array(leaf) else leaf
     at = jax.tree.map(spread, kernel), lookup
     moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
@@ -84,17 +84,17 @@ def _total_jvp(primals, tangents):
 
 
 def _without_depths(change: Any) -> Any:
-    """A map's tangent without that of its depths: else it would be evaluated for the whole map, though unused."""
+    """A map's tangent without that of its depths, which is unused but would be evaluated for the whole map."""
     outlined = change.silhouettes is not None
     of_outline = lambda d: (d.silhouettes.map.inner, d.silhouettes.map.outer) if outlined else ()
     return eqx.tree_at(lambda d: (d.depth, *of_outline(d)), change, replace_fn=lambda _: None, is_leaf=_is_none)
 
 
 def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i p j q"]) -> Any:
-    """`function` of look-ups laid out by `Blocks`, which gives arrays, where these are active; 0 elsewhere.
+    """`function` of the active look-ups, laid out by `Blocks`; 0 elsewhere.
 
-    Runs of `q` pixels that contain an active one are gathered, those of each of a block's rows together so that a table
-    of offsets still fits, and taken a fixed number at a time. Steps that find none left do nothing.
+    Runs of `q` pixels that contain an active one are gathered, and processed a fixed number at a time. Each row of a
+    block has its own queue, so that a table of offsets still broadcasts. Iterations without runs are skipped.
     """
     i, p, j, q = active.shape
     runs = i * p * j
@@ -104,7 +104,7 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     most = jnp.max(rank) + 1
     a_step = min(i * j, round_up_to_power_of_two(max(1, _PIXELS_A_STEP // (p * q))))
     capacity = math.ceil(i * j / a_step) * a_step
-    # Runs that are not chosen go to a place that is never read, and places that no run takes name none.
+    # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
     queue = jnp.full((p, capacity + 1), runs, jnp.int32)
     queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)].set(number, mode="promise_in_bounds")
     queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // a_step, a_step), 1, 0)
@@ -118,7 +118,7 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     none = lambda own: jax.tree.map(zeros_like, like)
     step = lambda at_step: lax.cond(at_step[0] * a_step < most, some, none, at_step[1])
     values = lax.map(step, (jnp.arange(capacity // a_step, dtype=jnp.int32), queue))
-    # No run is put twice; what is added up, unlike what is set, has a transpose.
+    # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
     put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
     return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)
 

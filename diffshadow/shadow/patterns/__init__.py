@@ -1,4 +1,4 @@
-"""Sampling patterns: where the taps of a disk lie, one technique a file."""
+"""Sampling patterns: where the taps of a disk lie, one technique per file."""
 
 from ._disk import DiskMapping as DiskMapping
 from ._halton import halton as halton

@@ -1,4 +1,4 @@
-"""From the unit square to the unit disk."""
+"""Maps the unit square to the unit disk."""
 
 from typing import Literal
 
@@ -7,14 +7,14 @@ import numpy as np
 from ..._types import HostArray
 
 DiskMapping = Literal["concentric", "polar"]
-"""How the unit square becomes the unit disk. Both keep areas; concentric squares keep their shape better."""
+"""How the unit square is mapped to the unit disk. Both preserve area; `"concentric"` has less distortion."""
 
 
 def to_disk(points: HostArray, mapping: DiskMapping) -> HostArray:
-    """Points (..., 2) of the unit square, in the unit disk.
+    """Maps points (..., 2) of the unit square to the unit disk.
 
     - `"polar"`: (u, v) goes to radius √v and angle 2πu.
-    - `"concentric"`: squares round the middle become circles (Shirley & Chiu, "A Low Distortion Map Between Disk and
+    - `"concentric"`: squares around the centre become circles (Shirley & Chiu, "A Low Distortion Map Between Disk and
         Square", Journal of Graphics Tools 2(3), 1997).
 
     **Raises** `ValueError` if `mapping` is unknown.
@@ -26,7 +26,7 @@ def to_disk(points: HostArray, mapping: DiskMapping) -> HostArray:
     a, b = 2 * points[..., 0] - 1, 2 * points[..., 1] - 1
     wide = np.abs(a) > np.abs(b)
     radius = np.where(wide, a, b)
-    # 0 / 0 in the very middle, where the angle does not matter.
+    # Avoids 0 / 0 at the centre, where the angle does not matter.
     ratio = np.where(wide, b, a) / np.where(radius == 0, 1, radius)
     angle = np.where(wide, np.pi / 4 * ratio, np.pi / 2 - np.pi / 4 * ratio)
     return on_rays(radius, angle)

@@ -14,10 +14,10 @@ def halton(
     rotated: bool = False,
     mapping: DiskMapping = "concentric",
 ) -> Pattern:
-    """The first points of Halton's sequence in bases 2 and 3, scrambled anew for each pixel of a tile.
+    """The first points of Halton's sequence in bases 2 and 3, scrambled independently for each pixel of a tile.
 
-    Each digit is permuted at random (Owen, "A Randomized Halton Algorithm in R", 2017): each point is uniform, and the
-    set stays evenly spread for any number of samples.
+    Digits are permuted at random (Owen, "A Randomized Halton Algorithm in R", 2017). Each point is uniform, and the set
+    has low discrepancy for any number of samples.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""What a sampling pattern is."""
+"""The interface of sampling patterns."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,18 +9,18 @@ from ..._misc import as_float
 from ..._types import HostArray
 
 EARLY_SAMPLES = 8
-"""How many points, the first, an early-out decides by."""
+"""How many samples, from the first, an early-out takes."""
 
 
 class Pattern(eqx.Module):
     """A set of points in the unit disk for each pixel.
 
-    - `offsets`: (n, p, p, 2), `n` points for each pixel of a square tile of `p` pixels, which repeats over the image.
-        They carry no gradient. The first 8 are those that an early-out decides by: far out, and all round.
-    - `rotated`: whether each pixel turns its set by an angle of its own, from interleaved gradient noise (Jimenez,
-        "Next Generation Post Processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014).
+    - `offsets`: (n, p, p, 2), `n` points for each pixel of a tile of `p` by `p` pixels, which repeats over the image.
+        They carry no gradient. An early-out takes the first 8, which lie far out and in all directions.
+    - `rotated`: whether each pixel rotates its set by its own angle, from interleaved gradient noise (Jimenez, "Next
+        Generation Post Processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014).
 
-    **Raises** `ValueError` if the offsets are of another shape.
+    **Raises** `ValueError` if the offsets have another shape.
     """
 
     offsets: Float[Array, "n p p 2"]
@@ -33,7 +33,7 @@ class Pattern(eqx.Module):
 
     @property
     def samples(self) -> int:
-        """Points of each pixel."""
+        """Number of points per pixel."""
         return self.offsets.shape[0]
 
 
@@ -54,12 +54,12 @@ def check_counts(samples: int | tuple[int, int], pattern_size: int) -> None:
 
 
 def pattern_of(points: HostArray, rotated: bool) -> Pattern:
-    """The pattern of `points` (p, p, n, 2), a set for each pixel, in the order that suits an early-out."""
+    """The pattern of `points` (p, p, n, 2), a set for each pixel, ordered for an early-out."""
     return Pattern(as_float(np.moveaxis(outer_first(points), 2, 0)), rotated)
 
 
 def outer_first(points: HostArray) -> HostArray:
-    """Sets (..., n, 2) in another order: the outermost point of each of 8 sectors, then all others, inwards."""
+    """Reorders sets (..., n, 2): first the outermost point of each of 8 sectors, then all others, inwards."""
     x, y = points[..., 0], points[..., 1]
     radius = np.hypot(x, y)
     sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * EARLY_SAMPLES) % EARLY_SAMPLES
@@ -67,8 +67,8 @@ def outer_first(points: HostArray) -> HostArray:
     for k in range(EARLY_SAMPLES):
         own = np.where(sector == k, radius, -1)
         outermost = np.argmax(own, axis=-1)[..., None]
-        held = np.take_along_axis(own, outermost, -1) >= 0
-        np.put_along_axis(leads, outermost, np.take_along_axis(leads, outermost, -1) | held, -1)
-    # Radii are at most 1, so that those that lead come before all others.
+        exists = np.take_along_axis(own, outermost, -1) >= 0
+        np.put_along_axis(leads, outermost, np.take_along_axis(leads, outermost, -1) | exists, -1)
+    # Radii are at most 1, so adding 2 puts leading points before all others.
     order = np.argsort(-(radius + 2 * leads), axis=-1, kind="stable")
     return np.take_along_axis(points, order[..., None], -2)

@@ -1,4 +1,4 @@
-"""Poisson-disk points, which keep a distance (Cook, "Stochastic Sampling in Computer Graphics", 1986)."""
+"""Poisson-disk points, with a minimum distance (Cook, "Stochastic Sampling in Computer Graphics", 1986)."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -6,19 +6,18 @@ from scipy.spatial import KDTree
 from ..._types import HostArray
 from ._pattern import Pattern, check_counts, pattern_of
 
-# Squared distance, as a share of the area for each point: darts thrown at random stop finding room near 0.7.
+# Squared minimum distance, as a fraction of the area per point. Random dart throwing saturates near 0.7.
 _TIGHTNESS = 0.6
 _ROUNDS = 30
-# Of the square that sets are cut from, at least; and for each point of a set, so that the square holds its disk.
+# Points in the square that sets are cut from: the minimum, and the number per sample, so that the square holds a disk.
 _LEAST_POINTS, _POINTS_A_SAMPLE = 1024, 4
 
 
 def poisson_disk(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotated: bool = False) -> Pattern:
-    """Random points none of which are close to each other, another set for each pixel of a tile.
+    """Random points with a minimum distance between them, another set for each pixel of a tile.
 
-    Darts are thrown at a square that repeats, and those too close to an earlier one are dropped. Each set is what lies
-    in a disk round a point at random, as wide as it takes to hold `samples` of them; scaled to the unit disk, they are
-    about 1.3 / √n apart at least.
+    Darts are thrown at a periodic square, and those too close to an earlier one are dropped. Each set consists of the
+    `samples` darts nearest to a random point. Scaled to the unit disk, they are at least about 1.3 / √n apart.
 
     **Arguments:**
 
@@ -34,14 +33,14 @@ def poisson_disk(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotate
     centers = rng.random((pattern_size**2, 1, 2))
     distance, nearest = map(np.asarray, KDTree(darts, boxsize=1).query(centers[:, 0], samples + 1))
     aside = darts[nearest[:, :-1]] - centers
-    # The rim lies midway between the last point within and the first one beyond.
+    # The disk's rim lies midway between the last point inside and the first one outside.
     radius = distance[:, -2:].mean(axis=1)[:, None, None]
     points = (aside - np.round(aside)) / radius
     return pattern_of(points.reshape(pattern_size, pattern_size, samples, 2), rotated)
 
 
 def _throw_darts(number: int, rng: np.random.Generator) -> HostArray:
-    """About `number` points (n, 2) of the unit square, a distance apart across its borders as well."""
+    """About `number` points (n, 2) in the unit square, a minimum distance apart, also across its borders."""
     apart = np.sqrt(_TIGHTNESS / number)
     darts = np.empty((0, 2))
     for _ in range(_ROUNDS):

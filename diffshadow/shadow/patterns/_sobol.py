@@ -19,12 +19,12 @@ def sobol(
     rotated: bool = False,
     mapping: DiskMapping = "concentric",
 ) -> Pattern:
-    """The first points of Sobol's sequence in two dimensions, scrambled anew for each pixel of a tile.
+    """The first points of Sobol's sequence in two dimensions, scrambled independently for each pixel of a tile.
 
-    Owen's scrambling (Owen, "Randomly Permuted (t, m, s)-Nets and (t, s)-Sequences", 1995) flips each bit of a
-    coordinate by chance, depending on the bits before it: each point is uniform, and the set keeps its strata. It is
-    done by hashing (Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020). A power of two of samples is the
-    most even.
+    Owen scrambling (Owen, "Randomly Permuted (t, m, s)-Nets and (t, s)-Sequences", 1995) flips each bit of a coordinate
+    at random, depending on the bits above it. Each point is uniform, and the set keeps its stratification. It is
+    implemented by hashing (Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020). A power of two of samples
+    has the lowest discrepancy.
 
     **Arguments:**
 
@@ -40,7 +40,7 @@ def sobol(
     plain = qmc.Sobol(2, scramble=False, bits=_BITS).random_base2(math.ceil(math.log2(samples)))[:samples]
     seeds = rng.integers(1 << _BITS, size=(pattern_size, pattern_size, 1, 2), dtype=np.uint32)
     digits = _owen_scrambled((plain * 2.0**_BITS).astype(np.uint32), seeds)
-    # The bits below the last scrambled one.
+    # Random bits below the last scrambled one.
     points = (digits + rng.random(digits.shape)) / 2.0**_BITS
     return pattern_of(to_disk(points, mapping), rotated)
 
@@ -48,7 +48,7 @@ def sobol(
 def _owen_scrambled(x: HostArray, seed: HostArray) -> HostArray:
     """32-bit fractions `x`, each bit of which is flipped or not depending on `seed` and the bits above it."""
     x = _reversed_bits(x) + seed
-    # Multiplication by even numbers carries a bit upwards only, into those that it may decide on (Laine & Karras 2011).
+    # With bits reversed, multiplying by an even number lets a bit affect only the bits above it (Laine & Karras 2011).
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
         x = x ^ (x * np.uint32(factor))
     return _reversed_bits(x)

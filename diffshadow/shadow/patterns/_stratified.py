@@ -16,21 +16,21 @@ def stratified(
 
     **Arguments:**
 
-    - `samples`: (angles, rings), the strata of each set; or their number, for a grid that is as square as it can be,
-        whose outer rings have one stratum more where the number does not divide.
+    - `samples`: (angles, rings), the strata of each set. Or the number of strata: the grid is then as square as
+        possible, and its outer rings have one more stratum if the number does not divide evenly.
     - `pattern_size`: pixels on a side of the tile.
     - `rotated`: as in `Pattern`.
 
-    **Returns:** a pattern of as many points as strata, which are of equal area, from the outer ring inwards; where
-    rings have more than 8 strata, the outermost point of each octant comes first. Point (u, v) of the jittered unit
-    square lies at radius √v and angle 2πu.
+    **Returns:** a pattern with one point per stratum, from the outer ring inwards. Strata have equal areas. If rings
+    have more than 8 strata, the outermost point of each octant comes first. Point (u, v) of the jittered unit square
+    lies at radius √v and angle 2πu.
 
     **Raises** `ValueError` if there are no samples, or the tile has no pixels.
     """
     check_counts(samples, pattern_size)
     angles = _angles_of_rings(samples)
     count, ring = int(angles.sum()), np.repeat(np.arange(angles.size), angles)
-    # Rings run inwards, and each is as wide in v as its strata are many.
+    # Rings are numbered inwards; the width of a ring in v is proportional to its number of strata.
     inner = 1 - np.cumsum(angles) / count
     sector = np.arange(count) - np.repeat(np.cumsum(angles) - angles, angles)
     jitter = np.random.default_rng(seed).random((pattern_size, pattern_size, count, 2))
@@ -38,7 +38,7 @@ def stratified(
     v = np.maximum(inner[ring], 0) + jitter[..., 1] * angles[ring] / count
     points = to_disk(np.stack([u, v], axis=-1), "polar")
     if angles[0] > EARLY_SAMPLES:
-        # The first samples of such a ring would lie on one side.
+        # Otherwise the first samples would all lie on one side of the ring.
         points = outer_first(points)
     return Pattern(as_float(np.moveaxis(points, 2, 0)), rotated)
 

@@ -1,4 +1,4 @@
-"""The sunflower's spiral (Vogel, "A Better Way to Construct the Sunflower Head", Mathematical Biosciences 44, 1979)."""
+"""The sunflower spiral (Vogel, "A Better Way to Construct the Sunflower Head", Mathematical Biosciences 44, 1979)."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from ._disk import on_rays
 from ._pattern import Pattern, check_counts, pattern_of
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-"""In radians: the smaller part of a full turn cut by the golden ratio."""
+"""In radians: the smaller part of a full turn divided by the golden ratio."""
 
 
 def vogel(samples: int = 32, pattern_size: int = 1, seed: int = 0, rotated: bool = True) -> Pattern:
     """Points along a spiral, evenly spread for any number of them.
 
     Point i of n lies at radius √((i + ½) / n) and angle i · 2.39996 + φ, with a random φ for each pixel of a tile. By
-    default that is one pixel, and interleaved gradient noise turns the set.
+    default the tile is one pixel, and interleaved gradient noise rotates the set.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""Silhouettes: where casters end within the texels of a shadow map."""
+"""Silhouettes: the casters' outlines within the texels of a shadow map."""
 
 from ._half_planes import WHOLE_TEXEL as WHOLE_TEXEL
 from ._half_planes import HalfPlanes as HalfPlanes

@@ -1,4 +1,4 @@
-"""The line that the outline draws through each texel, as two half-planes."""
+"""The line of the outline through each texel, as two half-planes."""
 
 from typing import NamedTuple
 
@@ -12,13 +12,13 @@ from ..._misc import normalize
 from ._crossings import BEGIN, END, Crossings, Grid
 from ._half_planes import HalfPlanes
 
-# So low an offset that a half-plane contains all of any texel.
+# An offset so low that the half-plane contains every texel.
 _EVERYWHERE = -1e6
-# The sine of the least angle by which an outline turns within a texel.
+# The sine of the smallest angle that counts as a corner of the outline within a texel.
 _LEAST_TURN = 1e-3
 
-# A texel's corners and sides in the order in which a walk around it, anticlockwise from its lower left corner, meets
-# them. The walk runs along the third and the fourth side backwards, where a caster begins that ends forwards.
+# A texel's corners and sides, anticlockwise from its lower left corner. The walk follows the third and fourth sides
+# against their direction, so that `BEGIN` and `END` swap there.
 _CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
 _SIDES = np.array([(0, 0), (0, 1), (1, 0), (0, 0)], np.int32)
 _UPRIGHT = np.array([[False], [True], [False], [True]])
@@ -29,11 +29,11 @@ _OUTWARDS = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)])
 
 
 class Contours(NamedTuple):
-    """What the outline leaves of texels (t,).
+    """The outline in texels (t,).
 
     - `planes`: (2, t), relative to the texel's centre.
     - `inner`, `outer`: window depths inside both half-planes, and elsewhere in the texel.
-    - `follows`: whether edges define the line, whose derivative the half-planes then carry.
+    - `follows`: whether edges define the line; only then do the half-planes carry its derivative.
     - `exists`: whether the outline passes through the texel at all.
     """
 
@@ -47,7 +47,7 @@ class Contours(NamedTuple):
 class _Points(NamedTuple):
     """Where the outline enters or leaves texels, relative to their centres.
 
-    The direction is 0 where no edge is known; `motion` is zero, with the derivative of the edge's point.
+    `direction` is 0 if no edge is known. `motion` has value zero, and the derivative of the edge's point.
     """
 
     place: Float[Array, "*k t 2"]
@@ -64,8 +64,8 @@ def find_contours(
 ) -> Contours:
     """The contours of texels (t,).
 
-    On a walk around a texel casters begin and end. The outline runs from where one ends to where one begins, with the
-    caster to its left.
+    Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where
+    one begins, with the caster to its left.
     """
     layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
     at = lambda steps: (layer, row + steps[:, :1], column + steps[:, 1:])
@@ -79,7 +79,7 @@ def find_contours(
     covered, exists = z < threshold, edge_depth < threshold
     following = jnp.roll(covered, -1, axis=0)
     place = jnp.where(_FORWARD, crossings.place[crossing], 1 - crossings.place[crossing])
-    # A caster narrower than the side, between two corners that it misses.
+    # A caster narrower than the side, which covers neither of its corners.
     bar = ~covered & ~following & exists[0] & exists[1] & (place[1] < place[0])
     used = jnp.stack([covered & ~following, ~covered & following]) | bar
     along = (jnp.where(exists, place, 0.5) - 0.5)[..., None]
@@ -89,7 +89,7 @@ def find_contours(
         of_edge(crossings.direction),
         of_edge(crossings.motion),
     )
-    # Of two casters that meet in a texel, whether they are one there; a caster that misses all corners is.
+    # Whether two pieces of casters in a texel are connected; a caster that misses all corners is.
     is_band = ~jnp.any(covered, axis=0) | (own < threshold)
     start, end, has_two = _pair(points, used[0], used[1], is_band)
     start, end = _moved(start, end), _moved(end, start)
@@ -98,13 +98,13 @@ def find_contours(
     at_ends = jax.tree.map(lambda start, end: jnp.stack([start[0], end[0]]), start, end)
     straight = start._replace(direction=normalize(end.place - start.place))
     planes = jax.tree.map(lambda a, b: jnp.where(bend != 0, a, b), _left_of(at_ends), _left_of(straight))
-    # Two casters apart, and a corner that juts in, are what lies outside both half-planes flipped.
+    # Two separate casters, and a concave corner, are the complement of two flipped half-planes.
     flipped = (has_two & ~is_band) | (bend < 0)
     everywhere = HalfPlanes(*(jnp.array([[0], [value]]) for value in (0, 0, _EVERYWHERE)))
     is_one = ~(has_two | (bend != 0)) & np.array([[False], [True]])
     planes = jax.tree.map(lambda v, all_: jnp.where(is_one, all_, jnp.where(flipped, -v, v)), planes, everywhere)
 
-    # A caster that misses the centre is at most as deep as its outline: nearer, it would shadow itself.
+    # A caster that misses the centre gets the depth of its deepest crossing: with a nearer one it would shadow itself.
     deepest = jnp.max(jnp.where(used & exists, edge_depth, 0), axis=(0, 1))
     near = jnp.where(own < threshold, own, jnp.where(deepest > 0, deepest, near))
     inner, outer = jnp.where(flipped, far, near), jnp.where(flipped, near, far)
@@ -124,7 +124,7 @@ def _pair(
     number = jnp.arange(4, dtype=jnp.int32)[:, None]
     first = lax.argmax(ends, 0, jnp.int32)
     start = jnp.stack([first, lax.argmax(ends & (number > first), 0, jnp.int32)])
-    # Where the caster that ends there began: on the same side, or on the last one before it.
+    # Where the caster that ends there began: on the same side, or on the closest one before it.
     steps = jnp.where(begins, (start[:, None] - number) % 4, 4)
     began = lax.argmin(steps, 1, jnp.int32)
     has_two = jnp.sum(ends, axis=0) > 1
@@ -136,21 +136,22 @@ def _pair(
 
 
 def _moved(points: _Points, other: _Points) -> _Points:
-    """The points with their derivatives; one that lies on no edge moves as the `other` end of its line does."""
+    """The points with their derivatives; a point that is not on an edge moves like the `other` end of its line."""
     motion = jnp.where(points.on_edge[..., None], points.motion, other.motion)
     return points._replace(place=points.place + motion)
 
 
 def _left_of(points: _Points) -> HalfPlanes:
-    """What lies to the left of the lines through points along their direction."""
+    """The half-planes to the left of the lines through the points, along their directions."""
     x, y = -points.direction[..., 1], points.direction[..., 0]
     return HalfPlanes(x, y, x * points.place[..., 0] + y * points.place[..., 1])
 
 
 def _bend(start: _Points, end: _Points) -> Float[Array, " t"]:
-    """Whether the first line turns within the texel: left, positive, or right, negative; 0 if it does not.
+    """Whether the first line bends within the texel: positive to the left, negative to the right, 0 if it does not.
 
-    It does where the edges along which it enters and leaves meet there, ahead of one point and behind the other.
+    It bends if the edges along which it enters and leaves meet within the texel, ahead of the first point and behind
+    the second.
     """
     take_first = lambda points: _Points(*(lax.stop_gradient(values[0]) for values in points))
     start, end = take_first(start), take_first(end)

@@ -1,7 +1,7 @@
-"""What silhouettes change in a sum of compares over texels.
+"""Corrections by silhouettes to a sum of compares over texels.
 
-Few of the texels that are read have a silhouette, and one costs many times a plain texel. So the sum over stored
-depths is evaluated everywhere, and corrected texel by texel that has one.
+Few of the texels that are read have a silhouette, and such a texel costs many times a plain one. So the sum over stored
+depths is evaluated everywhere, and then corrected for each texel with a silhouette.
 """
 
 from operator import itemgetter
@@ -23,14 +23,14 @@ from ._half_planes import Rectangle
 from ._set_bits import SetBits, empty_words, put_bits
 from ._silhouette_map import NO_SILHOUETTE
 
-# Texels with silhouettes that one step of the loop over them takes.
+# Texels with silhouettes per iteration of the loop over them.
 _TEXELS_A_STEP = 16384
 
 
 class Corrections(AbstractTerms):
-    """The change of each texel that has a silhouette, one after another; a step is a kernel's and the texel's number.
+    """The correction of each texel that has a silhouette. A step is a pair: the kernel's step and the texel's number.
 
-    - `follows_outlines`: whether a look-up that moves has the derivative of outlines that move the opposite way.
+    - `follows_outlines`: whether a look-up's motion has the derivative of the outlines' opposite motion.
     """
 
     follows_outlines: bool = eqx.field(static=True)
@@ -41,13 +41,13 @@ class Corrections(AbstractTerms):
         if not self.follows_outlines:
             return _correction(kernel.footprint(lookup, step), padded, compare, lookup, number, None)
         here = lookup.detached()
-        # No motion, but its derivative.
+        # Zero, with the derivative of the opposite motion.
         motion = here.x - lookup.x, here.y - lookup.y
         return _correction(kernel.footprint(here, step), padded, compare, here, number, motion)
 
     def add_up(self, function, padded, at, steps):
         shape = at[1].depth.shape
-        # A step's number, or its table, which gets a row for each step of all look-ups.
+        # Steps are numbers, or tables, which are expanded to one row per step with all look-ups.
         wide = lambda s: (
             jnp.asarray(s) if s.ndim == 1 else jnp.broadcast_to(s, (s.shape[0], *shape)).reshape(s.shape[0], -1)
         )
@@ -80,7 +80,7 @@ class Corrections(AbstractTerms):
 
 
 def _find(padded: PaddedMap, at: At, steps: Any) -> tuple[SetBits, int]:
-    """Which of the texels that each look-up reads, step after step, have a silhouette, and how many a step reads."""
+    """Which of the texels that each look-up reads in all steps have a silhouette, and how many texels a step reads."""
     kernel, lookup = at
     places = lambda step: kernel.footprint(lookup, step).places(padded, lookup)
     count = jax.tree.leaves(steps)[0].shape[0]
@@ -108,8 +108,8 @@ def _correction(
 ) -> Float[Array, "*n"]:
     """The change of the sum by the silhouette in the texel of this `number`, which must have one.
 
-    The texel's compare becomes its mean over the part of the texel that the kernel covers. With a `motion`, the outline
-    has moved by that.
+    The texel's compare is replaced by its mean over the part of the texel that the kernel covers. The outline is moved
+    by `motion` if given.
     """
     i, j = number % len(footprint.columns), number // len(footprint.columns)
     column, row = _choose(footprint.columns, i), _choose(footprint.rows, j)

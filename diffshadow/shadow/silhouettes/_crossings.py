@@ -20,9 +20,9 @@ END, BEGIN = 0, 1
 
 
 class Grid(NamedTuple):
-    """How texels, their corners and their sides are numbered, for a map of this size and number of layers.
+    """Numbers the texels, corners and sides of a map of this size and number of layers.
 
-    Each layer's upright sides come first, (h, w + 1), then its level ones, (h + 1, w).
+    In each layer, vertical sides come first, (h, w + 1), then horizontal ones, (h + 1, w).
     """
 
     layers: int
@@ -54,14 +54,14 @@ class Grid(NamedTuple):
 
 
 class Crossings(eqx.Module):
-    """Where the outline crosses the sides of texels, which run upwards or to the right.
+    """Where the outline crosses the sides of texels. Sides are directed upwards or to the right.
 
-    - `at`: (2, n), for each side the crossing at which a caster ends that covers the side's first corner (row `END`),
-        and the one at which a caster begins that covers its last (row `BEGIN`). Of several it is the outermost; c, the
-        number of crossings, stands for none.
-    - `place`, `depth`: (c + 1,), of each crossing: how far along its side, in [0, 1], and its window depth.
+    - `at`: (2, n), for each side, the crossing at which the caster that covers the side's first corner ends (row `END`)
+        and the one at which the caster that covers its last corner begins (row `BEGIN`). Of several, the outermost; c,
+        the number of crossings, stands for none.
+    - `place`, `depth`: (c + 1,), of each crossing: the position along its side, in [0, 1], and its window depth.
     - `direction`: (c + 1, 2), the edge's unit direction, with the caster to its left; 0 for none.
-    - `motion`: (c + 1, 2), zero, with the derivative of the edge's point there.
+    - `motion`: (c + 1, 2), of value zero, with the derivative of the edge's point there.
     """
 
     at: Int[Array, "2 n"]
@@ -78,7 +78,7 @@ def find_crossings(
 
     **Arguments:**
 
-    - `corners`: (k,), window depth at the corners of texels. A crossing counts only where its edge is nearer.
+    - `corners`: (k,), window depth at the corners of texels. A crossing counts only if its edge is nearer.
     """
     found = grid_crossings(*lax.stop_gradient((outline.start, outline.end)), outline.counts, capacity)
     start, end, z = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
@@ -88,8 +88,8 @@ def find_crossings(
     rise = lax.stop_gradient(across(end) - across(start))
     fraction = lax.stop_gradient(found.line - across(start)) / jnp.where(rise == 0, 1, rise)
     depth = z[:, 0] + fraction * (z[:, 1] - z[:, 0])
-    # The derivative is that of the edge's point, which leaves the side. The crossing itself races along the side where
-    # the edge is almost parallel to it, and both points define the same line.
+    # The derivative is that of the edge's point, which moves off the side. It defines the same line as the crossing,
+    # whose own derivative would be huge where the edge is almost parallel to the side.
     point = start + fraction[:, None] * (end - start)
     motion = point - lax.stop_gradient(point)
     position = lax.stop_gradient(along(point))
@@ -97,10 +97,10 @@ def find_crossings(
     place = position - own
     on_map = (found.segment >= 0) & (found.line >= 0) & (found.line <= jnp.where(upright, grid.width, grid.height))
     line, layer = jnp.where(on_map, found.line, 0), outline.layer[found.segment]
-    # The caster is to the left: above an edge that runs to the right, and before one that runs upwards.
+    # The caster is to the left of an edge: above it if it runs to the right, and on its left side if it runs upwards.
     begins = (rise > 0) == upright
 
-    # Samples are taken of vertices snapped to a grid: a crossing this near to a corner may belong to the next side.
+    # The rasterizer snaps vertices to a grid, so a crossing this close to a corner may belong to the next side.
     step = jnp.where(place < _NEAR_CORNER, -1, jnp.where(place > 1 - _NEAR_CORNER, 1, 0))
     number, exists = jnp.stack([own, own + step]), jnp.stack([on_map, on_map & (step != 0)])
     exists = exists & (number >= 0) & (number < jnp.where(upright, grid.height, grid.width))
@@ -113,7 +113,7 @@ def find_crossings(
 
     offset = jnp.stack([place, place - step])
     direction = normalize(end - start)
-    # Where samples show a crossing and there is none, it is put into the side's middle.
+    # If samples show a crossing but no edge does, the crossing is put at the side's middle.
     none = jnp.zeros((1, 2), place.dtype)
     crossings = Crossings(
         at=_outermost(side, begins, offset, grid),
@@ -131,7 +131,7 @@ def find_crossings(
 def _outermost(side: Int[Array, "2 c"], begins: Array, offset: Float[Array, "2 c"], grid: Grid) -> Int[Array, "2 n"]:
     """`Crossings.at`, from the sides that crossings lie on (row 0) or may belong to (row 1).
 
-    One of row 1 counts only where there is none of row 0.
+    A crossing of row 1 counts only if there is none in row 0.
     """
     count = side.shape[1]
     role, row = jnp.where(begins, BEGIN, END), jnp.arange(2, dtype=jnp.int32)[:, None]

@@ -26,7 +26,7 @@ WHOLE_TEXEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 class HalfPlanes(NamedTuple):
     """Points p with `x · p_x + y · p_y >= offset`; (x, y) has unit length, or is zero for the whole plane.
 
-    Texels hold a pair of them, (2, n).
+    Each texel has a pair, (2, n).
     """
 
     x: Float[Array, "..."]
@@ -62,15 +62,15 @@ def _cut_area_jvp(primals, tangents):
 
 
 def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any, Any]:
-    """The area and its boundary: lengths of the sides right, left, above and below, and length and midpoint
-    of the part of each half-plane's line that bounds it. Where two of these coincide, the first counts.
+    """The area and its boundary: lengths of the sides right, left, above and below, and length and midpoint of the part
+    of each half-plane's line that bounds it. If two lines coincide, the first counts.
 
-    The area of a polygon is half the sum, over its sides, of length times distance from any one point (here the
-    rectangle's centre), positive where the point is on the inner side.
+    The area of a polygon is half the sum over its sides of length times signed distance from any one point (here the
+    rectangle's centre), positive if the point is on the inner side.
     """
     x, y = (rectangle.left + rectangle.right) / 2, (rectangle.below + rectangle.above) / 2
     width, height = rectangle.right - rectangle.left, rectangle.above - rectangle.below
-    # Signed distances of the centre, positive inside. One by one: arrays of sides would not fuse.
+    # Signed distances of the centre, positive inside. A list, since XLA would not fuse stacked arrays.
     lines = [(a, b, a * x + b * y - offset) for a, b, offset in zip(*planes, strict=True)]
     sides = []
     for horizontal, sign in ((True, 1), (True, -1), (False, 1), (False, -1)):
@@ -92,7 +92,7 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
         low, high = _clip(-(width + height), width + height, start, along, other, wins_ties=not is_first)
         for axis, half in enumerate((width / 2, height / 2)):
             low, high = _clip_to_slab(low, high, start[axis], along[axis], half)
-        # A zero normal has no line.
+        # A zero normal is the whole plane, which has no line.
         length = jnp.where(a * a + b * b > 0.25, jnp.maximum(high - low, 0), 0)
         t = (low + high) / 2
         parts.append((length, x - s * a - t * b, y - s * b + t * a))
@@ -103,7 +103,8 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
 def _clip(low: Any, high: Any, start: Any, along: Any, line: Any, wins_ties: bool) -> tuple[Any, Any]:
     """The part of `start + t · along`, t in [low, high], inside a half-plane `a x + b y + s >= 0`.
 
-    Of a line that coincides with this one, what faces the same way is inside unless the other line `wins_ties`.
+    If the half-plane's line coincides with this one and faces the same way, this line is inside unless the half-plane
+    `wins_ties`.
     """
     a, b, s = line
     rise, value = a * along[0] + b * along[1], a * start[0] + b * start[1] + s

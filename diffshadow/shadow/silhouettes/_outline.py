@@ -11,10 +11,10 @@ from ...raster import count_crossings, light_sides, silhouettes_by_adjacency
 
 
 class Outline(eqx.Module):
-    """Silhouette edges clipped to the map and a texel around it; the caster lies to their left.
+    """Silhouette edges clipped to the map with a border of one texel; the caster lies to their left.
 
     - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), of the map.
-    - `counts`: (n, 2), how many texel boundaries each crosses: upright ones, then level ones.
+    - `counts`: (n, 2), how many vertical and horizontal texel boundaries each edge crosses.
     """
 
     start: Float[Array, "n 2"]
@@ -45,10 +45,8 @@ class Outline(eqx.Module):
 
 
 def _clip(corners: Float[Array, "n 2 4"], resolution: Resolution) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """The part of each edge that the map and a texel around it show, as fractions of the edge (Liang & Barsky 1984).
-
-    The first fraction is not less than the last where nothing is left.
-    """
+    """Clips edges to the map with a border of one texel (Liang & Barsky 1984). Returns the fractions of each edge at
+    which the visible part starts and ends; the first is not less than the last if nothing is visible."""
     x, y, z, w = jnp.moveaxis(corners, -1, 0)
     x, y = x / (1 + 2 / resolution[1]), y / (1 + 2 / resolution[0])
     planes = jnp.stack([x, -x, y, -y, z, -z])

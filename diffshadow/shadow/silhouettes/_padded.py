@@ -11,7 +11,7 @@ from ..._misc import take
 from ._half_planes import Rectangle
 from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
 
-# The least area of a part of a texel, in square texels; a smaller part counts as a point.
+# Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
 _LEAST_AREA = 1e-9
 
 
@@ -31,7 +31,7 @@ class PaddedSilhouettes(eqx.Module):
         pad: Callable[[Array, int], Array],
         hides: Callable[[Array], Array],
     ) -> "PaddedSilhouettes":
-        """With slots laid out by `pad`, and depths of nothing replaced by `hides`."""
+        """Pads the slots by `pad`, and replaces depths of empty parts by `hides`."""
         where = lambda found: (found.slot, found.inner, found.outer)
         new = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
         return cls(eqx.tree_at(where, silhouettes, new), Pyramid.of(silhouettes.slot != NO_SILHOUETTE))
@@ -44,10 +44,9 @@ class PaddedSilhouettes(eqx.Module):
         part: Rectangle,
         motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None,
     ) -> Float[Array, "*n"]:
-        """The difference between the mean of a function of depth over a `part` of a texel and its value at the stored
-        `depth`.
+        """The mean of a function of depth over a `part` of a texel, minus its value at the stored `depth`.
 
-        Only for texels with a silhouette, at `slot`, which has moved by `motion`.
+        Only for texels with a silhouette, at `slot`. The silhouette is moved by `motion` if given.
         """
         slot = jnp.maximum(slot, 0)
         inner, outer = function(take(self.map.inner, slot)), function(take(self.map.outer, slot))
@@ -57,9 +56,9 @@ class PaddedSilhouettes(eqx.Module):
 
 
 class Pyramid(eqx.Module):
-    """Which blocks of 1, 2, 4, ... texels a side hold a marked one, from the finest level to the coarsest.
+    """Which blocks of 1, 2, 4, ... texels a side contain a marked texel, from the finest level to the coarsest.
 
-    - `marked`: of all levels, one after the other; `levels`: (first, rows, columns) of each.
+    - `marked`: all levels, flattened and concatenated; `levels`: (first, rows, columns) of each.
     """
 
     marked: Bool[Array, " n"]
@@ -82,9 +81,9 @@ class Pyramid(eqx.Module):
     def any_within(
         self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None, reach: Float[Array, "..."]
     ) -> Bool[Array, "*n"]:
-        """Whether there may be a marked texel within a square of half width `reach` texels round each (x, y).
+        """Whether there may be a marked texel within a square of half width `reach` texels around each (x, y).
 
-        The finest level whose blocks are as wide as the square is read: the square touches at most two by two of them.
+        This reads the finest level with blocks at least as wide as the square, which touches at most 2 x 2 of them.
         """
         x, y, reach = lax.stop_gradient((x, y, reach))
         level = jnp.ceil(jnp.log2(jnp.maximum(2 * reach, 1))).astype(jnp.int32)
@@ -97,5 +96,5 @@ class Pyramid(eqx.Module):
             for column in (block(x - reach, columns), block(x + reach, columns)):
                 place = first + (before * rows + row) * columns + column
                 found = found | take(self.marked, place)
-        # Squares beyond the border would find what is on it.
+        # Squares outside the map are clamped to its border, and must not find marks there.
         return found & (x + reach >= 0)

@@ -1,13 +1,13 @@
-"""Silhouette maps: shadow maps that know where within a texel the caster ends.
+"""Silhouette maps: shadow maps that store the caster's outline within each texel.
 
 Sen, Cammarano & Hanrahan ("Shadow Silhouette Maps", SIGGRAPH 2003) store a point of the silhouette in each texel that
-it passes through. Here the outline is followed as marching squares follow a contour (Lorensen & Cline 1987), but its
-crossings with the sides of texels are those of the silhouette edges rather than guesses from samples. So the outline
-is closed, hidden folds of a mesh drop out, and hard shadows are accurate below a texel. The crossings move with the
-light and the vertices, which gives visibility its derivatives.
+it passes through. Here the outline is traced by marching squares (Lorensen & Cline 1987), but its crossings with the
+sides of texels come from the silhouette edges and are not interpolated from samples. So the outline is closed, hidden
+folds of a mesh drop out, and hard shadows have sub-texel accuracy. The crossings move with the light and the vertices,
+which gives visibility its derivatives.
 
 Two edges that meet within a texel keep their corner. Of a longer chain only the first and the last edge are kept, or
-the chain is cut short. Parts of a caster narrower than a texel are lost where they cross fewer than two of its sides.
+the chain is cut short. Parts of a caster narrower than a texel are lost if they cross fewer than two of its sides.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from ._half_planes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
 from ._outline import Outline
 
 NO_SILHOUETTE = -1
-"""What a texel without a silhouette holds in `SilhouetteMap.slot`."""
+"""Value of `SilhouetteMap.slot` for texels without a silhouette."""
 
 
 class SilhouetteMap(eqx.Module):
@@ -33,9 +33,9 @@ class SilhouetteMap(eqx.Module):
 
     - `slot`: (h, w), or (l, h, w), the index of each texel's silhouette in the other arrays; `NO_SILHOUETTE` for none.
     - `planes`: two half-planes each, (2, s), in texels from the texel's centre. They carry the outline's derivative.
-    - `inner`, `outer`: (s,), window depths inside both half-planes, and elsewhere in the texel; 1 for nothing.
-    - `follows`: (s,), whether the outline is that of silhouette edges, and moves as they do. Elsewhere only samples
-        show that there is one, such as where meshes intersect.
+    - `inner`, `outer`: (s,), window depths inside both half-planes, and elsewhere in the texel; 1 if empty.
+    - `follows`: (s,), whether the outline comes from silhouette edges and moves with them. Otherwise it was found from
+        samples only, for example where meshes intersect.
     """
 
     slot: Int[Array, "*l h w"]
@@ -45,7 +45,7 @@ class SilhouetteMap(eqx.Module):
     follows: Bool[Array, " s"]
 
     def mean_of(self, function: Callable[[Array], Any], depth: Float[Array, "*l h w"]) -> Any:
-        """The mean over each texel of a function of depth, which gives arrays of its shape; `depth` is the map's."""
+        """The mean over each texel of a `function` of depth, which keeps the shape. `depth` is the map's."""
         fraction = self.area_within(jnp.arange(self.inner.shape[0], dtype=jnp.int32), WHOLE_TEXEL)
         blend = lambda inner, outer: outer + fraction * (inner - outer)
         means = jax.tree.map(blend, function(self.inner), function(self.outer))
@@ -58,9 +58,9 @@ class SilhouetteMap(eqx.Module):
         part: Rectangle,
         motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
     ) -> Float[Array, "*n"]:
-        """The area, in square texels, of the `part` of a texel, relative to its centre, inside both half-planes.
+        """Area, in square texels, of the `part` of a texel that lies inside both half-planes.
 
-        With a `motion`, half-planes that follow edges have moved by that, in texels.
+        `part` is relative to the texel's centre. Half-planes that follow edges are moved by `motion` (texels) if given.
         """
         x, y, offset = (jnp.stack([take(one, slot) for one in values]) for values in self.planes)
         if motion is not None:
@@ -84,7 +84,7 @@ def find_silhouettes(
     """
     height, width = depth.shape[-2:]
     grid = Grid(depth.size // (height * width), height, width)
-    # Nothing can be read from an empty table.
+    # At least 1, since an empty array cannot be indexed.
     capacity = max(capacity, 1)
     crossings, texel = find_crossings(outline, corners.reshape(-1), grid, capacity)
     found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, jnp.minimum(texel, grid.texels - 1), grid)

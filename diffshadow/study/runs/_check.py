@@ -1,4 +1,4 @@
-"""Checks of a run that need no ray."""
+"""Checks of a run that trace no rays."""
 
 from rich.console import Console
 
@@ -12,11 +12,11 @@ from ._setup import load, see
 
 
 def check(config: Config, *, console: Console) -> int:
-    """Does all that a render or a fit of `config` begins with, up to tracing rays, for its errors.
+    """Checks `config`: does everything that a render or a fit does before it traces rays.
 
-    A fit is checked where the technique has one. Remarks on the scene are printed. Nothing is written.
+    A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written.
 
-    **Returns** the number of triangles of the scene.
+    **Returns** the number of triangles in the scene.
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """

@@ -1,4 +1,4 @@
-"""Pictures of what a technique works with. This file loads Matplotlib, so only a run's end imports it."""
+"""Images of a technique's intermediate results. This module loads Matplotlib, so it is imported at a run's end only."""
 
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,14 @@ from ..pages import _figures as figures
 from ._setup import Drawn, visibility_of
 from ._shade import shade
 
-# How many neighbouring pixels' patterns are shown one by one.
+# Number of neighbouring pixels whose patterns are shown separately.
 _FEW = 3
-# More volumes than this share the last colour.
+# Higher counts of volumes all have the last colour.
 _MOST_COLOURS = 12
 
 
 def write_debug(folder: Path, end: str, config: Config, technique: shadow.AbstractTechnique, drawn: Drawn) -> None:
-    """Writes all pictures that suit `technique` under one light; their names end in `end`."""
+    """Writes all images that apply to `technique` for one light; their names end in `end`."""
     image = shade(config, [drawn], [visibility_of(technique, drawn)])
     _write_silhouettes(folder / f"debug_silhouettes{end}.png", image, drawn)
     if isinstance(technique, shadow.ShadowVolumes):
@@ -41,7 +41,7 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
 
 
 def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
-    """The map's window depths, stretched to those that there are, for a perspective's crowd next to 1."""
+    """The map's window depths, scaled to their range, since those of a perspective view are all close to 1."""
     depth = np.asarray(shadow_map.depth)
     seen = depth[depth < 1]
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
@@ -50,7 +50,7 @@ def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
 
 
 def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Drawn) -> None:
-    """The casters' silhouettes as the light sees them, over the picture that the camera sees."""
+    """The casters' silhouettes as the light sees them, drawn over the camera's image."""
     height, width = image.shape[:2]
     lines = _silhouettes(drawn.scene)
     figure, axes = figures.single(image[..., 0])
@@ -58,7 +58,7 @@ def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Draw
     axes.add_collection(LineCollection(list(lines), colors=style.VERMILION, linewidths=0.9))
     axes.set_xlim(0, width)
     axes.set_ylim(0, height)
-    style.title(axes, "Silhouettes that the light sees", f"{len(lines)} edges, with those hidden from the camera")
+    style.title(axes, "Silhouettes seen from the light", f"{len(lines)} edges, including those hidden from the camera")
     style.save(figure, path)
 
 
@@ -86,7 +86,7 @@ def _write_counts(path: Path, technique: shadow.ShadowVolumes, drawn: Drawn) -> 
     style.title(
         axes, f"Shadow volumes, by {technique.method.replace('_', '-')}", f"counts from {low} to {counts.max()}"
     )
-    bar = style.colour_bar(figure, picture, [axes], "volumes round the surface point; 0 is lit")
+    bar = style.colour_bar(figure, picture, [axes], "volumes around the surface point; 0 is lit")
     bar.locator = MaxNLocator(integer=True)
     bar.update_ticks()
     style.save(figure, path)
@@ -98,7 +98,7 @@ def _range(counts: Int[HostArray, " n"]) -> tuple[int, int]:
 
 
 def _write_blockers(path: Path, technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap, drawn: Drawn) -> None:
-    """What the search of soft shadows finds: how far the blockers are, and how wide the penumbra is."""
+    """The blocker search of soft shadows: distance of the blockers, and width of the penumbra."""
     found = _find_blockers(technique, shadow_map, drawn.surface)
     blocked = np.asarray(found.some & drawn.surface.mask)
     distance = shadow_map.view.eye_depth(found.depth)
@@ -112,7 +112,7 @@ def _write_blockers(path: Path, technique: shadow.ShadowMapping, shadow_map: sha
     for one, (title, image, colours, label) in zip(axes, images, strict=True):
         one.set_facecolor(style.NO_SURFACE)
         picture = style.picture(one, np.where(blocked, np.asarray(image), np.nan), cmap=colours)
-        style.title(one, title, "" if blocked.any() else "the search found none")
+        style.title(one, title, "" if blocked.any() else "the search found no blockers")
         style.colour_bar(figure, picture, [one], label)
     style.save(figure, path)
 
@@ -126,7 +126,7 @@ def _find_blockers(technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap
 
 
 def _write_pattern(path: Path, pattern: shadow.Pattern) -> None:
-    """Where the taps lie: those of a few neighbouring pixels, and those of all pixels of a tile together."""
+    """Positions of the taps: of a few neighbouring pixels, and of all pixels of a tile together."""
     offsets = np.asarray(pattern.offsets)
     size = offsets.shape[1]
     sets = [(f"Pixel ({x}, 0)", offsets[:, 0, x]) for x in range(min(_FEW, size))]
@@ -140,7 +140,7 @@ def _write_pattern(path: Path, pattern: shadow.Pattern) -> None:
         dots = one.scatter(*points.T, c=order, cmap="viridis", s=14 if len(points) == pattern.samples else 2)
         style.title(one, f"{title}: {len(points)} taps")
     axes[0].set_ylabel("offset [filter radii]", fontsize=8.5, color=style.INK)
-    bar = style.colour_bar(figure, dots, axes, "tap, in order" + (", before the pixel turns it" * pattern.rotated))
+    bar = style.colour_bar(figure, dots, axes, "tap, in order" + (", before the pixel's rotation" * pattern.rotated))
     bar.locator = MaxNLocator(6, integer=True, min_n_ticks=1)
     bar.update_ticks()
     style.save(figure, path)

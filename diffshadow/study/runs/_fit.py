@@ -1,4 +1,4 @@
-"""A fit from its configuration to its folder."""
+"""Runs a fit: from its configuration to its folder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +27,9 @@ Images = list[Float32[HostArray, "h w"]]
 
 
 class Fitted(NamedTuple):
-    """A finished fit, and its images, one for each light, and errors under the hard compare.
+    """A finished fit, with its images, one for each light, and its errors under the hard compare.
 
-    - `seen`: the scene as it stood before and after, for a fit may move lights and meshes; `drawn` is the truth.
+    - `seen`: the scene before and after the fit, which may move lights and meshes; `drawn` is the truth.
     """
 
     config: Config
@@ -45,11 +45,11 @@ class Fitted(NamedTuple):
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
-    """Fits the parameters of `config`, prints what came out, and writes the run's folder.
+    """Fits the parameters of `config`, prints the result, and writes the run's folder.
 
-    **Returns** the folder, `<output>/<name>`. An earlier run there is replaced once all is written, not before.
+    **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
 
-    **Raises** `ValueError` for a mistake in the configuration, before any long work.
+    **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
     folder = folder_of(config)
     with Stages(console) as stages:
@@ -71,7 +71,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
 
 
 def write_fit(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
-    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    """Writes the run's folder; `seconds` are the times of its stages."""
     write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
 
 
@@ -135,15 +135,15 @@ def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
         at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
         start = f"start {step.start + 1} of {plan.starts}, " if plan.starts > 1 else ""
         detail = f"{start}{at}, step {step.step}, RMSE {max(step.loss, 0) ** 0.5:.5f}"
-        share = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
-        stages.show("fitting", detail, share)
+        fraction = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
+        stages.show("fitting", detail, fraction)
 
     return show
 
 
 def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
-    """Writes every file of the run to `draft`, which will be `folder`."""
-    # Here, since only a run that got this far needs Matplotlib.
+    """Writes every file of the run to `draft`, which becomes `folder`."""
+    # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
     from ..pages._report import write_report
 

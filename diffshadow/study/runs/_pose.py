@@ -1,4 +1,4 @@
-"""What a fit of lights and meshes does beyond one of a technique."""
+"""The parts of a run that only fits of lights and meshes need."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ from ._setup import Drawn, Loaded, draw
 
 
 def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
-    """With traced references times the cone's fraction of the light, as fits see them."""
+    """Multiplies traced references by the fraction of light in the cone, as fits do."""
     if config.reference.type != "traced":
         return list(drawn)
     fractions = [np.asarray(fit.cone_fraction(each.scene.light, each.surface)) for each in drawn]
@@ -30,9 +30,9 @@ def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
 
 
 def pose_problems(config: Config, plan: FitPlan, scene: Scene) -> list[fit.PoseProblem]:
-    """What a fit of `plan`, the lights and meshes of `config`, is given: a problem for each light.
+    """The problems of a fit of `plan`, which fits lights and meshes of `config`: one for each light.
 
-    **Raises** `ConfigError` if no pixel counts, or the reference does not suit the scene.
+    **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
     with Stages(Console(quiet=True)) as stages:
         drawn = draw(config, Loaded(scene), build_shadow_mapping(config), stages)
@@ -59,7 +59,7 @@ def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit
 def images_at(
     problems: Sequence[Any], drawn: Sequence[Drawn], arrangement: fit.Arrangement
 ) -> tuple[list[Float32[HostArray, "h w"]], list[Drawn]]:
-    """What is compared with each reference in an arrangement, and the scene in it as light and camera see it."""
+    """The image of an arrangement that is compared with each reference, and the scene as light and camera see it."""
     images, seen = [], []
     for problem, each in zip(problems, drawn, strict=True):
         image, shadow_map, surface = _drawn(problem, arrangement)
@@ -76,12 +76,12 @@ def _drawn(problem: fit.PoseProblem, arrangement: fit.Arrangement) -> tuple[Any,
 
 
 def errors_of(plan: FitPlan, result: fit.FitResult) -> dict[str, float]:
-    """How far each fitted value is from the truth, where that is known."""
+    """The error of each fitted value whose truth is known."""
     return {name: result.fitted[name] - truth for name, truth in plan.truth.items()}
 
 
 def as_record(plan: FitPlan, result: fit.FitResult) -> dict[str, Any]:
-    """What `result.json` holds of poses: truth and error by name, precision, and how several starts went."""
+    """The part of `result.json` on poses: truth and error by name, precision, and the outcomes of several starts."""
     names = list(result.fitted)
     values = lambda numbers: dict(zip(names, numbers, strict=True))
     return {
@@ -96,7 +96,7 @@ def as_record(plan: FitPlan, result: fit.FitResult) -> dict[str, Any]:
 
 
 def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
-    """Truth, end, error and standard deviation of each parameter, and what became of several starts."""
+    """Prints truth, end, error and standard deviation of each parameter, and the losses of several starts."""
     table = Table("", "truth", "end", "error", "deviation")
     table.columns[0].no_wrap = True
     for column in table.columns[1:]:
@@ -115,12 +115,12 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     console.print(table)
     if result.starts:
         losses = sorted(start.loss for start in result.starts)
-        told = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
-        console.print(Text(f"RMSE of {len(losses)} starts after the coarse phases, blurred, best first: {told}"))
+        listed = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
+        console.print(Text(f"blurred RMSE of {len(losses)} starts after the coarse phases, best first: {listed}"))
 
 
 def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
-    """One plain sentence for each parameter that the image does not determine, with the cause."""
+    """A sentence for each parameter that the image does not determine, with the cause."""
     for name in result.flat:
         yield f"{name} was not fitted: its gradient is zero throughout, {_cause(config, name)}"
     for group in () if result.precision is None else result.precision.undetermined:
@@ -128,30 +128,30 @@ def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
             yield f"the image hardly determines {group[0]}: other values of it fit as well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the image hardly determines {listed}: they can change together, and it fits as well"
+            yield f"the image hardly determines {listed}: they can change together and fit as well"
     if result.enlargements:
-        yield f"the capacity for drawing was enlarged {result.enlargements} times on the way; each time compiles again"
+        yield f"the drawing capacity was enlarged {result.enlargements} times during the fit; each time recompiles"
 
 
 def _cause(config: Config, name: str) -> str:
     section, *_, key = name.split(".")
     if section != "scene":
         if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
-            return "since nearest look-ups give none: choose a filter with bilinear ones"
+            return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
         return "since no pixel changes with it: try another initial value"
     if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
-        return "since the cone of a spot light without inner_angle is not obeyed: set inner_angle, or leave it out"
+        return "since the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
     if "meshes" in name:
         mesh = config.scene.meshes[int(name.split(".")[2])]
         if not mesh.casts:
             return "since its mesh does not cast: set casts: true"
     if not config.has_silhouettes:
-        return "since outlines are not differentiated: remove shadow_map.silhouettes"
+        return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
     if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
-        return "since nearest look-ups do not see outlines move: choose a filter with bilinear ones"
+        return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
     if "meshes" in name:
-        return "since no pixel sees its shadow: it lies outside the light's frustum, or its shadow outside the image"
-    return "since no pixel sees a shadow's outline: the light's frustum misses what the camera sees"
+        return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
+    return "since no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
 
 
 def _is_obeyed(config: Config, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""What a run shows while it works, and how long each of its stages took."""
+"""Progress of a run, and how long each of its stages took."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -21,9 +21,9 @@ _PAUSE = 0.05
 
 
 class Stages:
-    """A line of progress that vanishes when the work is done, and nothing at all where nobody watches.
+    """A progress line that vanishes when the work is done. It is shown on a terminal only.
 
-    - `seconds`: how long each finished stage took, by name, in their order.
+    - `seconds`: how long each finished stage took, by name, in order.
     """
 
     def __init__(self, console: Console):
@@ -56,15 +56,15 @@ class Stages:
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
-    def show(self, name: str, detail: str = "", share: float | None = None) -> None:
-        """Shows the stage `name` with `detail`, and a bar filled to `share` in [0, 1] if it is known."""
-        total = None if share is None else 1.0
-        self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=share)
+    def show(self, name: str, detail: str = "", done: float | None = None) -> None:
+        """Shows the stage `name` with `detail`, and a bar filled to the fraction `done` if that is known."""
+        total = None if done is None else 1.0
+        self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=done)
 
 
 @contextmanager
 def counting(console: Console, name: str, total: int) -> Iterator[Callable[..., None]]:
-    """A bar that vanishes when the work is done. Its updates give how many of `total` things are done, and a detail."""
+    """A progress bar that vanishes when the work is done. Call it with the number done of `total`, and a detail."""
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=40),
@@ -81,7 +81,7 @@ def counting(console: Console, name: str, total: int) -> Iterator[Callable[..., 
 
     def progress(done: int, detail: str = "") -> None:
         nonlocal shown
-        # Updates cost more than much of what is counted.
+        # An update can cost more than the work that is counted.
         if time.monotonic() - shown > _PAUSE or done == total:
             shown = time.monotonic()
             bar.update(task, completed=done, detail=escape(detail))

@@ -1,4 +1,4 @@
-"""What a run writes down: `result.json`, `config.yaml` and the arrays."""
+"""Records of a run: `result.json`, `config.yaml` and the arrays."""
 
 import dataclasses
 import importlib.metadata
@@ -23,7 +23,7 @@ _PACKAGES = ("diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
 def versions() -> dict[str, str]:
-    """What the numbers of a run were computed with."""
+    """The software and hardware that a run was computed with."""
     device = jax.devices()[0]
     return {
         **{name: importlib.metadata.version(name) for name in _PACKAGES},
@@ -35,7 +35,7 @@ def versions() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """The processor's model, where the system tells, and how many of its cores there are."""
+    """The processor's model, if the system reports it, and its number of cores."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -43,36 +43,36 @@ def _processor() -> str:
 
 
 def command(verb: str, folder: Path) -> str:
-    """What to type to have the run of `folder` once more."""
+    """The shell command that repeats the run of `folder`."""
     return shlex.join(["diffshadow", verb, str(folder / "config.yaml")])
 
 
 def measured(image: Any, drawn: Drawn) -> dict[str, float]:
-    """The errors of `image` (h, w) by name; not a number where no pixel counts."""
+    """The errors of `image` (h, w) by name; NaN if no pixel counts."""
     if not drawn.pixels:
         return {field.name: math.nan for field in dataclasses.fields(metrics.ShadowErrors)}
     return metrics.measure_errors(image, drawn.reference.visibility, drawn.mask).as_dict()
 
 
 def combined(errors: Sequence[Mapping[str, float]], drawn: Sequence[Drawn]) -> dict[str, float]:
-    """The errors of all lights as one: the mean over all pixels that count, of the RMSE that of its square."""
+    """The errors of all lights together: means weighted by the number of pixels that count; RMSEs by their squares."""
     pixels = np.asarray([each.pixels for each in drawn], np.float64)
-    share = pixels / pixels.sum()
+    weights = pixels / pixels.sum()
     return {
-        name: math.sqrt(_mean([one[name] ** 2 for one in errors], share))
+        name: math.sqrt(_mean([one[name] ** 2 for one in errors], weights))
         if name == "rmse"
-        else _mean([one[name] for one in errors], share)
+        else _mean([one[name] for one in errors], weights)
         for name in errors[0]
     }
 
 
-def _mean(values: Sequence[float], share: np.ndarray) -> float:
-    # A light that no pixel counts for has no errors.
-    return float(sum(value * part for value, part in zip(values, share, strict=True) if part > 0))
+def _mean(values: Sequence[float], weights: np.ndarray) -> float:
+    # A light without pixels that count has weight 0, and its errors are NaN.
+    return float(sum(value * weight for value, weight in zip(values, weights, strict=True) if weight > 0))
 
 
 def noise(drawn: Sequence[Drawn]) -> float | None:
-    """The reference's own error over all lights; `None` if that is not known."""
+    """The reference's own error over all lights; `None` if it is unknown."""
     floors = [each.noise_floor for each in drawn]
     if any(floor is None for floor in floors):
         return None
@@ -80,17 +80,17 @@ def noise(drawn: Sequence[Drawn]) -> float | None:
 
 
 def suffix(index: int, drawn: Sequence[Drawn]) -> str:
-    """What tells the files of the light at `index` apart: nothing where there is but one."""
+    """Suffix of the files of the light at `index`; empty if there is only one light."""
     return "" if len(drawn) == 1 else f"_{index}"
 
 
 def stacked(images: Sequence[Any]) -> np.ndarray:
-    """The one image (h, w), or those of several lights (l, h, w)."""
+    """One image (h, w), or those of several lights (l, h, w)."""
     return np.asarray(images[0]) if len(images) == 1 else np.stack([np.asarray(image) for image in images])
 
 
 def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
-    """What the technique drew from each light, by name."""
+    """The maps that the technique drew from each light, by name."""
     names = {
         shadow.ShadowMap: ("shadow_map_depth", "depth"),
         shadow.ProjectiveTexture: ("texture_coverage", "coverage"),
@@ -103,7 +103,7 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
 
 
 def write_config(folder: Path, config: Config) -> None:
-    """Writes `config.yaml`, with every default spelt out."""
+    """Writes `config.yaml`, including all defaults."""
     (folder / "config.yaml").write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
 
 
@@ -113,6 +113,6 @@ def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
-    """Writes `result.json`, last, for it names all other files."""
+    """Writes `result.json`. Call it last, since it lists all other files."""
     files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
     write_json(folder / "result.json", {"schema_version": SCHEMA_VERSION, **record, "files": files})

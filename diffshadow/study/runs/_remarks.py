@@ -1,4 +1,4 @@
-"""What a reader of a fit's numbers should know beside them."""
+"""Remarks on a fit: what a reader should know besides its numbers."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,25 +7,26 @@ from ...fit import FitResult, Outcome, Parameter
 from ._pose import pose_remarks
 
 _CUT_SHORT = "max_steps reached"
-# The loss of poses jumps by as much as pixels turn from lit to shadowed and back.
+# Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
+# every step, as pixels switch between lit and shadowed.
 _STILL_FALLING = 0.25
-# A value within this share of its bounds' distance from one of them sits on it.
+# A value is on a bound if it is within this fraction of the bounds' distance from it.
 _ON_BOUND = 1e-3
 
 
 def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) -> list[str]:
-    """One plain sentence for each thing that makes the fit less than it looks."""
+    """A sentence for each reason not to rely on the fit."""
     if result.arrangement is None:
-        said = [_flat(config, name) for name in result.flat]
+        sentences = [_flat(config, name) for name in result.flat]
     else:
-        said = list(pose_remarks(config, result))
+        sentences = list(pose_remarks(config, result))
     if result.chosen < 0:
-        said.append(
+        sentences.append(
             "no phase ended better than the start under the hard compare, so the start is the result: try other "
             "initial values, or a smaller fit.anneal.start"
         )
-    said += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
-    return [*said, *_unconverged(result)]
+    sentences += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
+    return [*sentences, *_unconverged(result)]
 
 
 def _unconverged(result: FitResult) -> Iterator[str]:
@@ -39,24 +40,24 @@ def _unconverged(result: FitResult) -> Iterator[str]:
     for number, phase in enumerate(result.phases[: result.chosen]):
         if phase.result != _CUT_SHORT:
             continue
-        share, steps = _late_fall(result, number)
+        decrease, steps = _late_fall(result, number)
         before = f"an earlier phase ({_named(phase)}), where the one that gave the result began, ended at max_steps"
-        # A later phase that has converged makes up for what is left of an earlier one, unless that is much.
-        if share > _STILL_FALLING:
-            fall = f"by {share:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
+        # If a later phase has converged, an earlier one that was nearly done does not matter.
+        if decrease > _STILL_FALLING:
+            fall = f"by {decrease:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
             yield f"{before} while its error still fell, {fall}: raise fit.solver.max_steps"
         elif last.result != "successful":
             yield f"{before}, too"
 
 
 def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
-    """By which share the loss of a phase fell in the last quarter of its steps, and how many these were."""
+    """The relative decrease of a phase's loss in the last quarter of its steps, and the number of these steps."""
     # Only the best of several starts continues to the end.
     losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
     if len(losses) < 2:
         return 0.0, len(losses)
     late = max(len(losses) // 4, 1)
-    # Some steps are tried and taken back.
+    # By minima, since the solver rejects some steps.
     early, least = min(losses[:-late]), min(losses)
     return (1 - least / early if early > 0 else 0.0), late
 
@@ -66,20 +67,20 @@ def _named(phase: Outcome) -> str:
 
 
 def _flat(config: Config, name: str) -> str:
-    said = f"{name} was not fitted: its gradient is zero throughout"
+    remark = f"{name} was not fitted: its gradient is zero throughout"
     looks_up_nearest = config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest"
     if name == "filter.radius" and looks_up_nearest:
-        return f"{said}, since nearest look-ups give the radius none: set filter.lookup to bilinear"
+        return f"{remark}, since with nearest look-ups the radius has none: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
-        return f"{said}, since it starts at 0: give it an initial value above 0"
-    return f"{said}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
+        return f"{remark}, since it starts at 0: give it an initial value above 0"
+    return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
 def _on_bound(parameter: Parameter, value: float) -> list[str]:
     reach = _ON_BOUND * (parameter.upper - parameter.lower)
     for name, bound in (("lower", parameter.lower), ("upper", parameter.upper)):
         if abs(value - bound) <= reach:
-            # Nothing lies below 0 for these numbers.
+            # These numbers cannot be less than 0.
             mend = "" if bound == 0 and name == "lower" else ": the best value may lie beyond it, so widen the bounds"
             return [f"{parameter.name} ended on its {name} bound, {bound:g} {parameter.unit}{mend}"]
     return []

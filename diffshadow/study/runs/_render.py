@@ -1,4 +1,4 @@
-"""A technique as it stands, drawn and measured."""
+"""Runs a render: draws a technique without fitting it, and measures its errors."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +19,11 @@ from ._setup import Drawn, draw, load, visibility_of
 from ._shade import shade
 
 SUFFIX = "-render"
-"""Ends the name of a render's folder, which keeps it apart from the fit's."""
+"""Suffix of a render's folder, which distinguishes it from the fit's."""
 
 
 class Rendered(NamedTuple):
-    """A finished render: what was drawn, visibility and errors of each light, and remarks on the scene."""
+    """A finished render: the scene as drawn, visibility and errors for each light, and remarks on the scene."""
 
     config: Config
     technique: shadow.AbstractTechnique
@@ -34,15 +34,15 @@ class Rendered(NamedTuple):
 
 
 def run_render(config: Config, *, console: Console, debug: bool = False) -> Path:
-    """Draws the scene of `config` with its technique as it stands, prints its errors, and writes the run's folder.
+    """Draws the scene of `config` with its technique unfitted, prints its errors, and writes the run's folder.
 
     **Arguments:**
 
-    - `debug`: whether to write pictures of what the technique works with, too.
+    - `debug`: whether to also write images of the technique's intermediate results.
 
-    **Returns** the folder, `<output>/<name>-render`. An earlier one is replaced once all is written, not before.
+    **Returns** the folder, `<output>/<name>-render`. An earlier one is replaced only once everything is written.
 
-    **Raises** `ValueError` for a mistake in the configuration, before any long work.
+    **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
     folder = folder_of(config, SUFFIX)
     with Stages(console) as stages:
@@ -58,7 +58,7 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
 
 
 def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: list[Drawn], stages: Stages) -> Rendered:
-    """The visibility that `technique` makes of a scene that is drawn already, and its errors."""
+    """The visibility by `technique` of a scene that is already drawn, and its errors."""
     with stages.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
@@ -67,12 +67,12 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
 
 
 def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
-    """Writes the run's folder, and `seconds` as the time that its stages took."""
+    """Writes the run's folder; `seconds` are the times of its stages."""
     write_whole(folder, lambda draft: _write(draft, folder, rendered, seconds, debug))
 
 
 def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool) -> None:
-    # Here, since only a run that got this far needs Matplotlib.
+    # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
     from ..pages._report import write_report
     from . import _debug as debug_figures

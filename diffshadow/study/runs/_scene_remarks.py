@@ -1,4 +1,4 @@
-"""What a reader of a run's numbers should know of its scene: meshes that contribute nothing to the picture."""
+"""Remarks on a run's scene: meshes that contribute nothing to the image."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,16 +12,16 @@ from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.
 _ANOTHER_UNIT = 100.0
-# Twice a triangle's area, as a share of the mesh's extent squared, that rounding alone makes.
+# Rounding error of twice a triangle's area, as a fraction of the mesh's extent squared.
 _NO_AREA = 1e-6
 
 
 def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[str]:
-    """A sentence, with its likely cause, for each mesh that covers no pixel and casts no shadow into the picture.
+    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image.
 
     **Arguments:**
 
-    - `lit`: the scene under each light alone.
+    - `lit`: the scene with each light alone.
     - `surface`: the scene as its camera sees it.
     """
     meshes = lit[0].meshes
@@ -32,7 +32,7 @@ def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Ite
         if i not in visible and not any(reference.hides_light(each, number == i) for each in lit):
             others = [mesh for k, mesh in enumerate(meshes) if k != i]
             cause = _cause(meshes[i], others, lit[0].camera, is_sized=section.size is not None)
-            yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the picture: {cause}"
+            yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the image: {cause}"
 
 
 def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:
@@ -46,5 +46,5 @@ def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_siz
         return f"it spans {extent:.3g} world units and the largest of the others {rest:.3g}; {mend}"
     world_to_eye = np.asarray(camera.view().world_to_eye, np.float64)
     if (corners @ world_to_eye[2, :3] + world_to_eye[2, 3] >= 0).all():
-        return "it lies behind the camera; move it, or turn the camera"
-    return "it lies outside the picture or behind other meshes; move it, or remove it"
+        return "it is behind the camera; move it, or turn the camera"
+    return "it is outside the image or behind other meshes; move it, or remove it"

@@ -1,4 +1,4 @@
-"""What fits and renders begin with: the scene drawn from both sides, and the truth."""
+"""The first steps of fits and renders: drawing the scene from camera and lights, and finding the reference."""
 
 import dataclasses
 import warnings
@@ -23,13 +23,13 @@ from ._sight import blind_camera, blind_light
 
 
 class Drawn(NamedTuple):
-    """A scene as one of its lights and the camera see it, and its truth.
+    """A scene as one of its lights and the camera see it, and its reference.
 
     - `key`: of the light, such as `"scene.light"`.
-    - `scene`: the scene with that light alone.
-    - `state`: what the technique prepared for the light.
+    - `scene`: the scene with only that light.
+    - `state`: the technique's state for the light.
     - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.
-    - `remarks`: on what the scene's files hold.
+    - `remarks`: on the scene's files.
     """
 
     key: str
@@ -42,7 +42,7 @@ class Drawn(NamedTuple):
 
     @property
     def noise_floor(self) -> float | None:
-        """Of the reference, in visibility; `None` if that is not known, since it was not traced here."""
+        """Noise floor of the reference, in visibility; `None` for a reference from a file, whose noise is unknown."""
         return self.reference.noise_floor if self.reference.samples else None
 
     @property
@@ -55,9 +55,9 @@ class Seen(NamedTuple):
     """A scene as its lights and the camera see it, before any ray is traced.
 
     - `keys`: of the lights.
-    - `lit`: the scene under each light alone; `states`: what the technique prepared for each.
-    - `covered`: (h, w), for each light, the pixels that the technique can say something of.
-    - `image`: (h, w), the reference, where it is read from a file.
+    - `lit`: the scene with each light alone; `states`: the technique's state for each.
+    - `covered`: (h, w), for each light, the pixels that the technique covers.
+    - `image`: (h, w), the reference, if it is read from a file.
     """
 
     keys: list[tuple[str | int, ...]]
@@ -69,7 +69,7 @@ class Seen(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """The scene of a configuration, and a sentence for each mesh file of which something was left out."""
+    """The scene of a configuration, and a sentence for each mesh file that was not read completely."""
 
     scene: geometry.Scene
     remarks: tuple[str, ...] = ()
@@ -78,10 +78,10 @@ class Loaded(NamedTuple):
 def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechnique, stages: Stages) -> Seen:
     """Reads the reference's image, if there is one, and draws the scene as camera and lights see it.
 
-    **Raises** `ConfigError` if the image does not suit the camera, or no pixel counts.
+    **Raises** `ConfigError` if the image does not match the camera, or no pixel counts.
     """
     image = _image(config)
-    # For its errors: pictures are shaded last.
+    # Only to raise its errors early; images are shaded last.
     build_shading(config)
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
@@ -99,9 +99,9 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
 
 
 def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> list[Drawn]:
-    """Draws the scene and finds its reference, for each light. What can go wrong goes wrong before rays are traced.
+    """Draws the scene and finds its reference, for each light. Most errors are raised before rays are traced.
 
-    **Raises** `ConfigError` if no pixel counts, or the reference does not suit the scene.
+    **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
     seen = see(config, loaded.scene, technique, stages)
     with stages.stage("tracing reference"):
@@ -115,7 +115,7 @@ def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, st
 
 
 def load(config: Config, stages: Stages) -> Loaded:
-    """The scene of `config`, and remarks in place of `io.MeshWarning`."""
+    """The scene of `config`. Each `io.MeshWarning` becomes a remark."""
     messages: list[str] = []
     with stages.stage("loading"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", io.MeshWarning)
@@ -129,12 +129,12 @@ def load(config: Config, stages: Stages) -> Loaded:
 
 
 def visibility_of(technique: shadow.AbstractTechnique, drawn: Drawn) -> Float32[HostArray, "h w"]:
-    """The technique's visibility, in the host's memory."""
+    """The technique's visibility, as a NumPy array."""
     return np.asarray(technique.visibility(drawn.state, drawn.surface), dtype=np.float32)
 
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:
-    """The visibility that the reference's file has; `None` where rays find it."""
+    """The visibility in the reference's file; `None` if the reference is traced."""
     if not isinstance(config.reference, ImageReferenceConfig):
         return None
     path = ("reference", "path")
@@ -144,8 +144,8 @@ def _image(config: Config) -> Float32[HostArray, "h w"] | None:
         raise _error(config, path, str(error)) from error
     if image.shape != config.scene.camera.resolution:
         have, need = list(image.shape), list(config.scene.camera.resolution)
-        said = f"is an image of {have} pixels, [height, width], and scene.camera.resolution is {need}"
-        raise _error(config, path, f"{said}; expected the same; scale the image, or set the resolution")
+        given = f"is an image of {have} pixels, [height, width], and scene.camera.resolution is {need}"
+        raise _error(config, path, f"{given}; expected the same; scale the image, or set the resolution")
     return image
 
 
@@ -155,7 +155,7 @@ def _reference(
     try:
         return _traced(config, scene, stages) if image is None else reference.reference_from_image(image, scene)
     except ValueError as error:
-        # Rays may find no surface where drawing finds one at a pixel's edge.
+        # Rays may miss a surface that the rasterizer finds at a pixel's edge.
         raise _error(config, ("scene", "camera"), str(error)) from error
 
 
@@ -165,7 +165,7 @@ def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.
     how = traced.samples, traced.sampler, config.seed
 
     def trace() -> dict[str, HostArray]:
-        show = lambda share: stages.show("tracing reference", f"{traced.samples} rays a pixel", share)
+        show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
         found = reference.trace_visibility(scene, *how, progress=show, supersampling=traced.supersampling)
         return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 

@@ -1,4 +1,4 @@
-"""Shaded pictures of a run, for the eye alone: nothing is measured on them."""
+"""Shaded images of a run, for display only: nothing is measured on them."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from ._setup import Drawn
 def shade(
     config: Config, drawn: Sequence[Drawn], visibility: Sequence[Float[HostArray, "h w"]]
 ) -> Float[HostArray, "h w 3"]:
-    """The scene under all its lights, each with its visibility, (h, w, 3), in sRGB from 0 to 1."""
+    """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB from 0 to 1."""
     lights, seen = [each.scene.light for each in drawn], [jnp.asarray(image) for image in visibility]
     linear = _shaded(build_shading(config), drawn[0].surface, seen, lights, drawn[0].scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))

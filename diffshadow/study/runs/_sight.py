@@ -1,4 +1,4 @@
-"""Why camera and light see nothing together: the likely cause, in words."""
+"""Error messages for a camera or a light that sees nothing, with the likely cause."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,34 +8,34 @@ from ... import geometry, raster
 from ..._types import HostArray
 from ...config import Config
 
-# Seen from inside a closed mesh, its triangles cover the whole sphere of directions; from beside one, or an open one,
-# no more than half of it.
+# A point is inside a mesh if the mesh covers more than this fraction of the sphere of directions. A closed mesh covers
+# all of it from inside; an open mesh covers no more than half from nearby.
 _INSIDE = 0.75
 # Single precision has seven digits.
-_LEAST_SHARE = 1e-6
-_NO_DEPTHS = "single precision tells no depths apart between its near and far"
-# Triangles that are looked at in one go.
+_LEAST_RATIO = 1e-6
+_NO_DEPTHS = "single precision cannot distinguish depths between its near and far"
+# Triangles per batch.
 _SOME = 1 << 18
 
 
 def blind_camera(config: Config, scene: geometry.Scene, surface: raster.Surface) -> str | None:
-    """What is wrong with a camera that sees no surface at any pixel's centre; `None` if it sees one."""
+    """The error message for a camera that sees no surface at any pixel's centre; `None` if it sees one."""
     if np.asarray(surface.mask).any():
         return None
     camera = scene.camera
     eye, target = np.asarray(camera.eye, np.float64), np.asarray(camera.target, np.float64)
     near, far, looks = float(camera.near), float(camera.far), float(np.linalg.norm(target - eye))
-    inside = _mesh_round(config, scene, eye)
+    inside = _mesh_around(config, scene, eye)
     if inside is not None:
-        cause, mend = f"its eye lies inside {inside}", "move the eye out of it"
-    elif _tells_no_depths(camera.view()):
+        cause, mend = f"its eye is inside {inside}", "move the eye out of it"
+    elif _has_no_depths(camera.view()):
         cause, mend = _NO_DEPTHS, "set near and far, or move the eye nearer"
     elif not near <= looks <= far:
-        cause = f"what it looks at is {looks:.3g} world units away"
-        mend = "set near and far, or check the sizes and places of the meshes"
+        cause = f"its target is {looks:.3g} world units away"
+        mend = "set near and far, or check the sizes and positions of the meshes"
     else:
         cause = "no triangle covers one"
-        mend = "turn it by its target, narrow its view, move it nearer, or raise the resolution"
+        mend = "change its target, narrow its view, move it nearer, or raise the resolution"
     return (
         f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
         f"size {size_of(scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
@@ -43,13 +43,13 @@ def blind_camera(config: Config, scene: geometry.Scene, surface: raster.Surface)
 
 
 def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) -> str:
-    """What is wrong with a light, the only one of `scene`, whose frustum has nothing in it that the camera sees."""
+    """The error message for the only light of `scene`, if its frustum contains nothing that the camera sees."""
     light, points = scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
     cause, mend = _most_are(config, light, points)
     position = getattr(light, "position", None)
-    inside = None if position is None else _mesh_round(config, scene, np.asarray(position, np.float64))
+    inside = None if position is None else _mesh_around(config, scene, np.asarray(position, np.float64))
     if inside is not None:
-        cause, mend = f"{cause}, and it stands inside {inside}", f"move it out of that mesh, {mend}"
+        cause, mend = f"{cause}, and it is inside {inside}", f"move it out of that mesh, {mend}"
     view = light.view()
     return (
         f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; its near is "
@@ -59,47 +59,48 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
 
 
 def _most_are(config: Config, light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
-    """Where most of `points` lie, all of which are outside the light's frustum, and what brings them into it."""
-    if _tells_no_depths(light.view()):
-        return f"none is within its beam, for {_NO_DEPTHS}", "set its near and far, or move it nearer"
+    """Where most of `points` are, all of which are outside the light's frustum, and how to get them inside."""
+    if _has_no_depths(light.view()):
+        return f"none is within its frustum, since {_NO_DEPTHS}", "set its near and far, or move it nearer"
     layer = light.layer(jnp.asarray(points))
     view = light.view() if layer is None else light.view().facing(layer)
     x, y, z, w = np.moveaxis(np.asarray(view.clip(jnp.asarray(points)), np.float64), -1, 0)
     behind = w <= 0
     beyond = ~behind & (z > w)
     beside = ~(behind | beyond) & (np.maximum(np.abs(x), np.abs(y)) > w)
-    widen = "set its frame to scene" if light.is_directional else "turn it by its target, widen its outer_angle"
+    widen = "set its frame to scene" if light.is_directional else "change its target, widen its outer_angle"
     cases = [
-        (behind, "{:,} lie behind it", "turn it by its target"),
-        (beyond, "{:,} lie beyond its far", "raise its far"),
-        (beside, "{:,} lie beside its beam", widen),
+        (behind, "{:,} are behind it", "change its target"),
+        (beyond, "{:,} are beyond its far", "raise its far"),
+        (beside, "{:,} are beside its frustum", widen),
     ]
     which, cause, mend = max(cases, key=lambda case: int(case[0].sum()))
     if not which.any():
         if offset := config.bias.normal_offset:
-            return f"a normal_offset of {offset:g} texels moves all out of its beam", "lower bias.normal_offset"
-        return "none is within its beam, for single precision tells no points apart from so far away", "move it nearer"
+            return f"a normal_offset of {offset:g} texels moves all out of its frustum", "lower bias.normal_offset"
+        cause = "none is within its frustum, since single precision cannot distinguish points from so far away"
+        return cause, "move it nearer"
     return cause.format(int(which.sum())), mend
 
 
-def _tells_no_depths(view: geometry.View) -> bool:
-    """Whether near and far are so close to each other, or a perspective's near to the eye, that depths are all one."""
+def _has_no_depths(view: geometry.View) -> bool:
+    """Whether all depths are equal in single precision: near is too close to far, or to a perspective view's eye."""
     near, far = float(view.near), float(view.far)
-    return far - near < _LEAST_SHARE * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_SHARE * far)
+    return far - near < _LEAST_RATIO * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_RATIO * far)
 
 
-def _mesh_round(config: Config, scene: geometry.Scene, point: Float[HostArray, "3"]) -> str | None:
-    """The key of the first mesh that `point` lies inside of."""
+def _mesh_around(config: Config, scene: geometry.Scene, point: Float[HostArray, "3"]) -> str | None:
+    """The key of the first mesh that contains `point`."""
     for i, mesh in enumerate(scene.meshes):
-        if abs(_turns_round(mesh, point)) > _INSIDE:
+        if abs(_winding_number(mesh, point)) > _INSIDE:
             return f"scene.meshes.{i} ({config.scene.meshes[i].path})"
     return None
 
 
-def _turns_round(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:
-    """How often the mesh goes round `point`: the solid angles of its triangles, as a share of the sphere's.
+def _winding_number(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:
+    """The winding number of the mesh around `point`: the sum of its triangles' solid angles over 4π.
 
-    tan(Ω / 2) = a · (b × c) / (|a| |b| |c| + (a · b) |c| + (b · c) |a| + (c · a) |b|), of the ways a, b, c to the
+    tan(Ω / 2) = a · (b × c) / (|a| |b| |c| + (a · b) |c| + (b · c) |a| + (c · a) |b|), with a, b, c the vectors to the
     corners (Van Oosterom & Strackee 1983).
     """
     vertices, faces, total = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces), 0.0
@@ -113,6 +114,6 @@ def _turns_round(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:
 
 
 def size_of(mesh: geometry.Mesh) -> float:
-    """The diagonal of the mesh's box, world units."""
+    """The diagonal of the mesh's bounding box, world units."""
     low, high = np.asarray(mesh.bounds, np.float64)
     return float(np.linalg.norm(high - low))
