@@ -76,7 +76,8 @@ class Parameters(eqx.Module):
     def __getitem__(self, indices: Sequence[int]) -> "Parameters":
         """Those at `indices`."""
         at = np.asarray(indices, int)
-        return Parameters(tuple(self.paths[i] for i in indices), self.lower[at], self.upper[at])
+        lower, upper = (jnp.asarray(np.asarray(end)[at]) for end in (self.lower, self.upper))
+        return Parameters(tuple(self.paths[i] for i in indices), lower, upper)
 
     def put(self, subject: PyTree, values: Float[Array, " p"]) -> PyTree:
         """`subject` with `values` (p,) in place of its own."""
@@ -94,10 +95,12 @@ class Parameters(eqx.Module):
         """The values that lie this far between the bounds."""
         return self.lower + (self.upper - self.lower) * fraction
 
+    @eqx.filter_jit
     def to_bounded(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
         """The values of free values `y`."""
         return self.at(self.fraction(y))
 
+    @eqx.filter_jit
     def to_free(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
         """The inverse of `to_bounded`, for values moved off the bounds by at least 1 % of their distance."""
         fraction = jnp.clip((x - self.lower) / (self.upper - self.lower), _INSET, 1 - _INSET)

@@ -165,8 +165,8 @@ class Run:
         scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
         solution = self._solution(number, free, scale)
-        if bool(jnp.all(jnp.isfinite(solution.value))):
-            free = free.at[active].set(solution.value)
+        if np.isfinite(solution.value).all():
+            free = _replaced(free, active, solution.value)
         self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
         values = self.parameters.to_bounded(free)
         loss, hard_loss = self._judged(values)
@@ -181,7 +181,7 @@ class Run:
 
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
         joint = phase.joint.put(self.parameters, self.parameters.to_bounded(free))
-        y = free[np.asarray(phase.active)]
+        y = jnp.asarray(np.asarray(free)[np.asarray(phase.active)])
         return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
@@ -227,6 +227,13 @@ class Run:
         return self._programs[key]
 
 
+def _replaced(free: Float[Array, " p"], active: np.ndarray, values: Float[Array, " a"]) -> Float[Array, " p"]:
+    # In NumPy, which compiles nothing.
+    replaced = np.array(free)
+    replaced[active] = values
+    return jnp.asarray(replaced)
+
+
 def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) -> Outcome:
     if solution.result == optx.RESULTS.successful:
         result = "successful"
@@ -234,7 +241,7 @@ def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) 
         result = "max_steps reached"
     else:
         result = optx.RESULTS[solution.result]
-    gradient_norm = float(jnp.linalg.norm(solution.gradient))
+    gradient_norm = float(np.linalg.norm(solution.gradient))
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"
     steps, at = int(solution.steps), tuple(values.tolist())
