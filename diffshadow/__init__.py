@@ -1,12 +1,12 @@
 """A differentiable shadow-mapping research toolkit.
 
-Its rooms, each a module with its public names on one page:
+Its subpackages, each with its public names on one page:
 
 - `geometry`: meshes, cameras, lights. `raster`: which face each pixel sees. `shadow`: maps, biases, compares, filters.
 - `shading`: lit images. `fit`: settings by gradient. `reference`: traced truth. `metrics`: errors of shadows.
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
-A room is loaded, and JAX with it, when it is first asked for. Importing the package changes nothing global;
+A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global;
 `use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores.
 """
 

@@ -1,4 +1,4 @@
-"""Small helpers that every room may use."""
+"""Small helpers that every subpackage may use."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -15,6 +15,13 @@ ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "study", "cli")
 COMMON = {"_types", "_misc"}
+# Folders and files within a subpackage, each of which imports only those to its left. Files that are not listed come
+# before all of them.
+FOLDERS = {
+    "fit": ("solvers", "problems", "_precision", "_phases", "_program", "_run", "_fit"),
+    "config": ("sections", "whole", "reading", "building"),
+    "study": ("files", "pages", "runs", "sweeps", "_report"),
+}
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set()}
 IMPORTED_BY = {
@@ -65,6 +72,18 @@ def subpackage_of(module: str) -> str:
     return module.split(".")[1] if "." in module else ""
 
 
+def folder_breach(module: str, target: str, subpackage: str) -> str | None:
+    """What is wrong with `module` importing `target`, of the same subpackage."""
+    if module.count(".") == 1:
+        return None
+    order = FOLDERS.get(subpackage, ())
+    importing, imported = (name.split(".")[2] if name.count(".") > 1 else "" for name in (module, target))
+    place = lambda folder: order.index(folder) if folder in order else -1
+    if place(importing) < place(imported):
+        return f"imports {imported}, which comes after {importing} in {subpackage}"
+    return None
+
+
 def import_breach(module: str, target: str, name: str | None) -> str | None:
     """What is wrong with `module` importing `target`, or `name` from it."""
     subpackage, top = subpackage_of(module), target.split(".")[0]
@@ -73,7 +92,7 @@ def import_breach(module: str, target: str, name: str | None) -> str | None:
         return f"imports {top}, but {subpackage} is pure" if impure else None
     imported = subpackage_of(target)
     if imported == subpackage:
-        return None
+        return folder_breach(module, target, subpackage)
     if imported == "":
         return f"imports {PACKAGE} itself; import the subpackage that is meant"
     if imported not in may_import(subpackage):
@@ -160,6 +179,8 @@ SOUND = {
     "reference/__init__.py": "import numpy as np\nfrom ..geometry import Mesh\n",
     "io/__init__.py": "from pathlib import Path\nfrom .._types import Array\nopen('x')\n",
     "study/__init__.py": "from .. import io\nfrom ..reference import trace\nfrom ..fit import fit\n",
+    "study/runs/__init__.py": "",
+    "study/files/_run.py": "",
     "cli.py": "import diffshadow.study\nimport os\nprint(os.sep)\n",
 }
 
@@ -194,6 +215,7 @@ SOUND = {
             "circular import: diffshadow.geometry -> diffshadow.geometry._mesh",
         ),
         ("_types.py", "from ._misc import dot", "circular import: diffshadow._misc -> diffshadow._types"),
+        ("study/files/_run.py", "from ..runs import draw", "imports runs, which comes after files in study"),
         ("helpers/__init__.py", "", "helpers is not a subpackage of the design"),
     ],
 )
