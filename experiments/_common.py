@@ -79,7 +79,7 @@ def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> C
     """
     settings = load_config(config, overrides)
     if len(settings.scene.each_light) > 1:
-        raise mistake(settings, "scene.lights", "has several lights; expected one: write it as scene.light")
+        raise mistake(settings, "scene.lights", "has several lights; expected one light: write it as scene.light")
     for name in needs:
         if name not in settings.fit.parameters:
             what = f"has no {name}; expected it among the fitted parameters: add '{name}: {{lower: 0, upper: 10}}'"

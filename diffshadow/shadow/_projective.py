@@ -28,8 +28,8 @@ LayerMap = Int[Array, "h w"]
 class ProjectiveTexture(eqx.Module):
     """The casters' silhouette as a light sees it.
 
-    - `coverage`: (h, w), the fraction of each texel that the casters cover, after the blur. Row 0 is the bottom row.
-        (l, h, w) for a light with several views.
+    - `coverage`: (h, w), coverage by the casters in [0, 1], sampled at texel centres and blurred. Row 0 is the bottom
+        row. (l, h, w) for a light with several views.
     - `light`: the light it was drawn from.
     - `casts`: (f,), which faces of the scene's mesh are the casters'.
     - `margin`: how many texels on each side lie outside the light's frustum. They hold only what the blur spreads
@@ -100,7 +100,7 @@ class ProjectiveShadow(AbstractTechnique):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Casters are lit, and so is everything outside the texture or behind the light. A surface that faces away from
-        the light's centre is dark, also a caster's. Pixels without a surface are lit.
+        the light's centre is dark, including a caster's. Pixels without a surface are lit.
         """
         light = state.light
         cosine = dot(surface.normal, normalize(light.towards(surface.position)))

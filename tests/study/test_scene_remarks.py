@@ -34,7 +34,7 @@ def remarks(mesh, folder):
         ("path: builtin:box, scale: 1.0e-6, translate: [1, 0.1, 1]", "another unit, so set its size"),
         ("path: builtin:box, size: 1.0e-6, translate: [1, 0.1, 1]", "change its size or scale"),
         ("path: builtin:box, translate: [0, 3, 12]", "behind the camera"),
-        ("path: builtin:box, translate: [9, -3, 0]", "outside the picture"),
+        ("path: builtin:box, translate: [9, -3, 0]", "outside the image"),
         ("path: line.obj, translate: [0, 0.5, 0]", "no area"),
     ],
 )

@@ -74,7 +74,8 @@ class Blur(eqx.Module):
 
     @property
     def margin(self) -> int:
-        """How many texels a blurred map is wider on each side than the map. Its outermost texels hold the border."""
+        """How many texels a blurred map is wider on each side than the map. Its outermost texels hold the value beyond
+        the border."""
         return self.reach + 1
 
     @property

@@ -70,7 +70,7 @@ def _flat(config: Config, name: str) -> str:
     remark = f"{name} was not fitted: its gradient is zero throughout"
     looks_up_nearest = config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest"
     if name == "filter.radius" and looks_up_nearest:
-        return f"{remark}, since with nearest look-ups the radius has none: set filter.lookup to bilinear"
+        return f"{remark}, since nearest look-ups have no gradient by it: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
         return f"{remark}, since it starts at 0: give it an initial value above 0"
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
