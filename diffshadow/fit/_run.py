@@ -15,8 +15,8 @@ from ._history import Reporter, Step
 from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
 from ._precision import Precision, precision_of
-from ._solve import Solution, losses, solve
 from ._programs import compiled
+from ._solve import Solution, losses, solve
 from .problems import Joint
 from .solvers import Solver
 
