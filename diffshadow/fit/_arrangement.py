@@ -14,14 +14,14 @@ from ..shadow import ShadowMapping
 
 
 class MeshPose(eqx.Module):
-    """Where a mesh stands, as against where it was drawn up.
+    """A mesh's position and rotation relative to its own coordinates.
 
-    - `translate`: its shift, world units.
+    - `translate`: its translation, world units.
     - `turn`: a rotation vector about the middle of its bounding box, in degrees: its direction is the axis, its length
         the angle.
-    - `vertices`: places of single vertices before shift and turn, world units, by their index as text. Vertices that
-        lay in the same place move together.
-    - `home`: (3,), the value of `translate` at which the mesh stands where it was drawn up.
+    - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
+        Vertices at the same position move together.
+    - `home`: (3,), the value of `translate` at which the mesh is not translated.
     """
 
     translate: Vector
@@ -36,8 +36,8 @@ class MeshPose(eqx.Module):
 
         **Arguments:**
 
-        - `vertices`: indices of those that are to be moved one by one.
-        - `home`: what its `translate` is called now.
+        - `vertices`: indices of those that can be moved one by one.
+        - `home`: the value of `translate` for the mesh as it stands.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.
         """
@@ -69,7 +69,7 @@ class MeshPose(eqx.Module):
 
 
 def _rotation_less_one(vector: Vec3) -> Float[Array, "3 3"]:
-    """The turn about `vector` by its length in radians (Rodrigues' formula) less the identity, smooth at 0 too."""
+    """The rotation about `vector` by its length in radians (Rodrigues' formula) less the identity, smooth at 0."""
     x, y, z = vector
     zero = jnp.zeros_like(x)
     cross = jnp.stack([jnp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])

@@ -10,37 +10,37 @@ from scipy.ndimage import gaussian_filter
 from .._types import HostArray
 from .problems import REACH_OF_BLUR
 
-# A combination of parameters that moves the image by less than this share of what the best-seen one does, or whose
-# standard deviation is more than this share of its bounds' distance, is not determined by it.
+# A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
+# does, or if its standard deviation is more than this fraction of the distance between its bounds.
 _LEAST_EFFECT = 1e-3
 _MOST_SPREAD = 0.1
-# A parameter belongs to a combination if its part is at least this share of the largest.
+# A parameter belongs to a combination if its component is at least this fraction of the largest.
 _PART = 0.3
-# How far apart residuals may be and still be correlated, in standard deviations of the blur: it covers a texel, and
-# what a texel does to an outline is the same for all pixels that see it.
+# The distance within which residuals are correlated, in standard deviations of the blur: it covers a texel, and all
+# pixels that see a texel have its error of the outline.
 _CORRELATED = 4
 
 
 class Precision(NamedTuple):
     """The covariance of fitted values, to first order, from the Jacobian at the end of the phase that was chosen.
 
-    With `r` the pixels' residuals, `J` their derivatives and `B` the blur under which they count, a fit of least
-    squares misses by (JᵀB²J)⁻¹ JᵀB² r, whose covariance is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of
+    With `r` the pixels' residuals, `J` their derivatives and `B` the blur under which they are compared, the error of a
+    least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Its covariance is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of
     the score g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. Residuals are errors of the model far more than noise of the reference: a texel
-    moves an outline by the same way wherever pixels see it, so neighbours are correlated. S is therefore the estimate
-    of Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999),
+    moves an outline equally for all pixels that see it, so neighbours are correlated. S is therefore the estimate of
+    Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999),
 
         S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
 
-    the mean over all places of a grid of L x L pixels of what its cells, each summed up, would give as independent
-    draws. L is four times the blur's standard deviation, which covers a texel. With L = 1, without blur, it is that of
-    White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
+    which is the mean, over all offsets of a grid of L x L pixels, of the estimate that takes the sums over its cells as
+    independent. L is four times the blur's standard deviation, which covers a texel. With L = 1, without blur, this is
+    the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
-    Where pixels jump from lit to shadowed as poses move, a fit ends near the least squares rather than there. The
-    square of the step that is left, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added: one draw's estimate of how far off that is.
+    Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than at it. The square of
+    the remaining step, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added as an estimate of that error.
 
-    - `names`: of the parameters that it holds, those whose gradient is not zero throughout.
-    - `deviations`: their standard deviations, in their units; large for what is not determined.
+    - `names`: the parameters whose gradient is not zero throughout.
+    - `deviations`: their standard deviations, in their units; large for what is undetermined.
     - `correlations`: (p, p), in [-1, 1].
     - `undetermined`: each entry names the parameters of a combination that the image hardly depends on.
     """
@@ -63,9 +63,9 @@ def precision_of(
     **Arguments:**
 
     - `differences`: (h, w), the residuals of each image before they are blurred.
-    - `slopes`: (p, h, w), their derivatives with respect to each parameter's share of the distance `span` (p,) between
-        its bounds.
-    - `blurs`: standard deviation, in pixels, of the Gaussian under which the residuals of each image count; 0 for none.
+    - `slopes`: (p, h, w), their derivatives with respect to each parameter's fraction of the distance `span` (p,)
+        between its bounds.
+    - `blurs`: standard deviation, in pixels, of the Gaussian under which each image is compared; 0 for none.
     """
     images = list(zip(differences, slopes, blurs, strict=True))
     if not all(np.isfinite(difference).all() and np.isfinite(slope).all() for difference, slope, _ in images):
@@ -85,8 +85,7 @@ def precision_of(
         axis=1,
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
-    # Along the ways that the image tells best to worst, whose effects are independent. Where nothing is left to doubt,
-    # the fit is exact and so are its values.
+    # Along the principal directions, from the best determined to the worst. Where the residual is 0, the fit is exact.
     inverse = 1 / np.maximum(effect, 1e-100) ** 2
     left = inverse * (ways @ (columns.T @ residual))
     # The covariance is the product of this and its transpose: positive, however little a combination does.
