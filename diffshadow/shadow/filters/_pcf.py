@@ -1,20 +1,16 @@
 """Percentage-closer filtering (Reeves, Salesin & Cook 1987)."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float
-from ..._types import Scalar, Visibility
-from .._compare import AbstractCompare
 from .._lookup import Lookup
-from .._map import ShadowMap
-from ..kernels import LEAST_RADIUS, AbstractSizedRow, Footprint, Span, sum_over_rows
-from ._abstract import AbstractFilter
-from ._prefilter import check_radius, radius_limit
+from ..kernels import LEAST_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
+from ._sized import AbstractSizedFilter
 
 
-class PercentageCloser(AbstractFilter):
+class PercentageCloser(AbstractSizedFilter):
     """The fraction of a box in the map that does not shadow the receiver.
 
     The box moves and grows smoothly: each texel is weighted by the area of it that the box covers. A radius of 0.5 is
@@ -27,19 +23,10 @@ class PercentageCloser(AbstractFilter):
     **Raises** `ValueError` if `radius` is negative or above `max_radius`.
     """
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
+    name: ClassVar[str] = "filter"
 
-    def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
-        self.radius = as_float(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-
-    def __check_init__(self):
-        check_radius("filter", self.radius, self.max_radius)
-
-    def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        row = _Row(self.max_radius, jnp.clip(self.radius, LEAST_RADIUS, self.max_radius))
-        return sum_over_rows(row, shadow_map, compare, lookup)
+    def row(self) -> AbstractRow:
+        return _Row(self.max_radius, jnp.clip(self.radius, LEAST_RADIUS, self.max_radius))
 
 
 class _Row(AbstractSizedRow):
