@@ -54,7 +54,7 @@ figure, colour_bar, curve = style.figure, style.colour_bar, style.curve
 _DPI = 100
 
 
-class Drawn(NamedTuple):
+class Case(NamedTuple):
     """A scene as the camera sees it, and its truth.
 
     - `settings`: the configuration it was made from.
@@ -125,7 +125,7 @@ def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[
     return names
 
 
-def draw(settings: Config) -> Drawn:
+def draw(settings: Config) -> Case:
     """The scene of a configuration and its truth.
 
     **Raises** `ConfigError` if the scene cannot be made, or the camera sees none of it.
@@ -135,7 +135,7 @@ def draw(settings: Config) -> Drawn:
     if not bool(surface.mask.any()):
         raise mistake(settings, "scene.camera", "sees no surface; expected one at some pixel: move or turn it")
     truth = truth_of(settings, scene)
-    return Drawn(settings, scene, surface, truth, truth.noise_floor if truth.samples else 0.0)
+    return Case(settings, scene, surface, truth, truth.noise_floor if truth.samples else 0.0)
 
 
 def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
@@ -153,7 +153,7 @@ def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
-def problem_of(drawn: Drawn, settings: Config | None = None, *, fitting: bool = True) -> fit.TechniqueProblem:
+def problem_of(drawn: Case, settings: Config | None = None, *, fitting: bool = True) -> fit.TechniqueProblem:
     """The problem of fitting the shadow mapping of `settings`, by default the scene's, to the truth.
 
     **Arguments:**

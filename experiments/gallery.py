@@ -82,7 +82,11 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
             ("bias={constant: 0, slope: 0}", "shadow_map.cull=front", f"{PLANE}.casts=false"),
             "no acne on closed casters without a bias",
         ),
-        Row("Midpoint", ("bias={constant: 0, slope: 0}", "shadow_map.layer=midpoint"), "between the nearest surfaces"),
+        Row(
+            "Midpoint",
+            ("bias={constant: 0, slope: 0}", "shadow_map.depth_layer=midpoint"),
+            "between the nearest surfaces",
+        ),
     ),
     "Biases, with a box of 5 × 5 texels": (
         Row("Constant", ("filter={type: pcf, radius: 2.5}", "bias={constant: 4, slope: 0}"), ""),

@@ -139,7 +139,7 @@ def replaced(technique: Technique, setting: float) -> list[str]:
 
 
 def fitted(
-    config: Path, overrides: tuple[str, ...], drawn: common.Drawn, name: str, setting: float
+    config: Path, overrides: tuple[str, ...], drawn: common.Case, name: str, setting: float
 ) -> tuple[dict[str, Any], Callable[[], Any]]:
     """Fits a technique at a setting: its row of the table, and the function to time."""
     technique = TECHNIQUES[name]
@@ -159,7 +159,7 @@ def fitted(
     return row | {key: values.get(key) for key in BOUNDS}, runs[1]
 
 
-def visibility_of(drawn: common.Drawn, settings: Config) -> Callable[[], Any]:
+def visibility_of(drawn: common.Case, settings: Config) -> Callable[[], Any]:
     """The function to time: it computes visibility from a map that is already drawn."""
     technique = build_technique(settings, fitting=False)
     state = jax.block_until_ready(technique.prepare(drawn.scene))

@@ -24,7 +24,18 @@ from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._fixed import signed_area
 from ._rasterize import empty_within_capacity, padded, plan
-from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, Windows, candidates, corner, count, over_windows, windows
+from ._windows import (
+    GATHER,
+    IN_BOUNDS,
+    PADDING,
+    SCATTER,
+    Windows,
+    corner,
+    count,
+    find_candidates,
+    over_windows,
+    set_up_windows,
+)
 
 When = Literal["pass", "fail"]
 
@@ -101,12 +112,12 @@ def _count_fragments(clip, faces, weights, depth, when, capacity) -> Int[Array, 
     resolution = depth.shape
     clip, faces = _triangles(clip.astype(depth.dtype), faces, weights)
     triangles = bin_triangles(clip, faces, resolution, "none", capacity.clipped, capacity.classes)
-    found = candidates(triangles, resolution, capacity)
+    found = find_candidates(triangles, resolution, capacity)
     counts = count(triangles, found)
     signed = (weights[triangles.source] * _facing(triangles)).astype(jnp.int32)
     # Windows then know which triangle each is of, rather than which face.
     own = jnp.arange(triangles.source.shape[0], dtype=jnp.int32)
-    ready = windows(eqx.tree_at(lambda t: t.source, triangles, own), found, resolution, capacity, _CLAMPED, None)
+    ready = set_up_windows(eqx.tree_at(lambda t: t.source, triangles, own), found, resolution, capacity, _CLAMPED, None)
     ready = eqx.tree_at(lambda r: r.form.greatest, ready, jnp.minimum(ready.form.greatest, 1))
     # The check holds integers that a trace in single precision cannot lower in double.
     with jax.enable_x64(False):

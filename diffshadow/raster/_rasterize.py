@@ -17,7 +17,7 @@ from .._types import ClipVertices, Faces, Resolution
 from ._bins import LARGE, WINDOWS, Capacity, Counts, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._fixed import Size
-from ._windows import Windows, candidates, count, windows, write_depth, write_depth_and_face
+from ._windows import Windows, count, find_candidates, set_up_windows, write_depth, write_depth_and_face
 
 # The least capacity with which parts are counted, which is enough for most scenes.
 _PARTS = Capacity(clipped=256, large=256, candidates=1 << 16)
@@ -189,7 +189,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, capacity,
 @eqx.filter_jit
 def _count(clip: ClipVertices, faces: Faces, resolution: Size, cull: Cull, capacity: Capacity) -> Counts:
     triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, range(LARGE))
-    return count(triangles, candidates(triangles, resolution, capacity))
+    return count(triangles, find_candidates(triangles, resolution, capacity))
 
 
 @eqx.filter_jit
@@ -200,8 +200,8 @@ def _rasterize(
 
     def prepare(clip: Array) -> tuple[Windows, Counts]:
         triangles = bin_triangles(clip, faces, resolution, cull, capacity.clipped, capacity.classes)
-        found = candidates(triangles, resolution, capacity)
-        return windows(triangles, found, resolution, capacity, test, polygon_offset), count(triangles, found)
+        found = find_candidates(triangles, resolution, capacity)
+        return set_up_windows(triangles, found, resolution, capacity, test, polygon_offset), count(triangles, found)
 
     def write(ready: Windows, behind: Array | None, empty: tuple[Array, Array]) -> Fragments | Array:
         no_face, clear = empty

@@ -80,7 +80,7 @@ class Windows(eqx.Module):
     capacities: tuple[int, ...] = eqx.field(static=True)
 
 
-def windows(
+def set_up_windows(
     triangles: Triangles,
     candidates: Candidates,
     resolution: Resolution,
@@ -106,7 +106,7 @@ def windows(
     return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, capacities)
 
 
-def candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Candidates:
+def find_candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Candidates:
     """The blocks that large triangles may touch."""
     if not capacity.large:
         none = jnp.zeros(0, jnp.int32)

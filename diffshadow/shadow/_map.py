@@ -59,7 +59,7 @@ def draw_shadow_map(
     light: AbstractLight,
     resolution: Resolution,
     *,
-    layer: DepthLayer = "nearest",
+    depth_layer: DepthLayer = "nearest",
     cull: Cull = "none",
     depth_format: DepthFormat = "float32",
     polygon_offset: tuple[float, float] | None = None,
@@ -76,7 +76,7 @@ def draw_shadow_map(
     **Arguments:**
 
     - `resolution`: (height, width) in texels.
-    - `layer`: which surface each texel holds. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow Depth Map
+    - `depth_layer`: which surface each texel holds. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow Depth Map
         Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the nearest and
         the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces meet.
         `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
@@ -88,19 +88,21 @@ def draw_shadow_map(
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias stored in the map. Each face is stored deeper
         by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
         that the format is guaranteed to resolve.
-    - `edges`: the mesh's edges, for a map with silhouettes; needs layer `"nearest"` and cull `"none"`.
+    - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
     - `capacity`: how many triangles and silhouettes can be drawn, from `plan_shadow_map`; required under a trace.
     - `overflows`: a list. Instead of raising, each capacity appends whether it is too small; see `rasterize`.
 
-    **Raises** `ValueError` if `layer` is unknown, if `edges` are given with another `layer` than `"nearest"` or with
+    **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
     `cull`, and what `rasterize` raises.
     """
-    if layer not in ("nearest", "midpoint", "second"):
-        raise ValueError(f'the shadow map\'s layer is {layer!r}; expected "nearest", "midpoint" or "second"')
-    if edges is not None and (layer != "nearest" or cull != "none"):
+    if depth_layer not in ("nearest", "midpoint", "second"):
         raise ValueError(
-            f'edges were given with layer {layer!r} and cull {cull!r}; expected "nearest" and "none": leave edges out, '
-            "or change layer and cull"
+            f'the shadow map\'s depth_layer is {depth_layer!r}; expected "nearest", "midpoint" or "second"'
+        )
+    if edges is not None and (depth_layer != "nearest" or cull != "none"):
+        raise ValueError(
+            f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '
+            "leave edges out, or change depth_layer and cull"
         )
     clip = clip_vertices(mesh, light)
     triangles = None if capacity is None else capacity.triangles
@@ -123,9 +125,9 @@ def draw_shadow_map(
         return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
 
     face, depth = draw()
-    if layer != "nearest":
+    if depth_layer != "nearest":
         _, second = draw(face)
-        depth = second if layer == "second" else _midpoint(depth, second, test)
+        depth = second if depth_layer == "second" else _midpoint(depth, second, test)
     if edges is None:
         return ShadowMap(depth, light, depth_format)
     most = _plan_silhouettes(clip, mesh, light, edges, resolution) if capacity is None else capacity.silhouettes
@@ -145,7 +147,7 @@ class MapSettings(NamedTuple):
     """
 
     resolution: Resolution = (512, 512)
-    layer: DepthLayer = "nearest"
+    depth_layer: DepthLayer = "nearest"
     cull: Cull = "none"
     depth_format: DepthFormat = "float32"
     polygon_offset: tuple[float, float] | None = None

@@ -298,9 +298,9 @@ BROKEN = {
         "false",
     ),
     "a light to fit beneath midpoints": (
-        "shadow_map: {layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
-        "2: shadow_map.layer: is midpoint in a fit of lights or meshes, with silhouettes; expected nearest; remove it, "
-        "or set shadow_map.silhouettes to false",
+        "shadow_map: {depth_layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
+        "2: shadow_map.depth_layer: is midpoint in a fit of lights or meshes, with silhouettes; expected nearest; remove "
+        "it, or set shadow_map.silhouettes to false",
     ),
     "polygon offset of one number": (
         "shadow_map: {polygon_offset: 2}\n",
@@ -748,7 +748,7 @@ FOR_FITS = {
     "pose beyond limits": "fit: {parameters: {scene.light.azimuth: {lower: 0, upper: 1e6}}}\n",
     "vertex of no mesh": "fit: {parameters: {scene.meshes.7.vertices.0.x: {lower: 0, upper: 1}}}\n",
     "silhouettes of midpoints": (
-        "shadow_map: {layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"
+        "shadow_map: {depth_layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"
     ),
     "levels that do not divide": ("fit: {levels: [3, 1], parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"),
     "least radius beyond the greatest": (

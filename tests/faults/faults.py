@@ -22,7 +22,7 @@ class Fault(NamedTuple):
     tests: tuple[str, ...]
 
     @property
-    def room(self) -> str:
+    def subpackage(self) -> str:
         """The subpackage that it lies in, or the module of the package itself."""
         return self.file.partition("/")[0].removesuffix(".py")
 

@@ -39,11 +39,11 @@ def test_each_fault_has_a_name_of_its_own_and_tests_that_there_are():
         assert set(fault.tests) <= there, fault
 
 
-def test_every_room_has_faults_that_its_tests_must_see():
+def test_every_subpackage_has_faults_that_its_tests_must_see():
     assert len(FAULTS) >= 100
-    rooms = {folder.name for folder in PACKAGE.iterdir() if any(folder.glob("*.py"))} | {"cli", "_misc"}
-    counts = Counter(fault.room for fault in FAULTS)
-    assert counts.keys() == rooms
+    subpackages = {folder.name for folder in PACKAGE.iterdir() if any(folder.glob("*.py"))} | {"cli", "_misc"}
+    counts = Counter(fault.subpackage for fault in FAULTS)
+    assert counts.keys() == subpackages
     assert min(counts.values()) >= 6
 
 

@@ -58,7 +58,7 @@ LIGHTS = {
     "point": PointLight((0, DISTANCE, 0), near=1.0, far=4.5, radius=0.1),
 }
 SEGMENT_10_90 = 1.3740
-"""Of the share of a disk of radius 1 on one side of a line: from where it is 0.1 to where it is 0.9."""
+"""Of the fraction of a disk of radius 1 on one side of a line: from where it is 0.1 to where it is 0.9."""
 
 
 def penumbra_width(light, height):
@@ -145,7 +145,7 @@ def test_blockers_and_penumbra_of_flat_maps_follow_from_the_formulas(name, compa
     world = (z_r - z_b) * size / (z_b if name == "spot" else 1)
     # The blockers lie eight texels before the receiver.
     dark = 1 if compare == HARD else 1 / (1 + np.exp(-8 / 3.0))
-    np.testing.assert_allclose(found.share, dark, atol=2e-6)
+    np.testing.assert_allclose(found.fraction, dark, atol=2e-6)
     np.testing.assert_allclose(found.depth, 0.5, atol=1e-6)
     np.testing.assert_allclose(found.radius, world / texel, rtol=2e-5)
     assert 0.05 < world / texel < 4
@@ -162,9 +162,9 @@ def test_search_finds_all_that_can_hide_the_light_and_nothing_else():
     depth[:, 32:] = 1e-6
     receiver, x = 0.5, np.linspace(8, 40, 321)
     kernel = PercentageCloserSoft(search=stratified((32, 32), 1), pattern=stratified((2, 2), 1))
-    share = kernel.find_blockers(ShadowMap(jnp.asarray(depth, jnp.float32), light), lookups_at(x, 32.0, receiver), HARD)
+    found = kernel.find_blockers(ShadowMap(jnp.asarray(depth, jnp.float32), light), lookups_at(x, 32.0, receiver), HARD)
     reach = 32 * np.tan(np.radians(20.0))
-    finds = np.asarray(share.share[0]) > 1e-5
+    finds = np.asarray(found.fraction[0]) > 1e-5
     # Half a texel more, by the bilinear taps.
     assert x[finds].min() == pytest.approx(32 - reach - 0.5, abs=0.4)
     assert finds[x > 32].all()

@@ -139,7 +139,7 @@ NOON = DirectionalLight((0, -1, 0), (0, 0, 0), (2, 2), -2, 0.5)
 
 
 def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
-    depth = {layer: np.asarray(drawn_map(floor_and_slab(), NOON, layer=layer).depth) for layer in LAYERS}
+    depth = {layer: np.asarray(drawn_map(floor_and_slab(), NOON, depth_layer=layer).depth) for layer in LAYERS}
     window = lambda y: (2 - y) / 2.5
     tops, floor, nothing = (slice(12, 20),) * 2, (slice(8, 12), slice(8, 24)), (slice(0, 8), slice(0, 32))
     for where, first, second in (
@@ -162,7 +162,7 @@ def test_layers_of_a_map_are_differentiable(layer):
         def depth_with(stretch):
             raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
             return draw_shadow_map(
-                raised, NOON, SIZE, layer=layer, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 16)))
+                raised, NOON, SIZE, depth_layer=layer, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 16)))
             ).depth
 
         return jax.jvp(depth_with, (stretch,), (jnp.ones(()),))
@@ -178,10 +178,14 @@ def test_layers_of_a_map_are_differentiable(layer):
 def test_an_unknown_layer_is_refused():
     # Where types are checked, as in these tests, the call does not get so far.
     with pytest.raises(ValueError, match=r"layer is 'third'; expected \"nearest\", \"midpoint\" or \"second\""):
-        inspect.unwrap(draw_shadow_map)(floor_and_slab(), sun(floor_and_slab()), (4, 4), layer="third")
+        inspect.unwrap(draw_shadow_map)(floor_and_slab(), sun(floor_and_slab()), (4, 4), depth_layer="third")
 
 
-WITHOUT_BIAS = {"midpoint": {"layer": "midpoint"}, "second": {"layer": "second"}, "front culling": {"cull": "front"}}
+WITHOUT_BIAS = {
+    "midpoint": {"depth_layer": "midpoint"},
+    "second": {"depth_layer": "second"},
+    "front culling": {"cull": "front"},
+}
 
 
 @eqx.filter_jit
@@ -208,7 +212,7 @@ def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side
         assert not dark[cosine > 0.35].any(), name
         assert dark.sum() < 0.05 * facing.sum(), name
     # The middle of every chord of a ball lies in the plane through its centre.
-    middle, whole = (np.asarray(drawn_map(ball, light, layer=name).depth) for name in ("midpoint", "second"))
+    middle, whole = (np.asarray(drawn_map(ball, light, depth_layer=name).depth) for name in ("midpoint", "second"))
     chord = whole - np.asarray(plain.depth)
     inner = (whole < 1) & (chord > 0.25)
     assert inner.sum() > 150
@@ -226,9 +230,9 @@ def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
     assert dark.mean() > 0.08
     assert (seen(cull="front") == 1).all()
     # The floor lies behind the card, and nothing behind the floor: it is the floor that the second layer holds there.
-    assert (seen(layer="second") == 1).all()
+    assert (seen(depth_layer="second") == 1).all()
     # The middle between card and floor shadows the floor.
-    np.testing.assert_array_equal(seen(layer="midpoint") == 0, dark)
+    np.testing.assert_array_equal(seen(depth_layer="midpoint") == 0, dark)
 
 
 @pytest.mark.parametrize(("depth_format", "unit"), [("float32", 2.0**-24), ("unorm24", 2 / (2**24 - 1))])
@@ -257,7 +261,9 @@ def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
     # The offset of nothing is there to share what is compiled.
     offset = (0.0, 0.0) if depth_format == "unorm24" else None
     fixed, exact = (
-        np.asarray(drawn_map(floor_and_slab(), NOON, layer=layer, depth_format=f, polygon_offset=o).depth, np.float64)
+        np.asarray(
+            drawn_map(floor_and_slab(), NOON, depth_layer=layer, depth_format=f, polygon_offset=o).depth, np.float64
+        )
         for f, o in ((depth_format, offset), ("float32", None))
     )
     np.testing.assert_allclose(fixed * steps, np.round(fixed * steps), atol=1e-7 * steps)

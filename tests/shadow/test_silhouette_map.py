@@ -597,7 +597,7 @@ def test_too_little_room_is_told():
     assert list(map(bool, overflows)) == [False, False, True]
 
 
-@pytest.mark.parametrize("settings", [{"layer": "second"}, {"cull": "front"}])
+@pytest.mark.parametrize("settings", [{"depth_layer": "second"}, {"cull": "front"}])
 def test_silhouettes_are_of_the_nearest_surface(settings):
-    with pytest.raises(ValueError, match=r"edges were given with layer.*leave edges out"):
+    with pytest.raises(ValueError, match=r"edges were given with depth_layer.*leave edges out"):
         draw_shadow_map(_square(), _sun(jnp.zeros(2)), (TEXELS, TEXELS), edges=Edges.of(_square()), **settings)

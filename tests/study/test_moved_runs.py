@@ -111,7 +111,7 @@ SECTIONS: dict[str, list[Any]] = {
         {"orbit": {"azimuth": 1e-3, "elevation": 1e1, "distance": 3}, "near": 0.1, "far": 100, "resolution": [8, 8]},
     ],
     "technique": [{}, {"type": "shadow_volumes"}, {"type": "projective_texture", "resolution": [64, 64], "blur": 1.5}],
-    "shadow_map": [{"resolution": [32, 48], "layer": "midpoint"}, {"cull": "front"}, {"silhouettes": True}],
+    "shadow_map": [{"resolution": [32, 48], "depth_layer": "midpoint"}, {"cull": "front"}, {"silhouettes": True}],
     "bias": [
         {"constant": 50},
         {"constant": 0, "slope": 1e-3, "slope_most": 4},

@@ -458,7 +458,7 @@ def test_render_of_several_lights_tells_them_apart():
             marks=pytest.mark.exhaustive,
         ),
         pytest.param(
-            ("filter={type: nearest}", "shadow_map.layer=midpoint"),
+            ("filter={type: nearest}", "shadow_map.depth_layer=midpoint"),
             {"shadow_map.png", "debug_depth.png"},
             marks=pytest.mark.exhaustive,
         ),

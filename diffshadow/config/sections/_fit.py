@@ -10,7 +10,7 @@ from pydantic import Field
 from ._fitted import outside
 from ._poses import is_pose
 from ._section import Conflict, Count, Form, Section, Texels, Unit, as_list, fault, is_number, ordered
-from ._technique import LEAST_WIDTH, Kernel
+from ._technique import LEAST_WIDTH, SoftKernel
 
 
 class FitParameterConfig(Section):
@@ -63,7 +63,7 @@ class AnnealConfig(Section):
     start: Texels = Field(default=2.0, ge=LEAST_WIDTH, description="width in the first phase, in texels")
     end: Texels = Field(default=0.05, ge=LEAST_WIDTH, description="width in the last phase, in texels")
     phases: int = Field(default=4, ge=1, le=100, description="number of phases")
-    kernel: Kernel = Field(default="logistic", description="shape of the soft compare's step")
+    kernel: SoftKernel = Field(default="logistic", description="shape of the soft compare's step")
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

@@ -9,7 +9,7 @@ from ._section import Pair, Section, Size, Texels, Unit, by_type
 LEAST_WIDTH = 1e-6
 """The least width of a soft compare, in texels: far below the resolution of float32 depth, and 1 / width is finite."""
 
-Kernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
+SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
 """Shape of a soft compare's step."""
 
 
@@ -60,7 +60,7 @@ class ShadowMapConfig(Section):
     polygon_offset: Pair | None = Field(
         default=None, description="[factor, units] of a bias stored in the map, as in OpenGL; default: none"
     )
-    layer: Literal["nearest", "midpoint", "second"] = Field(
+    depth_layer: Literal["nearest", "midpoint", "second"] = Field(
         default="nearest", description="which depth is stored: of the nearest surface, the second, or midway between"
     )
     silhouettes: bool | None = Field(
@@ -83,7 +83,7 @@ class SoftCompareConfig(Section):
 
     type: Literal["soft"] = "soft"
     width: Texels = Field(default=0.5, ge=LEAST_WIDTH, description="width of the step, in texels of depth")
-    kernel: Kernel = Field(default="logistic", description="shape of the step")
+    kernel: SoftKernel = Field(default="logistic", description="shape of the step")
 
 
 CompareConfig = Annotated[

@@ -65,7 +65,7 @@ def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:
 def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
     """Faults of a map with silhouettes that does not store the nearest of all faces."""
     section = config.shadow_map
-    for key, value, plain in (("layer", section.layer, "nearest"), ("cull", section.cull, "none")):
+    for key, value, plain in (("depth_layer", section.depth_layer, "nearest"), ("cull", section.cull, "none")):
         if value != plain:
             mend = "remove it, or set shadow_map.silhouettes to false"
             yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)

@@ -103,19 +103,19 @@ class PercentageCloserSoft(AbstractFilter):
 class BlockerSearch(eqx.Module):
     """The result of the blocker search of percentage-closer soft shadows.
 
-    - `share`: (h, w), the fraction of taps that found a blocker.
+    - `fraction`: (h, w), the fraction of taps that found a blocker.
     - `depth`: (h, w), the blockers' mean window depth; the receiver's own if there are none.
     - `radius`: (h, w), half width of the penumbra, within the filter's bounds, in texels.
     """
 
-    share: DepthMap
+    fraction: DepthMap
     depth: DepthMap
     radius: DepthMap
 
     @property
     def some(self) -> Mask:
         """Whether there are any blockers, (h, w)."""
-        return self.share > _FEW
+        return self.fraction > _FEW
 
 
 class _Blocking(AbstractCompare):

@@ -26,7 +26,7 @@ from ._shade import shade
 Images = list[Float32[HostArray, "h w"]]
 
 
-class Fitted(NamedTuple):
+class FittedRun(NamedTuple):
     """A finished fit, with its images, one for each light, and its errors under the hard compare.
 
     - `seen`: the scene before and after the fit, which may move lights and meshes; `drawn` is the truth.
@@ -70,12 +70,12 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def write_fit(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
+def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
     """Writes the run's folder; `seconds` are the times of its stages."""
     write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
 
 
-def fit_technique(config: Config, stages: Stages) -> Fitted:
+def fit_technique(config: Config, stages: Stages) -> FittedRun:
     """Fits the parameters of `config`, and measures the images before and after."""
     loaded = load(config, stages)
     plan, technique = build_fit(config, loaded.scene), build_shadow_mapping(config)
@@ -116,7 +116,7 @@ def fit_technique(config: Config, stages: Stages) -> Fitted:
         *scene_remarks(config, lit, drawn[0].surface),
         *remarks(config, plan.parameters, result),
     ]
-    return Fitted(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)
+    return FittedRun(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)
 
 
 def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.TechniqueProblem:
@@ -141,7 +141,7 @@ def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
     return show
 
 
-def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float]) -> None:
+def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
     """Writes every file of the run to `draft`, which becomes `folder`."""
     # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
@@ -166,7 +166,7 @@ def _write(draft: Path, folder: Path, fitted: Fitted, seconds: dict[str, float])
     record.write_result(draft, result)
 
 
-def _arrays(fitted: Fitted) -> dict[str, Any]:
+def _arrays(fitted: FittedRun) -> dict[str, Any]:
     history = fitted.result.history
     return {
         "reference": record.stacked([each.reference.visibility for each in fitted.drawn]),
@@ -183,7 +183,7 @@ def _arrays(fitted: Fitted) -> dict[str, Any]:
     }
 
 
-def _result(folder: Path, fitted: Fitted, seconds: dict[str, float]) -> dict[str, Any]:
+def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
     outcome = result.phases[result.chosen]
     phases = [
