@@ -299,8 +299,8 @@ BROKEN = {
     ),
     "a light to fit beneath midpoints": (
         "shadow_map: {depth_layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
-        "2: shadow_map.depth_layer: is midpoint in a fit of lights or meshes, with silhouettes; expected nearest; remove "
-        "it, or set shadow_map.silhouettes to false",
+        "2: shadow_map.depth_layer: is midpoint in a fit of lights or meshes, with silhouettes; expected nearest; "
+        "remove it, or set shadow_map.silhouettes to false",
     ),
     "polygon offset of one number": (
         "shadow_map: {polygon_offset: 2}\n",
