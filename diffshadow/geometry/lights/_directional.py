@@ -1,5 +1,7 @@
 """Light from infinitely far away."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
@@ -50,7 +52,7 @@ class DirectionalLight(AbstractLight):
     @classmethod
     def around(
         cls,
-        direction: Vec3,
+        direction: Vec3 | Sequence[float],
         points: Float[Array, "n 3"],
         angular_radius: float = 0.0,
         *,

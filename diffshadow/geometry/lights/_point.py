@@ -1,5 +1,7 @@
 """Light in all directions, with a shadow map of six faces."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -60,7 +62,7 @@ class PointLight(AbstractLight):
 
     @classmethod
     def around(
-        cls, position: Vec3, points: Float[Array, "n 3"], *, radius: float = 0.0, guard: float = 0.1
+        cls, position: Vec3 | Sequence[float], points: Float[Array, "n 3"], *, radius: float = 0.0, guard: float = 0.1
     ) -> "PointLight":
         """The light at `position` with near and far fitted to `points` (n, 3).
 

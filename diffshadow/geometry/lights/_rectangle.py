@@ -1,5 +1,7 @@
 """Light from a rectangle."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Float
@@ -45,7 +47,7 @@ class RectangleLight(AbstractLight):
     @classmethod
     def around(
         cls,
-        position: Vec3,
+        position: Vec3 | Sequence[float],
         points: Float[Array, "n 3"],
         size: Vec2 | tuple[float, float],
         *,

@@ -1,5 +1,7 @@
 """Light into a cone."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
@@ -55,7 +57,7 @@ class SpotLight(AbstractLight):
     @classmethod
     def around(
         cls,
-        position: Vec3,
+        position: Vec3 | Sequence[float],
         points: Float[Array, "n 3"],
         *,
         target: Vec3 | None = None,
