@@ -164,12 +164,11 @@ def problem_of(drawn: Case, settings: Config | None = None, *, fitting: bool = T
     """
     settings = settings or drawn.settings
     technique = build_shadow_mapping(settings, fitting=fitting)
-    shadow_map = technique.prepare(drawn.scene, drawn.surface)
-    mask = technique.covered(shadow_map, drawn.surface) & jnp.asarray(drawn.truth.mask)  # type: ignore[arg-type]
-    if not bool(mask.any()):
+    problem = fit.TechniqueProblem.of(drawn.scene, technique, drawn.truth, surface=drawn.surface)
+    if not bool(problem.mask.any()):
         what = "and the camera see no surface together; expected both to see the same part of the scene: move one"
         raise mistake(settings, "scene.light", what)
-    return fit.TechniqueProblem(technique, shadow_map, drawn.surface, jnp.asarray(drawn.truth.visibility), mask)  # type: ignore[arg-type]
+    return problem
 
 
 def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:

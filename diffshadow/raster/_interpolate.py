@@ -108,8 +108,7 @@ def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> F
 
 def of_face(at: Barycentrics, attribute: Float[Array, "f c"]) -> Float[Array, "h w c"]:
     """An attribute of each face (f, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    value = jnp.stack([take(attribute[:, c], at.face) for c in range(attribute.shape[1])], axis=-1)
-    return jnp.where(at.mask[..., None], value, 0)
+    return _by_components(at, attribute, lambda values: take(values, at.face))
 
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:
@@ -128,7 +127,15 @@ def _vertices(face: FaceMap, faces: Faces) -> list[FaceMap]:
 
 def _weighted(at: Barycentrics, attribute: Float[Array, "n c"], corners: list[FaceMap]) -> Float[Array, "h w c"]:
     # One gather for each component of each corner: gathers of whole rows do not vectorize, and cost ten times as much.
-    component = lambda values: sum(at.weights[..., k] * values[corner] for k, corner in enumerate(corners))
+    return _by_components(
+        at, attribute, lambda values: sum(at.weights[..., k] * values[corner] for k, corner in enumerate(corners))
+    )
+
+
+def _by_components(
+    at: Barycentrics, attribute: Float[Array, "n c"], component: Callable[[Float[Array, " n"]], Any]
+) -> Float[Array, "h w c"]:
+    """`component` of each column of an attribute, stacked; 0 where nothing is seen."""
     value = jnp.stack([component(attribute[:, c]) for c in range(attribute.shape[1])], axis=-1)
     return jnp.where(at.mask[..., None], value, 0)
 

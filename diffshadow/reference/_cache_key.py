@@ -28,8 +28,9 @@ def cache_key(
     light = scene.light
     of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
     sampling = (*of_light, int(supersampling))
-    mesh = (np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces))
-    return ("reference", _ALGORITHM, sampling, mesh, _fields(scene.camera), _fields(light))
+    mesh = scene.mesh
+    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    return ("reference", _ALGORITHM, sampling, triangles, _fields(scene.camera), _fields(light))
 
 
 def _fields(module: Any) -> tuple[Any, ...]:

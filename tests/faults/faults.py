@@ -1453,8 +1453,8 @@ _REFERENCE = (
     _fault(
         "reference's key: forgets the camera",
         "reference/_cache_key.py",
-        "mesh, _fields(scene.camera), _fields(light))",
-        "mesh, _fields(light))",
+        "triangles, _fields(scene.camera), _fields(light))",
+        "triangles, _fields(light))",
         "test_reference.py",
     ),
     _fault(

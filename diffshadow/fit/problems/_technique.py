@@ -29,12 +29,18 @@ class TechniqueProblem(AbstractProblem):
     mask: Mask
 
     @classmethod
-    def of(cls, scene: Scene, technique: ShadowMapping, truth: Reference) -> "TechniqueProblem":
+    def of(
+        cls, scene: Scene, technique: ShadowMapping, truth: Reference, *, surface: Surface | None = None
+    ) -> "TechniqueProblem":
         """`technique`, and its map and surface of a scene with one light, against that scene's reference.
 
         The pixels that count are those where the reference has a surface that lies within the light's frustum.
+
+        **Arguments:**
+
+        - `surface`: what the camera sees; drawn if left out.
         """
-        surface = draw_surface(scene.mesh, scene.camera)
+        surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
         shadow_map = technique.prepare(scene, surface)
         mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
         return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)

@@ -84,7 +84,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         problems = [_problem(technique, each) for each in drawn]
     else:
         problems = poses.problems_of(plan, loaded.scene, drawn)
-        drawn = poses.with_cones(config, drawn)
+        drawn = poses.with_references_of(problems, drawn)
     stages.show("compiling")
     result = fit.fit(
         problems,

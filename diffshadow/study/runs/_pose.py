@@ -20,13 +20,13 @@ from ._progress import Stages
 from ._setup import Drawn, Loaded, draw
 
 
-def with_cones(config: Config, drawn: Sequence[Drawn]) -> list[Drawn]:
-    """Multiplies traced references by the fraction of light in the cone, as fits do."""
-    if config.reference.type != "traced":
-        return list(drawn)
-    fractions = [np.asarray(fit.cone_fraction(each.scene.light, each.surface)) for each in drawn]
-    coned = lambda each, by: dataclasses.replace(each.reference, visibility=each.reference.visibility * by)
-    return [each._replace(reference=coned(each, by)) for each, by in zip(drawn, fractions, strict=True)]
+def with_references_of(problems: Sequence[fit.PoseProblem], drawn: Sequence[Drawn]) -> list[Drawn]:
+    """With the references of the problems, which are dark outside a spot light's cone."""
+    visibility = [np.asarray(problem.reference) for problem in problems]
+    return [
+        each._replace(reference=dataclasses.replace(each.reference, visibility=image))
+        for each, image in zip(drawn, visibility, strict=True)
+    ]
 
 
 def pose_problems(config: Config, plan: FitPlan, scene: Scene) -> list[fit.PoseProblem]:
