@@ -65,6 +65,27 @@ def round_up_to_power_of_two(n: int) -> int:
     return 0 if n <= 0 else 1 << (n - 1).bit_length()
 
 
+# Sizes that small arrays are filled up to.
+_SMALL_SIZES = (256, 4096, 16384)
+
+
+def shared_size(n: int) -> int:
+    """A size of at least `n`, so that arrays of like size share compiled programs: a few sizes for small ones, and four
+    to each octave for large ones, of which less than a fifth is filling."""
+    if n <= _SMALL_SIZES[-1]:
+        return next(size for size in _SMALL_SIZES if n <= size)
+    step = round_up_to_power_of_two(n) // 8
+    return -(-n // step) * step
+
+
+def filled(array: Any, size: int, value: Any = 0) -> np.ndarray:
+    """`array` on the host, filled up with `value` to `size` along its first axis."""
+    array = np.asarray(array)
+    result = np.empty((size, *array.shape[1:]), array.dtype)
+    result[: len(array)], result[len(array) :] = array, value
+    return result
+
+
 def sums_along(values: Float[Array, "..."], weights: Sequence[float] | Float[Array, " k"], axis: int) -> Array:
     """The sums of each k neighbours along an axis times `weights` (k,): the axis gets k - 1 shorter.
 

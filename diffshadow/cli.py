@@ -244,6 +244,33 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
     _print_path(study.compare([first, second, *more], output, console=_console()))
 
 
+@app.command
+def cache(*, clear: bool = False) -> None:
+    """Says where traced references and compiled programs are kept, and how much they take.
+
+    Each kind takes at most 2 GiB: beyond that, the least recently used are removed. The folder is $DIFFSHADOW_CACHE, by
+    default `diffshadow` in the user's cache folder.
+
+    Example: `diffshadow cache --clear`
+
+    Parameters
+    ----------
+    clear
+        Remove them all. Later runs trace and compile again.
+    """
+    from . import io
+
+    console = _console()
+    table = Table("kept", "entries", "MiB", "folder")
+    for what, folder in (("traced references", io.cache_folder()), ("compiled programs", io.programs_folder())):
+        entries, size = io.cache_size(folder)
+        table.add_row(what, f"{entries:,}", f"{size / (1 << 20):,.1f}", Text(printable(str(folder)), overflow="fold"))
+        if clear:
+            io.clear_cache(folder)
+    console.print(table)
+    console.print("removed all of them" if clear else "to remove them: diffshadow cache --clear")
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs the command with `arguments`, by default those of the process, and exits.
 
@@ -353,21 +380,9 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
 
 
 def _keep_compiled_programs() -> None:
-    """Lets JAX cache compiled programs in the cache folder, if possible, so that the next run starts sooner.
+    from .io import keep_compiled_programs
 
-    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is kept.
-    """
-    import jax
-
-    from .io import FileError, cache_folder, check_writable
-
-    if jax.config.jax_compilation_cache_dir:
-        return
-    with contextlib.suppress(OSError, RuntimeError, FileError):
-        folder = cache_folder() / "xla"
-        check_writable(folder)
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    keep_compiled_programs()
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:

@@ -296,7 +296,7 @@ def write(
 def start(app: App) -> NoReturn:
     """Runs an experiment with the process's arguments, and exits; with 2 and one message after a user's mistake."""
     errors = Console(stderr=True, highlight=False)
-    _keep_compiled_programs()
+    io.keep_compiled_programs()
     try:
         app(sys.argv[1:], exit_on_error=False, print_error=False)
     except (CycloptsError, ConfigError, io.FileError, OSError) as error:
@@ -306,16 +306,3 @@ def start(app: App) -> NoReturn:
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     sys.exit(0)
-
-
-def _keep_compiled_programs() -> None:
-    """Sets JAX's cache of compiled programs, unless one is set, so that the next run starts sooner."""
-    if jax.config.jax_compilation_cache_dir:
-        return
-    try:
-        folder = io.cache_folder() / "xla"
-        io.check_writable(folder)
-    except (OSError, RuntimeError, io.FileError):
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)

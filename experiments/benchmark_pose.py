@@ -26,7 +26,7 @@ from diffshadow.shadow import (
     ShadowMapping,
     SlopeBias,
     draw_shadow_map,
-    plan_shadow_map,
+    plan_crossings,
     stratified,
 )
 
@@ -47,16 +47,10 @@ def main() -> None:
     surface, edges = draw_surface(mesh, camera), Edges.of(mesh)
     technique = ShadowMapping(RandomDisk(2.0, stratified(16, 8)), SlopeBias(1.0), HardCompare())
     light = lambda by: SpotLight(POSITION + by[:3], DIRECTION + by[3:], 40.0, 0.5, 6.0)
-    capacity = plan_shadow_map(mesh, light(jnp.zeros(6)), size, edges=edges)
+    crossings = plan_crossings(mesh, light(jnp.zeros(6)), size, edges)
 
     def draw(by, outlines=True):
-        return draw_shadow_map(
-            mesh,
-            light(by),
-            size,
-            edges=edges if outlines else None,
-            capacity=capacity,
-        )
+        return draw_shadow_map(mesh, light(by), size, edges=edges if outlines else None, crossings=crossings)
 
     def loss(by, outlines=True):
         return jnp.mean((technique.visibility(draw(by, outlines), surface) - 0.5) ** 2)
@@ -77,7 +71,7 @@ def main() -> None:
     for name, ms in medians.items():
         table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}")
     console.print(machine())
-    console.print(f"{mesh.faces.shape[0]} triangles, capacity for {capacity.silhouettes} crossings")
+    console.print(f"{mesh.faces.shape[0]} triangles, memory for {crossings} crossings")
     console.print(table)
 
 

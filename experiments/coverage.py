@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import _common as common
-import jax
-import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
 from recover_light import angles
@@ -83,12 +81,12 @@ def main(
     common.expect("draws", draws, draws >= 1, "1 or more")
     settings = common.load(config, overrides)
     jobs = [(kind, path, draw) for kind in kinds for path in paths for draw in range(draws)]
-    rows, capacities = [], {}
+    rows, crossings = [], {}
     for kind, path, draw in common.progress(jobs, "fitting", console):
         rng = np.random.default_rng([seed, LIGHTS.index(kind), paths.index(path), draw])
         drawn = scene_of(kind, path, settings.scene.camera.eye or (0.6, 2.9, 2.4), rng)
-        capacity = capacities.get((kind, path))
-        found, capacities[kind, path] = fit_one(config, (*overrides, *drawn), rng, capacity)
+        known = crossings.get((kind, path))
+        found, crossings[kind, path] = fit_one(config, (*overrides, *drawn), rng, known)
         rows += [{"light": kind, "mesh": path, "draw": draw, **row} for row in found]
     covered = {kind: fractions_within([row for row in rows if row["light"] == kind]) for kind in kinds}
     covered["all"] = fractions_within(rows)
@@ -133,8 +131,10 @@ def within(name: str, value: float) -> dict[str, float]:
     return {"lower": value - reach, "upper": min(value + reach, 89.0) if name == "elevation" else value + reach}
 
 
-def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, capacity: Any) -> tuple[list[Any], Any]:
-    """A row for each parameter of one fit, and its drawing capacity, which the next fit starts with."""
+def fit_one(
+    config: Path, overrides: Sequence[str], rng: np.random.Generator, crossings: int | None
+) -> tuple[list[Any], int]:
+    """A row for each parameter of one fit, and its memory for `crossings`, which the next fit starts with."""
     settings = common.load(config, overrides)
     scene = build_scene(settings)
     plan = build_fit(settings, scene)
@@ -144,12 +144,9 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ca
         fit.Parameter(p.name, plan.truth[p.name] + off[p.name], p.lower, p.upper, p.unit, p.path)
         for p in plan.parameters
     ]
-    if capacity is None:
-        # Twice the capacity planned here, so that few other draws need more and recompile.
-        values = np.array([(p.lower, p.initial, p.upper) for p in parameters]).T
-        planned = problem.planned([p.where for p in parameters], jnp.asarray(values, jnp.float32))
-        capacity = jax.tree.map(lambda needed: 2 * needed, planned.capacity)
-    problem = dataclasses.replace(problem, capacity=capacity)
+    # Twice what is planned here, so that few other draws need more and recompile.
+    crossings = 2 * problem.planned().crossings if crossings is None else crossings
+    problem = dataclasses.replace(problem, crossings=crossings)
     result = fit.fit(problem, parameters, solver=plan.solver, anneal=plan.anneal, levels=plan.levels)
     deviations = {} if result.precision is None else result.precision.deviations
     rows = []
@@ -157,7 +154,7 @@ def fit_one(config: Path, overrides: Sequence[str], rng: np.random.Generator, ca
         error, deviation = result.fitted[name] - truth, deviations.get(name)
         ratio = error / deviation if deviation else None
         rows.append({"parameter": name, "truth": truth, "error": error, "deviation": deviation, "ratio": ratio})
-    return rows, result.problems[0].capacity  # type: ignore[union-attr]
+    return rows, result.problems[0].crossings  # type: ignore[union-attr]
 
 
 def fractions_within(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -31,25 +31,13 @@ def pytest_configure(config):
     use_all_cores()
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(PROGRAMS)
-        _remove_oldest(PROGRAMS)
+        from diffshadow.io import prune_cache  # after the hook is installed
+
+        prune_cache(PROGRAMS, _MOST_BYTES)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _remove_oldest(folder: Path) -> None:
-    """Removes the programs that were written first, as long as all together are too large."""
-    try:
-        files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in folder.glob("jit_*"))
-    except FileNotFoundError:  # another process removes them too
-        return
-    total = sum(size for _, size, _ in files)
-    for _, size, file in files:
-        if total <= _MOST_BYTES:
-            break
-        file.unlink(missing_ok=True)
-        total -= size
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -23,7 +23,7 @@ from diffshadow.geometry import (
     SpotLight,
     merge,
 )
-from diffshadow.raster import Capacity, Surface, draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.shadow import AbstractFilter, Bias, HardCompare, Lookup, ShadowMap, ShadowMapping, draw_shadow_map
 
 SLANTED = (0.5, -1.0, -0.3)
@@ -249,11 +249,6 @@ def surface_at(position: Any, normal: Any) -> Surface:
     place, normal, white = (jnp.asarray(x, jnp.result_type(float)) for x in (position, own, np.ones(own.shape)))
     face = np.zeros(own.shape[:2], np.int32)
     return Surface(place, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))
-
-
-ROOM = Capacity(windows=(0, 0, 0, 0, 256), large=256, candidates=256, blocks=256)
-"""What `plan` gives for the card over the floor at 64 x 64: small scenes drawn with it share one program, and are not
-counted first. Nothing may have to be clipped."""
 
 
 def twice(mesh: Mesh) -> Mesh:

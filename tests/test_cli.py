@@ -59,6 +59,20 @@ def test_render_is_told_to_write_debug_views(runner):
     assert runner == [load_config(QUICKSTART, ["seed=1"]), "debug"]
 
 
+def test_the_cache_is_measured_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path))
+    monkeypatch.setattr("diffshadow.io.programs_folder", lambda: tmp_path / "xla")
+    (tmp_path / "xla").mkdir()
+    for place in (tmp_path / f"{'0' * 64}.npz", tmp_path / "xla" / f"jit_draw-{'0' * 64}-cache", tmp_path / "mine.npz"):
+        place.write_bytes(bytes(1 << 20))
+    assert run("cache") == 0
+    out = capsys.readouterr().out
+    assert out.count("1.0") == 2
+    assert "diffshadow cache --clear" in out
+    assert run("cache", "--clear") == 0
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["mine.npz"]
+
+
 @pytest.mark.parametrize("command", ["fit", "render", "validate"])
 def test_mistakes_are_told_on_stderr_before_any_work(command, runner, capsys):
     assert run(command, QUICKSTART, "filter.sampels=64") == 2

@@ -10,7 +10,7 @@ from ._anneal import Anneal, check_anneal
 from ._arrangement import Arrangement
 from ._history import Step
 from ._parameters import Parameter, Parameters
-from ._phases import phases_of, prepared
+from ._phases import phases_of
 from ._precision import Precision
 from ._run import Outcome, Run, Start
 from ._starts import starts_within
@@ -31,8 +31,8 @@ class FitResult(NamedTuple):
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
     - `precision`: how well the values are determined; none if the start was best.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
-    - `enlargements`: how often a phase was repeated with a larger capacity to draw.
-    - `problems`: those that were fitted, with the capacity to draw what the bounds allow.
+    - `enlargements`: how often a phase was repeated with memory for more silhouettes.
+    - `problems`: those that were fitted, with the memory for silhouettes that it needed.
     """
 
     technique: ShadowMapping
@@ -83,7 +83,7 @@ def fit(
         continues the best of them by the hard compare.
     - `seed`: of the starts.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
-        repeated with a larger capacity.
+        repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
@@ -98,7 +98,7 @@ def fit(
     initial = as_float([p.initial for p in parameters])
     spread = starts_within(fitted, initial, starts, seed)
     began = time.perf_counter()
-    joint = prepared(joint, fitted, initial)
+    joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, levels)
     run = Run(parameters, phases[-1].joint.hard(), phases, solver, on_step)
     with run.reporter:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._misc import as_int
-from ..raster import Overflow
+from ..shadow import Overflow
 from ._parameters import Parameters
 
 
@@ -41,7 +41,7 @@ class Report(eqx.Module):
 
 
 def report_overflow(token: Array, overflow: Overflow, y: Float[Array, " a"]) -> None:
-    """Reports, when the program runs, whether drawing overflowed at the free values; `token` names the reporter."""
+    """Reports, when the program runs, whether silhouettes were missing at `y`; `token` names the reporter."""
     jax.debug.callback(_dispatch_overflow, token, overflow, y)
 
 
@@ -102,7 +102,7 @@ class Reporter:
             self.on_step(step)
 
     def add_overflow(self, y: np.ndarray) -> None:
-        """An evaluation at the free values `y` (a,) of the active parameters, for which a capacity was too small."""
+        """An evaluation at the free values `y` (a,) of the active parameters, at which silhouettes were missing."""
         self.overflowed.append(self._values(y))
 
     def _values(self, y: np.ndarray) -> tuple[float, ...]:

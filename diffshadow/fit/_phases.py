@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._misc import as_float
@@ -18,11 +17,8 @@ from ..shadow import SoftCompare
 from ._anneal import Anneal
 from ._arrangement import is_of_technique
 from ._parameters import Parameters
-from ._starts import starts_within
 from .problems import AbstractProblem, Joint, PoseProblem, levels_of
 
-# A fit of poses plans its capacity at this many places within the bounds.
-_PLACES = 16
 # Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
 
@@ -87,23 +83,13 @@ def _sharpened(joint: Joint, sharpness: Callable[[PoseProblem], float]) -> Joint
     return joint.each(lambda p: dataclasses.replace(p, sharpness=as_float(sharpness(p))))
 
 
-def prepared(joint: Joint, parameters: Parameters, initial: Float[Array, " p"]) -> Joint:
-    """With the capacity to draw at the initial values, at both ends of the bounds, and at a Sobol sequence between."""
-    if not joint.moves:
-        return joint
-    spread = starts_within(parameters, initial, _PLACES, seed=0)
-    places = jnp.concatenate([spread, parameters.lower[None], parameters.upper[None]])
-    return joint.each(lambda problem: problem.planned(parameters.paths, places))
-
-
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
-    """With twice the capacity to draw at each row of `values` (k, p)."""
+    """With memory for several times the silhouettes at each row of `values` (k, p)."""
 
     def grown(problem: PoseProblem) -> AbstractProblem:
         for there in values:
             moved = dataclasses.replace(problem, arrangement=parameters.put(problem.arrangement, there))
-            planned = moved.planned(parameters.paths, there[None])
-            problem = dataclasses.replace(planned, arrangement=problem.arrangement)
+            problem = dataclasses.replace(moved.planned(), arrangement=problem.arrangement)
         return problem
 
     return joint.each(grown)

@@ -1,4 +1,4 @@
-"""The course of a fit: its starts, its phases, and the capacity that they need."""
+"""The course of a fit: its starts, its phases, and the memory for silhouettes that they need."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -20,11 +20,11 @@ from ._solve import Solution, losses, solve
 from .problems import Joint
 from .solvers import Solver
 
-# How often a phase may be given a larger capacity to draw.
+# How often a phase may be given memory for more silhouettes.
 _ENLARGEMENTS = 6
 _NEVER_ENOUGH = (
-    f"the capacity to draw is too small after {_ENLARGEMENTS} enlargements; expected it to settle: narrow the bounds "
-    "of what moves"
+    f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected their number "
+    "to settle: narrow the bounds of what moves"
 )
 # Mean square errors below this count as 0.
 _LEAST_LOSS = 1e-10
@@ -92,7 +92,7 @@ class Run:
 
     - `judge`: the problems at full resolution under the hard compare. It sees the start and the end of every phase, and
         the best of these is the result.
-    - `phases`: whose capacity may grow.
+    - `phases`: whose memory for silhouettes may grow.
     - `history`: every evaluation so far, in order.
     """
 
@@ -196,7 +196,7 @@ class Run:
         raise RuntimeError(_NEVER_ENOUGH)
 
     def _solution(self, number: int, free: Float[Array, " p"], scale: float) -> Solution:
-        """What the program of a phase returns, repeated with a larger capacity until nothing is missing."""
+        """What the program of a phase returns, repeated with memory for more silhouettes until none is missing."""
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
             found = self._returned(phase.program, solve, self._arguments(phase, free, scale))
@@ -214,7 +214,7 @@ class Run:
         return jax.block_until_ready(found)
 
     def _forget(self, key: Any) -> None:
-        """Drops a program whose capacity is too small."""
+        """Drops a program that has memory for too few silhouettes."""
         self.enlargements += 1
         self._programs.pop(key, None)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from ..raster import Overflow
+from ..shadow import Overflow
 from ._history import Report, report_overflow
 from ._parameters import Parameters
 from .problems import Images, Joint, any_of
@@ -75,7 +75,7 @@ def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token
 def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Images, Overflow]:
     """All differences at a `fraction` (p,) of the distance between the bounds, and their derivatives by each.
 
-    **Returns:** images (h, w), stacks of them (p, h, w), and whether a capacity was too small to draw them.
+    **Returns:** images (h, w), stacks of them (p, h, w), and whether silhouettes are missing from a map.
     """
 
     def differences(fraction: Array) -> tuple[Images, Overflow]:

@@ -8,11 +8,12 @@ host.
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .._misc import as_int, concrete
+from .._misc import as_int, concrete, filled, shared_size
 from .._types import HostArray
 from ._mesh import Mesh
 
@@ -68,6 +69,20 @@ class Edges(eqx.Module):
         ends, meeting, directions = (as_int(values) for values in _rows(runs))
         solid = jnp.asarray(closed & (volume > 0))
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
+
+    def padded(self, faces: int) -> "Edges":
+        """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes."""
+        if isinstance(self.vertices, Tracer):
+            return self
+        size = shared_size(self.vertices.shape[0])
+        return Edges(
+            as_int(filled(self.vertices, size)),
+            as_int(filled(self.faces, size)),
+            as_int(filled(self.directions, size)),
+            as_int(filled(self.component, faces)),
+            jnp.asarray(filled(self.solid, shared_size(self.solid.shape[0]))),
+            self.is_closed,
+        )
 
 
 def share_vertices(mesh: Mesh) -> Int[HostArray, "f 3"]:

@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._misc import array_module, as_float, as_int, concrete, normalize
+from .._misc import array_module, as_float, as_int, concrete, filled, normalize, shared_size
 from .._types import Faces, Mat4, Vertices
 from ._transforms import transform_points, transform_vectors
 
@@ -66,6 +67,22 @@ class Mesh(eqx.Module):
         faces = jnp.where(mirrored, self.faces[:, ::-1], self.faces)
         normals = jnp.where(mirrored, normals[:, ::-1], normals)
         return Mesh(vertices, faces, normals, self.albedo)
+
+    def padded(self) -> "Mesh":
+        """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:
+        meshes of like size then share compiled programs. A traced mesh stays as it is.
+        """
+        count, vertices = self.faces.shape[0], self.vertices.shape[0]
+        faces = shared_size(count)
+        size = faces if vertices <= faces else shared_size(vertices)
+        if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+            return self
+        return Mesh(
+            filled(self.vertices, size, np.asarray(self.vertices)[0]),
+            filled(self.faces, faces),
+            filled(self.corner_normals, faces),
+            filled(self.albedo, faces),
+        )
 
     @property
     def bounds(self) -> Float[Array, "2 3"]:

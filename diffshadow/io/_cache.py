@@ -1,7 +1,7 @@
-"""A cache of results on disk, keyed by their inputs.
+"""A cache on disk: of results, keyed by their inputs, and of the programs that JAX compiled.
 
 A key is a hash of everything the result depends on, so an entry is never out of date: changed inputs have another
-key. The least recently used entries are removed when the folder grows too large.
+key. The least recently used entries are removed when a folder grows too large.
 """
 
 import contextlib
@@ -19,15 +19,17 @@ import numpy as np
 
 from .._types import HostArray
 from ._arrays import read_all_arrays
-from ._atomic import atomic_path
+from ._atomic import atomic_path, check_writable
 from ._errors import FileError
 
 # Part of every key. Increase it when entries of older versions must no longer be read.
 _FORMAT = 1
 CACHE_LIMIT = 2 << 30
-"""Bytes beyond which the least recently used entries are removed."""
+"""Bytes of results, and again of compiled programs, beyond which the least recently used are removed."""
 # Entries, and temporary files of writers that were killed. No other file in the folder is ever removed.
-_ENTRY = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
+_RESULT = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
+# JAX names them by function and key.
+_PROGRAM = re.compile(r".+-[0-9a-f]{64}-(cache|atime)")
 
 
 def cached_arrays(
@@ -94,21 +96,62 @@ def cache_key(key_parts: Any) -> str:
 def prune_cache(folder: str | os.PathLike[str], limit: int = CACHE_LIMIT) -> None:
     """Removes the least recently used entries of `folder` until the others take at most `limit` bytes.
 
-    The newest entry is always kept, and so is every file that is not a cache entry.
+    Results and compiled programs are entries. The newest is always kept, and so is every file that is not an entry.
     """
-    entries = []
-    for path in Path(folder).iterdir():
-        if _ENTRY.fullmatch(path.name):
-            with contextlib.suppress(FileNotFoundError):  # another process removed it
-                status = path.stat()
-                entries.append((status.st_mtime_ns, status.st_size, path))
-    entries.sort(reverse=True)
     total = 0
-    for i, (_, size, path) in enumerate(entries):
+    for i, (_, size, path) in enumerate(sorted(_entries(Path(folder)), reverse=True)):
         total += size
         if i > 0 and total > limit:
-            with contextlib.suppress(FileNotFoundError):
-                path.unlink()
+            path.unlink(missing_ok=True)
+
+
+def clear_cache(folder: str | os.PathLike[str]) -> None:
+    """Removes all entries of `folder`, and no other file."""
+    for *_, path in _entries(Path(folder)):
+        path.unlink(missing_ok=True)
+
+
+def cache_size(folder: str | os.PathLike[str]) -> tuple[int, int]:
+    """How many entries `folder` holds, and how many bytes they take."""
+    sizes = [size for _, size, _ in _entries(Path(folder))]
+    return len(sizes), sum(sizes)
+
+
+def programs_folder() -> Path:
+    """The folder for compiled programs: JAX's own setting (`JAX_COMPILATION_CACHE_DIR`), or one in `cache_folder`."""
+    return Path(jax.config.jax_compilation_cache_dir or cache_folder() / "xla")
+
+
+def keep_compiled_programs(folder: str | os.PathLike[str] | None = None) -> None:
+    """Lets JAX keep compiled programs in `folder`, by default `programs_folder`: the next process then starts sooner.
+
+    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is used and left as it is. Any other is pruned. Nothing is
+    kept if the folder cannot be written to.
+    """
+    if jax.config.jax_compilation_cache_dir:
+        return
+    with contextlib.suppress(OSError, RuntimeError, FileError):
+        folder = programs_folder() if folder is None else Path(folder)
+        check_writable(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        prune_cache(folder)
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        # Small programs are quicker to read than to compile, too.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _entries(folder: Path) -> list[tuple[int, int, Path]]:
+    """Time of last use in nanoseconds, size in bytes and path of each entry; none if there is no folder."""
+    entries = []
+    for path in folder.iterdir() if folder.is_dir() else ():
+        is_program = _PROGRAM.fullmatch(path.name) is not None
+        if is_program or _RESULT.fullmatch(path.name):
+            with contextlib.suppress(FileNotFoundError):  # another process removed it
+                status = path.stat()
+                # Reading a result sets its modification time. Of programs, most file systems note the day of last use.
+                used = max(status.st_mtime_ns, status.st_atime_ns if is_program else 0)
+                entries.append((used, status.st_size, path))
+    return entries
 
 
 def _feed(update: Callable[[bytes], None], part: Any) -> None:

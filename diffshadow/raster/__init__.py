@@ -1,9 +1,7 @@
 """Rasterization: the face that each pixel sees, and its depth and attributes."""
 
-from ._bins import Capacity as Capacity
 from ._bins import Cull as Cull
 from ._counts import count_fragments as count_fragments
-from ._counts import plan_counts as plan_counts
 from ._depth_test import DepthTest as DepthTest
 from ._grid_crossings import Crossings as Crossings
 from ._grid_crossings import count_crossings as count_crossings
@@ -15,8 +13,6 @@ from ._interpolate import interpolate_corners as interpolate_corners
 from ._interpolate import interpolate_depth as interpolate_depth
 from ._rasterize import NO_FACE as NO_FACE
 from ._rasterize import Fragments as Fragments
-from ._rasterize import Overflow as Overflow
-from ._rasterize import plan as plan
 from ._rasterize import rasterize as rasterize
 from ._rasterize import rasterize_depth as rasterize_depth
 from ._silhouettes import Silhouettes as Silhouettes

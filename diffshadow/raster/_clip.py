@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._misc import dot
-from ._fixed import GUARD_BAND, Size
+from .._types import Resolution
+from ._fixed import GUARD_BAND
 
 PLANES = 6
 # A plane adds at most one corner to a convex polygon; a polygon of k corners is a fan of k - 2 triangles.
@@ -20,20 +21,20 @@ FAN = _CORNERS - 2
 _LEAST_W = 1e-6
 
 
-def guard_ratio(resolution: Size) -> tuple[Float[Array, ""] | float, Float[Array, ""] | float]:
+def guard_ratio(resolution: Resolution) -> tuple[float, float]:
     """The guard band as a multiple of the viewport's half width and half height."""
     height, width = resolution
     return 2 * GUARD_BAND / width, 2 * GUARD_BAND / height
 
 
-def needs_clipping(clip: Float[Array, "*n 4"], resolution: Size) -> Bool[Array, "*n"]:
+def needs_clipping(clip: Float[Array, "*n 4"], resolution: Resolution) -> Bool[Array, "*n"]:
     """Whether a vertex is in front of the near plane, behind the eye, or outside the guard band."""
     x, y, z, w = (clip[..., k] for k in range(4))
     gx, gy = guard_ratio(resolution)
     return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
 
 
-def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Size) -> Float[Array, "n fan 3 4"]:
+def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Float[Array, "n fan 3 4"]:
     """The parts of triangles beyond the near plane and within the guard band.
 
     **Arguments:**

@@ -1,11 +1,12 @@
-"""Gathers the elements of each class."""
+"""Groups elements by class."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
+
+from .._misc import take
 
 # Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
 # six classes into one integer.
@@ -19,6 +20,27 @@ class Ranks(NamedTuple):
 
     rank: Int[Array, " n"]
     counts: Int[Array, " c"]
+
+
+class Groups(NamedTuple):
+    """`elements` (n,) are indices ordered by class; `starts` (c,) is where each class begins among them, `counts` (c,)
+    its size."""
+
+    elements: Int[Array, " n"]
+    starts: Int[Array, " c"]
+    counts: Int[Array, " c"]
+
+    def chunk(
+        self, of_class: int | Array, number: Array, length: int
+    ) -> tuple[Int[Array, " length"], Bool[Array, " length"]]:
+        """The elements of chunk `number` of a class, and whether each is one: the last chunk is filled up."""
+        rank = number * length + jnp.arange(length, dtype=jnp.int32)
+        used = rank < self.counts[of_class]
+        return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used
+
+    def chunks(self, of_class: int, length: int) -> Int[Array, ""]:
+        """How many chunks of this length a class fills."""
+        return (self.counts[of_class] + length - 1) // length
 
 
 def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
@@ -46,24 +68,13 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
     return Ranks(rank.reshape(-1)[:n], through[:, -1])
 
 
-def members(classes: Int[Array, " n"], ranks: Ranks, capacities: Sequence[int]) -> Int[Array, " capacity"]:
-    """Indices of the elements of class 0, then 1 and so on, each class padded with -1 to its capacity.
-
-    Elements beyond their class's capacity are left out: check `ranks.counts`.
-    """
-    total = sum(capacities)
-    place = jnp.full_like(ranks.rank, total)
-    for k, capacity in enumerate(capacities):
-        if not capacity:
-            continue
-        place = jnp.where((classes == k) & (ranks.rank < capacity), sum(capacities[:k]) + ranks.rank, place)
+def group(classes: Int[Array, " n"], number: int) -> Groups:
+    """The elements of each class, for classes 0 to `number - 1`; those of class -1 are left out."""
+    ranks = rank_in_class(classes, number)
+    starts = jnp.cumsum(ranks.counts, dtype=jnp.int32) - ranks.counts
+    place = sum(jnp.where(classes == k, starts[k] + ranks.rank, 0) for k in range(number))
+    # Elements without a class go to an extra place that is cut off.
+    place = jnp.where(classes >= 0, place, classes.shape[0])
     indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
-    # Elements beyond the capacity go to an extra slot that is cut off, so that no index is out of bounds.
-    found = jnp.full(total + 1, -1, jnp.int32).at[place].set(indices, mode="promise_in_bounds")
-    return found[:total]
-
-
-def compact(mask: Array, capacity: int) -> Int[Array, " capacity"]:
-    """Indices where `mask` is true, padded with -1 to `capacity`; further ones are left out."""
-    classes = jnp.where(mask, 0, -1)
-    return members(classes, rank_in_class(classes, 1), (capacity,))
+    elements = jnp.zeros(classes.shape[0] + 1, jnp.int32).at[place].set(indices, mode="promise_in_bounds")
+    return Groups(elements[:-1], starts, ranks.counts)

@@ -20,7 +20,8 @@ class EdgeForm(eqx.Module):
 
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
     where the centre is inside. Depth at the centre of pixel (x, y) is `origin + x · slope_x + y · slope_y`, kept
-    between `least` and `greatest`; `offset` is added by polygon offset.
+    between `least` and `greatest`; `offset` is added by polygon offset. `turn` is 1 for front faces, which are
+    anticlockwise, and -1 for others.
     """
 
     x: Int[Array, " n"]
@@ -34,13 +35,7 @@ class EdgeForm(eqx.Module):
     least: Float[Array, " n"]
     greatest: Float[Array, " n"]
     offset: Float[Array, " n"]
-
-    def misses(self, side: int) -> Bool[Array, " n"]:
-        """Whether a triangle surely covers none of the `side` x `side` pixels from its own."""
-        missed = jnp.zeros(self.x.shape, bool)
-        for edge, a, b in zip(self.edge, self.a, self.b, strict=True):
-            missed = missed | (edge + (side - 1) * (jnp.maximum(a, 0) + jnp.maximum(b, 0)) < 0)
-        return missed
+    turn: Int[Array, " n"]
 
 
 def edge_form(
@@ -75,7 +70,7 @@ def edge_form(
         # OpenGL 4.6, section 14.6.5: o = m · factor + r · units.
         steepness = jnp.maximum(jnp.abs(slope_x), jnp.abs(slope_y))
         shift = steepness * factor + test.resolution_at(greatest) * units
-    return EdgeForm(x, y, edge, a, b, origin, slope_x, slope_y, least - slack, greatest + slack, shift)
+    return EdgeForm(x, y, edge, a, b, origin, slope_x, slope_y, least - slack, greatest + slack, shift, turn)
 
 
 def _depth_plane(corners: Corners, clockwise: Bool[Array, " n"]) -> tuple[Array, Array, Array]:

@@ -18,8 +18,6 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Resolution
-
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
 
@@ -28,10 +26,6 @@ SUBPIXELS = 1 << SUBPIXEL_BITS
 GUARD_BAND = 4096
 # Beyond this an edge function cannot change sign within a block of 32 x 32 pixels (2²¹ · 2 · 32 = 2²⁷).
 _FAR = 1 << 29
-
-
-Size = Resolution | Int[Array, "2"]
-"""A resolution on which no array shape depends: it may be an array, so that all resolutions use one program."""
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
-from ._bins import Capacity, Cull
+from ._bins import Cull
 from ._interpolate import Rows, barycentrics, by_bands, interpolate, interpolate_corners, of_face
-from ._rasterize import Overflow, rasterize
+from ._rasterize import rasterize
 
 
 class Surface(eqx.Module):
@@ -37,17 +37,14 @@ def draw_surface(
     camera: AbstractCamera,
     *,
     cull: Cull = "none",
-    capacity: Capacity | None = None,
-    overflows: list[Overflow] | None = None,
 ) -> Surface:
     """The surface of `mesh` that `camera` sees at its pixel centres, differentiable but for which face is seen.
 
-    **Arguments:** `cull`, `capacity` and `overflows` as for `rasterize`.
-
-    **Raises** `ValueError` if `capacity` is left out under a trace.
+    **Arguments:** `cull` as for `rasterize`.
     """
+    mesh = mesh.padded()
     clip = _clip(mesh, camera)
-    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, capacity=capacity, overflows=overflows).face
+    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull).face
     return _surface(mesh, camera, face, clip)
 
 

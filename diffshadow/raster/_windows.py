@@ -1,164 +1,173 @@
 """Writing triangles into the depth and face buffers, a window of pixels at a time.
 
-Every triangle of a size class is evaluated in a window of that size at its own lower left corner, and a class is
-written by one scatter of windows that keeps the least. No sort and no list of triangles a tile is needed. The buffers
+Every triangle of a size class is evaluated in a window of that size at its own lower left corner. Windows are written
+in chunks, by a scatter that keeps the least. No sort and no list of triangles for each tile is needed. The buffers
 are padded, so that a window may reach beyond the image.
 
-Where the face is wanted too, depth and face travel together as one 64-bit number, the depth's bits above the face's:
+All loops run as often as the triangles need, and nothing but the number of faces and the resolution has a static size:
+a compiled program draws any triangles.
+
+Where the face is needed too, depth and face travel together as one 64-bit number, the depth's bits above the face's:
 positive floats are ordered as their bits are, so the least number is the nearest depth and, among equals, the first
 face. That takes half the time of a second pass that looks for the face whose depth has settled.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._misc import take
 from .._types import FaceMap, Resolution
-from ._bins import BLOCK, LARGE, WINDOWS, Capacity, Counts, Triangles, pixel_box
-from ._compact import compact, members
+from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Corners, Cull, Triangles, draws, pixel_box, to_window
+from ._clip import FAN, clip_triangles
 from ._coverage import EdgeForm, edge_form, window_depth
 from ._depth_test import DepthTest
-from ._fixed import Size
 
-PADDING = max(WINDOWS)
+PADDING = max(*WINDOWS, BLOCK)
 SCATTER = lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0, 1)
 )
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
+VIEWS = "views"
+"""Name of the mapped axis where several views are drawn at once."""
 _FACE_BITS = 32
-# Pixels that are evaluated at once.
-_CHUNK = 1 << 17
-# More blocks than any capacity holds.
-_MOST_BLOCKS = 1 << 30
+# How many are drawn, clipped and tested at once: triangles of a size class, faces to clip, and blocks.
+_SMALL = 1 << 10
+_CLIPPED = 1 << 7
+_BLOCKS = 1 << 9
+
+Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
+"""Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
 
 
-class Blocks(NamedTuple):
-    """Blocks of large triangles: each one's triangle (-1 for none) and lower left pixel."""
+class DrawPass:
+    """Draws triangles into buffers.
 
-    member: Int[Array, " n"]
-    x: Int[Array, " n"]
-    y: Int[Array, " n"]
+    **Arguments:**
 
-
-class Candidates(NamedTuple):
-    """The blocks that the boxes of large triangles touch, up to the capacity.
-
-    - `blocks`: which; `hit`: (n,), whether their triangles themselves may touch them.
-    - `number`: how many there are, even beyond the capacity.
+    - `triangles`: see `bin_triangles`; `cull`: as given there.
+    - `many_views`: whether this is mapped over views. Loops then run as often as the view with the most to draw needs,
+        since a loop with a length for each view would copy all buffers at every step.
     """
 
-    blocks: Blocks
-    hit: Bool[Array, " n"]
-    number: Int[Array, ""]
+    def __init__(
+        self,
+        triangles: Triangles,
+        resolution: Resolution,
+        cull: Cull,
+        test: DepthTest,
+        polygon_offset: Float[Array, "2"] | None = None,
+        many_views: bool = False,
+    ):
+        self.triangles, self.resolution = triangles, resolution
+        self.cull: Cull = cull
+        self.test, self.polygon_offset, self.many_views = test, polygon_offset, many_views
+
+    def draw(self, buffer: Int[Array, "H W"] | Float[Array, "H W"], write: Write) -> Array:
+        """`buffer` after all triangles are written into it."""
+        if self.triangles.faces.shape[0] == 0:
+            return buffer
+        return self._large(self._small(buffer, write), write)
+
+    def _loop(self, steps: Int[Array, ""], body: Callable[[Array, Array], Array], buffer: Array) -> Array:
+        return lax.fori_loop(jnp.int32(0), self._most(steps).astype(jnp.int32), body, buffer)
+
+    def _most(self, number: Int[Array, "..."]) -> Int[Array, "..."]:
+        """The greatest number among the views."""
+        return lax.pmax(number, VIEWS) if self.many_views else number
+
+    def _form(self, corners: Corners, x: Array, y: Array) -> EdgeForm:
+        return edge_form(lax.optimization_barrier(corners), x, y, self.test, self.polygon_offset)
+
+    def _small(self, buffer: Array, write: Write) -> Array:
+        """Writes the triangles of all size classes."""
+        groups = self.triangles.groups
+        length = min(_SMALL, groups.elements.shape[0])
+        chunks = self._most((groups.counts[:LARGE] + length - 1) // length)
+        ends = jnp.cumsum(chunks, dtype=jnp.int32)
+
+        def chunk(number: Array, buffer: Array) -> Array:
+            size_class = jnp.sum(number >= ends, dtype=jnp.int32)
+            face, used = groups.chunk(size_class, number - (ends - chunks)[size_class], length)
+            corners = self.triangles.corners(face)
+            box = pixel_box(*corners.snapped(), self.resolution)
+            x, y = (jnp.where(used, low, 0) for low in (box.left, box.bottom))
+            form, source = self._form(corners, x, y), jnp.where(used, face, -1)
+            branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
+            return lax.switch(size_class, branches, buffer)
+
+        return self._loop(ends[-1], chunk, buffer)
+
+    def _large(self, buffer: Array, write: Write) -> Array:
+        """Writes large triangles, and then what clipping leaves of others, block by block."""
+        groups = self.triangles.groups
+        at_once = min(_CLIPPED, groups.elements.shape[0])
+        large = self._most(groups.chunks(LARGE, FAN * at_once))
+
+        def whole(number: Array) -> tuple[Corners, Array]:
+            face, used = groups.chunk(LARGE, number, FAN * at_once)
+            return self.triangles.corners(face), jnp.where(used, face, -1)
+
+        def clipped(number: Array) -> tuple[Corners, Array]:
+            face, used = groups.chunk(CLIPPED, number - large, at_once)
+            vertices = [take(self.triangles.faces[:, k], face) for k in range(3)]
+            corners = jnp.stack([take(self.triangles.clip, vertex) for vertex in vertices], axis=1)
+            parts = clip_triangles(corners, self.resolution)
+            window = to_window(parts.reshape(-1, 4), self.resolution)
+            corners = Corners(*([*values.reshape(-1, 3).T] for values in window))
+            return corners, jnp.repeat(jnp.where(used, face, -1), FAN)
+
+        def batch(number: Array, buffer: Array) -> Array:
+            return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
+
+        return self._loop(large + self._most(groups.chunks(CLIPPED, at_once)), batch, buffer)
+
+    def _blocks(self, buffer: Array, write: Write, corners: Corners, source: Int[Array, " n"]) -> Array:
+        """Writes triangles block by block."""
+        fixed = corners.snapped()
+        box = pixel_box(*fixed, self.resolution)
+        left, bottom = box.left // BLOCK, box.bottom // BLOCK
+        columns = jnp.maximum(box.right // BLOCK - left + 1, 1)
+        drawn = (source >= 0) & draws(*fixed, box, self.cull)
+        # The blocks of all boxes are numbered: a triangle's numbers end before its entry of `ends`.
+        lengths = jnp.where(drawn, columns * (box.top // BLOCK - bottom + 1), 0)
+        ends = jnp.cumsum(lengths, dtype=jnp.int32)
+
+        def candidates(number: Array, buffer: Array) -> Array:
+            block = number * _BLOCKS + jnp.arange(_BLOCKS, dtype=jnp.int32)
+            exists = block < ends[-1]
+            owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
+            within, across = block - take(ends - lengths, owner), take(columns, owner)
+            x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
+            x, y = (jnp.where(exists, tile * BLOCK, 0) for tile in (x, y))
+            form = self._form(jax.tree.map(lambda values: take(values, owner), corners), x, y)
+            return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)
+
+        return self._loop((ends[-1] + _BLOCKS - 1) // _BLOCKS, candidates, buffer)
 
 
-def count(triangles: Triangles, candidates: Candidates) -> Counts:
-    """How many there are of each kind; of blocks, those among the candidates within the capacity."""
-    counts = triangles.ranks.counts
-    blocks = jnp.sum(candidates.hit, dtype=jnp.int32)
-    return Counts(triangles.clipped, counts[:LARGE], counts[LARGE], candidates.number, blocks)
-
-
-class Windows(eqx.Module):
-    """Every window that has to be written, those of one size together: first the size classes, then the blocks.
-
-    - `form`: what each holds; `source`: (n,), the mesh's face that it is a part of, -1 for an empty one.
-    - `used`: (k,), how many of each size are not empty; `capacities`: how many of each size fit.
-    """
-
-    form: EdgeForm
-    source: Int[Array, " n"]
-    used: Int[Array, " k"]
-    capacities: tuple[int, ...] = eqx.field(static=True)
-
-
-def set_up_windows(
-    triangles: Triangles,
-    candidates: Candidates,
-    resolution: Resolution,
-    capacity: Capacity,
-    test: DepthTest,
-    polygon_offset: Float[Array, "2"] | None,
-) -> Windows:
-    """All triangles that draw something, ready to be written."""
-    member = members(triangles.size_class, triangles.ranks, capacity.windows)
-    corners = triangles.corners(member)
-    box = pixel_box(*corners.snapped(), resolution)
-    x, y = (jnp.where(member >= 0, low, 0) for low in (box.left, box.bottom))
-    used, capacities = triangles.ranks.counts, capacity.windows
-    if capacity.large and capacity.blocks:
-        blocks = _kept(candidates, capacity.blocks)
-        member, x, y = (jnp.concatenate(both) for both in zip((member, x, y), blocks, strict=True))
-        used, capacities = (
-            used.at[LARGE].set(jnp.sum(blocks.member >= 0, dtype=jnp.int32)),
-            (*capacities, capacity.blocks),
-        )
-    # One set-up for all classes, which is far quicker to compile than one for each.
-    form = edge_form(lax.optimization_barrier(triangles.corners(member)), x, y, test, polygon_offset)
-    return Windows(form, jnp.where(member >= 0, take(triangles.source, member), -1), used, capacities)
-
-
-def find_candidates(triangles: Triangles, resolution: Size, capacity: Capacity) -> Candidates:
-    """The blocks that large triangles may touch."""
-    if not capacity.large:
-        none = jnp.zeros(0, jnp.int32)
-        return Candidates(Blocks(none, none, none), none > 0, jnp.int32(0))
-    member = members(triangles.size_class, triangles.ranks, (0,) * LARGE + (capacity.large,))
-    box = pixel_box(*triangles.corners(member).snapped(), resolution)
-    left, bottom = box.left // BLOCK, box.bottom // BLOCK
-    columns = jnp.where(member >= 0, box.right // BLOCK - left + 1, 0)
-    # Number all candidates through: number p belongs to the triangle whose run holds p.
-    lengths = columns * (box.top // BLOCK - bottom + 1)
-    ends = jnp.cumsum(lengths)
-    starts = ends - lengths
-    number = jnp.arange(capacity.candidates, dtype=jnp.int32)
-    marks = jnp.zeros(capacity.candidates + 1, jnp.int32)
-    marks = marks.at[jnp.where(lengths > 0, starts, capacity.candidates)].add(1, mode="drop")
-    owner = jnp.maximum(jnp.cumsum(marks[:-1]) - 1, 0)
-    used = number < ends[-1]
-    within, across = number - take(starts, owner), jnp.maximum(take(columns, owner), 1)
-    x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
-    blocks = Blocks(jnp.where(used, take(member, owner), -1), *(jnp.where(used, tile * BLOCK, 0) for tile in (x, y)))
-    form = edge_form(triangles.corners(blocks.member), blocks.x, blocks.y, DepthTest(), None)
-    # Hundreds of thousands of faces as large as the map would overflow the integer; no capacity is that large.
-    too_many = jnp.sum(lengths.astype(jnp.float32)) > _MOST_BLOCKS
-    return Candidates(blocks, used & ~form.misses(BLOCK), jnp.where(too_many, _MOST_BLOCKS, ends[-1]).astype(jnp.int32))
-
-
-def _kept(candidates: Candidates, capacity: int) -> Blocks:
-    kept = compact(candidates.hit, capacity)
-    pick = lambda values, empty: jnp.where(kept >= 0, take(values, kept), empty)
-    blocks = candidates.blocks
-    return Blocks(pick(blocks.member, -1), pick(blocks.x, 0), pick(blocks.y, 0))
-
-
-def write_depth(windows: Windows, resolution: Resolution, test: DepthTest) -> Float[Array, "h w"]:
+def least_depth(drawing: DrawPass) -> Float[Array, "h w"]:
     """The least depth at every pixel, infinite where there is none."""
-    stored = lambda form, source, side: window_depth(form, source >= 0, side, test)
-    return _least(windows, stored, jnp.inf, jnp.float32, resolution)
+    stored = lambda form, source, side: window_depth(form, source >= 0, side, drawing.test)
+    return _least(drawing, stored, jnp.inf, jnp.float32)
 
 
-def write_depth_and_face(
-    windows: Windows, resolution: Resolution, test: DepthTest, behind: FaceMap | None
-) -> tuple[Float[Array, "h w"], Int[Array, "h w"]]:
+def least_depth_and_face(drawing: DrawPass, behind: FaceMap | None) -> tuple[Float[Array, "h w"], Int[Array, "h w"]]:
     """The least depth at every pixel, and its face, -1 where there is none; faces in `behind` (h, w) are passed over.
 
-    Of several faces at the same depth it is the first, or the last where `test` lets equal depths pass.
+    Of several faces at the same depth it is the first, or the last where the depth test lets equal depths pass.
     """
     # The least complement is that of the greatest face.
-    order = lambda face: ~face if test.compare == "less_equal" else face
+    order = lambda face: ~face if drawing.test.compare == "less_equal" else face
     padded = None if behind is None else jnp.pad(behind, ((0, PADDING), (0, PADDING)), constant_values=-1)
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
-        depth = window_depth(form, source >= 0, side, test)
+        depth = window_depth(form, source >= 0, side, drawing.test)
         if padded is not None:
             passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
@@ -170,7 +179,7 @@ def write_depth_and_face(
 
     with jax.enable_x64(True):
         nothing = jnp.iinfo(jnp.int64).max
-        key = _least(windows, stored, nothing, jnp.int64, resolution)
+        key = _least(drawing, stored, nothing, jnp.int64)
         depth = lax.bitcast_convert_type((key >> _FACE_BITS).astype(jnp.int32), jnp.float32)
         face = order(key.astype(jnp.int32))
     # The bits of an infinite depth, and of none at all, are those of no number below infinity.
@@ -183,56 +192,17 @@ def corner(form: EdgeForm) -> Int[Array, "n 2"]:
     return jnp.stack([form.y, form.x], axis=-1)
 
 
-def over_windows(
-    windows: Windows,
-    buffer: Int[Array, "H W"] | Float[Array, "H W"],
-    write: Callable[[Array, EdgeForm, Int[Array, " n"], int, Bool[Array, " n"]], Array],
-) -> Array:
-    """`buffer` after all windows are written into it.
-
-    A size is written in chunks that fit a processor's cache, and no more of them than are used. `write` is given the
-    buffer, windows and their sources, their side, and which were not in the chunk before: the last begins early.
-    """
-    numbers, tree = jax.tree.flatten((windows.form, windows.source))
-    # In one array for each type: what every number is cut out by costs more to compile than all that is done with it.
-    kinds = [number.dtype for number in numbers]
-    together = {
-        kind: jnp.stack([number for number in numbers if number.dtype == kind]) for kind in dict.fromkeys(kinds)
-    }
-
-    def part(begin: Array, length: int) -> tuple[EdgeForm, Array]:
-        rows = {kind: iter(lax.dynamic_slice_in_dim(all_, begin, length, axis=1)) for kind, all_ in together.items()}
-        return jax.tree.unflatten(tree, [next(rows[kind]) for kind in kinds])
-
-    start = 0
-    for k, (side, capacity) in enumerate(zip((*WINDOWS, BLOCK), windows.capacities, strict=False)):
-        chunk = min(capacity, max(_CHUNK // side**2, 1))
-        if not capacity:
-            continue
-
-        def step(number: Array, buffer: Array, start=start, capacity=capacity, chunk=chunk, side=side) -> Array:
-            begin = jnp.minimum(number * chunk, capacity - chunk)
-            fresh = begin + jnp.arange(chunk, dtype=jnp.int32) >= number * chunk
-            return write(buffer, *part(start + begin, chunk), side, fresh)
-
-        chunks = (windows.used[k] + chunk - 1) // chunk
-        buffer = lax.fori_loop(jnp.int32(0), chunks.astype(jnp.int32), step, buffer)
-        start += capacity
-    return buffer
-
-
 def _least(
-    windows: Windows,
+    drawing: DrawPass,
     stored: Callable[[EdgeForm, Int[Array, " n"], int], Array],
     nothing: float | int,
     dtype: DTypeLike,
-    resolution: Resolution,
 ) -> Array:
     """The least of what is `stored` (n, side, side) by any window at every pixel."""
-    height, width = resolution
+    height, width = drawing.resolution
     buffer = jnp.full((height + PADDING, width + PADDING), nothing, dtype)
 
-    def write(buffer: Array, form: EdgeForm, source: Array, side: int, _: Array) -> Array:
+    def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
         return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=IN_BOUNDS)
 
-    return over_windows(windows, buffer, write)[:height, :width]
+    return drawing.draw(buffer, write)[:height, :width]

@@ -6,11 +6,11 @@ from ._compare import SoftCompare as SoftCompare
 from ._compare import SoftKernel as SoftKernel
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
-from ._map import MapCapacity as MapCapacity
 from ._map import MapSettings as MapSettings
+from ._map import Overflow as Overflow
 from ._map import ShadowMap as ShadowMap
 from ._map import draw_shadow_map as draw_shadow_map
-from ._map import plan_shadow_map as plan_shadow_map
+from ._map import plan_crossings as plan_crossings
 from ._projective import ProjectiveShadow as ProjectiveShadow
 from ._projective import ProjectiveTexture as ProjectiveTexture
 from ._receiver import Receiver as Receiver
@@ -18,7 +18,6 @@ from ._receiver import receiver as receiver
 from ._shadow_mapping import ShadowMapping as ShadowMapping
 from ._technique import AbstractTechnique as AbstractTechnique
 from ._volumes import ShadowVolumes as ShadowVolumes
-from ._volumes import VolumeCapacity as VolumeCapacity
 from ._volumes import Volumes as Volumes
 from ._volumes import VolumeScene as VolumeScene
 from ._volumes import shadow_volumes as shadow_volumes

@@ -5,26 +5,19 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, View
-from ..raster import (
-    Capacity,
-    Cull,
-    DepthTest,
-    Overflow,
-    barycentrics,
-    interpolate_depth,
-    plan,
-    rasterize,
-    rasterize_depth,
-)
+from ..raster import Cull, DepthTest, barycentrics, interpolate_depth, rasterize, rasterize_depth
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
 DepthLayer = Literal["nearest", "midpoint", "second"]
+Overflow = Bool[Array, ""]
+"""Whether some of a map's silhouettes are missing, since they cross more sides of texels than there is memory for."""
 
 
 class ShadowMap(eqx.Module):
@@ -64,7 +57,7 @@ def draw_shadow_map(
     depth_format: DepthFormat = "float32",
     polygon_offset: tuple[float, float] | None = None,
     edges: Edges | None = None,
-    capacity: "MapCapacity | None" = None,
+    crossings: int | None = None,
     overflows: list[Overflow] | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
@@ -89,11 +82,14 @@ def draw_shadow_map(
         by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
         that the format is guaranteed to resolve.
     - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
-    - `capacity`: how many triangles and silhouettes can be drawn, from `plan_shadow_map`; required under a trace.
-    - `overflows`: a list. Instead of raising, each capacity appends whether it is too small; see `rasterize`.
+    - `crossings`: how many crossings of silhouettes with the sides of texels there is memory for; a static number, by
+        default from `plan_crossings`. Under a trace, it is required with `edges`.
+    - `overflows`: a list. Instead of raising, `Overflow` is appended to it: silhouettes are missing from such a map, so
+        throw it away and draw again.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
-    `cull`, and what `rasterize` raises.
+    `cull`, or without `crossings` under a trace, and what `rasterize` raises; and a runtime error if the silhouettes
+    have more `crossings`.
     """
     if depth_layer not in ("nearest", "midpoint", "second"):
         raise ValueError(
@@ -104,8 +100,11 @@ def draw_shadow_map(
             f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '
             "leave edges out, or change depth_layer and cull"
         )
+    if edges is not None and crossings is None:
+        crossings = plan_crossings(mesh, light, resolution, edges)
+    mesh = mesh.padded()
+    edges = None if edges is None else edges.padded(mesh.faces.shape[0])
     clip = clip_vertices(mesh, light)
-    triangles = None if capacity is None else capacity.triangles
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -118,8 +117,6 @@ def draw_shadow_map(
             depth_test=test,
             polygon_offset=polygon_offset,
             behind=behind,
-            capacity=triangles,
-            overflows=overflows,
         )
         depth = _depth(seen.face, clip, mesh.faces)
         return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
@@ -128,12 +125,11 @@ def draw_shadow_map(
     if depth_layer != "nearest":
         _, second = draw(face)
         depth = second if depth_layer == "second" else _midpoint(depth, second, test)
-    if edges is None:
+    if edges is None or crossings is None:
         return ShadowMap(depth, light, depth_format)
-    most = _plan_silhouettes(clip, mesh, light, edges, resolution) if capacity is None else capacity.silhouettes
-    about_corners, size = _about_corners(clip, resolution), _corners(resolution)
-    corners = rasterize_depth(about_corners, mesh.faces, size, capacity=triangles, overflows=overflows)
-    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, most, overflows is None)
+    height, width = resolution
+    corners = rasterize_depth(_about_corners(clip, resolution), mesh.faces, (height + 1, width + 1))
+    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings, overflows is None)
     if overflows is not None:
         overflows.append(overflow)
     return ShadowMap(depth, light, depth_format, silhouettes)
@@ -154,43 +150,25 @@ class MapSettings(NamedTuple):
     silhouettes: bool | None = None
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
-        """The shadow map of `casters` under `light`; edges, capacities and `overflows` as for `draw_shadow_map`."""
+        """The shadow map of `casters` under `light`; `edges`, `crossings` and `overflows` as for `draw_shadow_map`."""
         given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how)
 
 
-class MapCapacity(NamedTuple):
-    """How much a shadow map can draw: `triangles`, and crossings of `silhouettes` with the sides of texels.
+def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edges: Edges) -> int:
+    """How many sides of texels this map's silhouettes cross, rounded up to a power of two.
 
-    Both are static: a new capacity recompiles.
+    **Arguments:** as for `draw_shadow_map`.
+
+    **Raises** `ValueError` under a trace.
     """
-
-    triangles: Capacity
-    silhouettes: int = 0
-
-    def grown_to(self, other: "MapCapacity") -> "MapCapacity":
-        """The smallest capacity that is enough for both."""
-        return MapCapacity(self.triangles.grown_to(other.triangles), max(self.silhouettes, other.silhouettes))
-
-
-def plan_shadow_map(
-    mesh: Mesh, light: AbstractLight, resolution: Resolution, *, cull: Cull = "none", edges: Edges | None = None
-) -> MapCapacity:
-    """The capacity needed to draw this map, each number rounded up.
-
-    **Arguments:** as for `draw_shadow_map`; not for use inside `jax.jit`.
-    """
-    clip = clip_vertices(mesh, light)
-    triangles = plan(clip, mesh.faces, resolution, cull=cull)
-    if edges is None:
-        return MapCapacity(triangles)
-    corners = plan(_about_corners(clip, resolution), mesh.faces, _corners(resolution))
-    return MapCapacity(triangles.grown_to(corners), _plan_silhouettes(clip, mesh, light, edges, resolution))
-
-
-def _corners(resolution: Resolution) -> Resolution:
-    height, width = resolution
-    return height + 1, width + 1
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((mesh, light, edges))):
+        raise ValueError(
+            "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
+            "number, since shapes must be known there: call plan_crossings(...) outside, and pass twice its result"
+        )
+    mesh = mesh.padded()
+    return round_up_to_power_of_two(int(_crossings(mesh, light, edges.padded(mesh.faces.shape[0]), resolution)))
 
 
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
@@ -199,15 +177,9 @@ def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Floa
     return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
 
 
-def _plan_silhouettes(
-    clip: Float[Array, "*l v 4"], mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution
-) -> int:
-    return round_up_to_power_of_two(int(_crossings(clip, mesh, light, edges, resolution)))
-
-
 @eqx.filter_jit
-def _crossings(clip, mesh, light, edges, resolution) -> Int[Array, ""]:
-    return jnp.sum(Outline.of(clip, mesh, light, edges, resolution).counts)
+def _crossings(mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution) -> Int[Array, ""]:
+    return jnp.sum(Outline.of(clip_vertices(mesh, light), mesh, light, edges, resolution).counts)
 
 
 @eqx.filter_jit
@@ -218,21 +190,21 @@ def _silhouettes(
     mesh: Mesh,
     light: AbstractLight,
     edges: Edges,
-    capacity: int,
+    crossings: int,
     checked: bool,
 ) -> tuple[SilhouetteMap, Overflow]:
-    """The silhouettes in a map, and whether some did not fit the capacity, which is an error if `checked`."""
+    """The silhouettes in a map, and whether some are missing, which is an error if `checked`."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
-    overflow = jnp.sum(outline.counts) > capacity
+    overflow = jnp.sum(outline.counts) > crossings
     if checked:
         outline = eqx.error_if(
             outline,
             overflow,
-            f"the shadow map's silhouette capacity of {capacity} is too small for these edges; expected at least as "
-            "many as the sides of texels that they cross: call plan_shadow_map(...) with them",
+            f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these "
+            "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
         )
-    return find_silhouettes(depth, corners.astype(depth.dtype), outline, capacity), overflow
+    return find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings), overflow
 
 
 @eqx.filter_jit

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
-from ..raster import NO_FACE, Capacity, Surface, rasterize
+from ..raster import NO_FACE, Surface, rasterize
 from ._map import clip_vertices
 from ._technique import AbstractTechnique
 from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
@@ -82,15 +82,10 @@ class ProjectiveShadow(AbstractTechnique):
         check_kernel("projective texture", self.kernel)
         check_radius("projective texture", self.blur, self.max_blur)
 
-    def prepare(
-        self, scene: Scene, surface: Surface | None = None, *, capacity: Capacity | None = None
-    ) -> ProjectiveTexture:
-        """The silhouette of the scene's casters under its only light. It does not depend on `surface`.
-
-        **Arguments:** `capacity` as for `rasterize`; required under a trace.
-        """
-        casters, light = scene.casters, scene.light
-        face = rasterize(clip_vertices(casters, light), casters.faces, self.resolution, capacity=capacity).face
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> ProjectiveTexture:
+        """The silhouette of the scene's casters under its only light. It does not depend on `surface`."""
+        casters, light = scene.casters.padded(), scene.light
+        face = rasterize(clip_vertices(casters, light), casters.faces, self.resolution).face
         blurring = Blur(self.blur, self.max_blur, self.kernel)
         coverage = _blurred(as_float(face != NO_FACE), blurring)
         return ProjectiveTexture(coverage, light, scene.casting_faces, blurring.margin)

@@ -10,7 +10,7 @@ cancel, and each remaining edge is extruded as many times as it remains (Kim, Ki
 algorithm for opaque and transparent non-manifold casters").
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -18,17 +18,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float, dot, normalize
-from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Resolution, Scalar, Vec3, Visibility
+from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Scalar, Vec3, Visibility
 from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, infinite_far, merge, transform_vectors
 from ..raster import (
-    Capacity,
     Surface,
     barycentrics,
     count_fragments,
     interpolate_depth,
     light_sides,
-    plan,
-    plan_counts,
     rasterize,
     silhouettes_by_adjacency,
 )
@@ -41,13 +38,6 @@ _BEFORE = 2.0**-40
 _NEARLY_INFINITE = 2.0**20
 # The light counts as outside a solid that subtends less than this fraction of the sphere of directions around it.
 _OUTSIDE = 0.25
-
-
-class VolumeCapacity(NamedTuple):
-    """How much can be drawn of the visible `scene` and of the faces of `volumes`; from `ShadowVolumes.plan`."""
-
-    scene: Capacity
-    volumes: Capacity
 
 
 class VolumeScene(eqx.Module):
@@ -110,24 +100,15 @@ class ShadowVolumes(AbstractTechnique):
         casters = scene.casters
         return VolumeScene(casters, scene.light, scene.camera, Edges.of(casters), scene.receivers)
 
-    def counts(self, state: VolumeScene, *, capacity: VolumeCapacity | None = None) -> Int[Array, "h w"]:
+    def counts(self, state: VolumeScene) -> Int[Array, "h w"]:
         """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
 
         Of a solid, each face that faces the light and lies between the light and the point counts once; of an open
         mesh, each face between them. The count is undefined at pixels without a surface.
-
-        **Arguments:**
-
-        - `capacity`: how many triangles can be drawn. If left out, they are counted first, which needs concrete
-            arguments. Required inside `jax.jit`; get it from `plan`.
-
-        **Raises** `ValueError` if `capacity` is left out under a trace, and a runtime error if a capacity is too small.
         """
-        return self._count(state, capacity).counts
+        return self._count(state).counts
 
-    def visibility(
-        self, state: VolumeScene, surface: Surface | None = None, *, capacity: VolumeCapacity | None = None
-    ) -> Visibility:
+    def visibility(self, state: VolumeScene, surface: Surface | None = None) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         A point is lit if it lies in no volume and the camera sees the side of its surface that faces the light. Pixels
@@ -136,40 +117,29 @@ class ShadowVolumes(AbstractTechnique):
         **Arguments:**
 
         - `surface`: ignored: the faces that the state's camera sees are drawn again, in double precision.
-        - `capacity`, and errors: as for `counts`.
         """
-        found = self._count(state, capacity)
+        found = self._count(state)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)
 
     def covered(self, state: VolumeScene, surface: Surface) -> Mask:
         """Every pixel with a surface, (h, w)."""
         return surface.mask
 
-    def plan(self, state: VolumeScene) -> VolumeCapacity:
-        """The capacity that `counts` and `visibility` need; not for use inside `jax.jit`."""
-        view = _view(state.camera)
-        with jax.enable_x64(True):
-            return _plan(self._widened_drawing(state, view), state.camera.resolution)
-
-    def _widened_drawing(self, state: VolumeScene, view: View) -> "_Drawing":
-        given = state.casters, state.light, state.camera.eye, view, state.receivers
-        casters, light, eye, view, receivers = _widened(given)
-        return _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
-
-    def _count(self, state: VolumeScene, capacity: VolumeCapacity | None) -> "_Found":
+    def _count(self, state: VolumeScene) -> "_Found":
         # The view is bitwise the one that surfaces are drawn with. All else is in double precision: a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
         view = _view(state.camera)
-        scene, sides = (None, None) if capacity is None else capacity
         with jax.enable_x64(True):
-            drawing = self._widened_drawing(state, view)
+            given = state.casters, state.light, state.camera.eye, view, state.receivers
+            casters, light, eye, view, receivers = _widened(given)
+            drawing = _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
             clip = drawing.clip.astype(jnp.float32)
-        face = rasterize(clip, drawing.faces, state.camera.resolution, capacity=scene).face
+        face = rasterize(clip, drawing.faces, state.camera.resolution).face
         with jax.enable_x64(True):
             at = _behind(face, drawing)
             when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)
             found = drawing.volumes
-            counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when, capacity=sides)
+            counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when)
             return _Found(sign * counts, at.lit_side, at.seen)
 
 
@@ -241,14 +211,6 @@ def _drawing(
         scene = merge([casters, receivers])
         clip = jnp.concatenate([clip, view.clip(receivers.vertices)])
     return _Drawing(clip, scene.faces, volumes, _lit_side(scene, light, eye, view), farthest)
-
-
-def _plan(drawing: _Drawing, resolution: Resolution) -> VolumeCapacity:
-    found = drawing.volumes
-    return VolumeCapacity(
-        scene=plan(drawing.clip, drawing.faces, resolution),
-        volumes=plan_counts(found.clip, found.faces, found.weights, resolution),
-    )
 
 
 @eqx.filter_jit

@@ -29,7 +29,7 @@ from diffshadow.fit._precision import precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
-from diffshadow.fit.problems import PoseCapacity, levels_of
+from diffshadow.fit.problems import levels_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt
 from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
@@ -494,9 +494,10 @@ def test_height_of_a_card_along_the_light_is_not_determined():
 
 
 @pytest.mark.exhaustive
-def test_too_little_capacity_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
-    tight = lambda joint, *_: joint.each(lambda p: dataclasses.replace(p, capacity=PoseCapacity(), edges=p._edges()))
-    monkeypatch.setattr("diffshadow.fit._fit.prepared", tight)
+def test_memory_for_too_few_silhouettes_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
+    planned, tight = PoseProblem.planned, lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
+    # Too few at first.
+    monkeypatch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
     one = problem(LIGHTS["spot"], texels=32, camera=floor_camera(1.5, (32, 32)))
     paths = ("lights.0.position.x", AZIMUTH)
     truth = values(one, paths)

@@ -18,8 +18,10 @@ from diffshadow.io import (
     atomic_path,
     cache_folder,
     cache_key,
+    cache_size,
     cached_arrays,
     check_writable,
+    clear_cache,
     prune_cache,
     read_visibility,
     write_png,
@@ -463,6 +465,21 @@ def test_pruning_removes_the_least_recently_used_and_nothing_else(tmp_path):
     assert kept == {"mine.npz", f"{cache_key(0)}.npz", f"{cache_key(3)}.npz"}
     prune_cache(tmp_path, limit=0)
     assert {entry.name for entry in tmp_path.iterdir()} == {"mine.npz", f"{cache_key(0)}.npz"}
+
+
+def test_compiled_programs_are_pruned_by_the_day_of_their_last_use(tmp_path):
+    program = lambda name: tmp_path / f"jit_draw-{name * 64}-cache"
+    for i, name in enumerate("abc"):
+        program(name).write_bytes(bytes(100))
+        # Written in this order, but the first was read last.
+        os.utime(program(name), (5000 if name == "a" else 1000 + i, 1000 + i))
+    (tmp_path / "notes.txt").write_bytes(bytes(1000))
+    assert cache_size(tmp_path) == (3, 300)
+    prune_cache(tmp_path, limit=200)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [program("a").name, program("c").name, "notes.txt"]
+    clear_cache(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    assert cache_size(tmp_path / "missing") == (0, 0)
 
 
 def test_pruning_removes_what_killed_writers_left(tmp_path):

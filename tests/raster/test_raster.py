@@ -1,7 +1,5 @@
 """The rasterizer against a brute-force float64 one, and its rules one by one."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,27 +10,17 @@ from rasterizer_oracle import acceptable, rasterize_exact
 from triangle_soups import from_window, soup
 
 from diffshadow.geometry import PinholeCamera, library_mesh
-from diffshadow.raster import NO_FACE, Capacity, DepthTest, plan, rasterize, rasterize_depth
+from diffshadow.raster import NO_FACE, DepthTest, rasterize, rasterize_depth
 
 RESOLUTION = (32, 48)
 COUNT = 24
 FACES = np.arange(3 * COUNT, dtype=np.int32).reshape(-1, 3)
 SOUPS_AN_EXAMPLE = 25
 # What all meshes are filled up to, so that a kind of drawing is compiled once.
-MOST_FACES, MOST_VERTICES = 1024, 1023
+MOST_FACES, MOST_VERTICES = 4096, 4095
 seeds = st.integers(0, 2**32 - 1)
 
 
-def room(resolution=RESOLUTION, windows=(1024,) * 5):
-    """Room for any soup, whose triangles clipping cuts into seven, and windows of every size."""
-    blocks = 7 * COUNT * math.prod(-(-n // 16) for n in resolution)
-    blocks = max(4096, 1 << (blocks - 1).bit_length())
-    return Capacity(clipped=256, windows=windows, large=256, candidates=blocks, blocks=blocks)
-
-
-# Fewer sizes take less time to compile.
-ONE_SIZE = room(windows=(0, 0, 0, 0, 2048))
-FEW = Capacity(windows=(0, 0, 0, 0, 16))
 NOTHING_PASSED = np.full(RESOLUTION, NO_FACE, np.int32)
 LESS_EQUAL = DepthTest(compare="less_equal")
 
@@ -46,14 +34,14 @@ def filled(clip, faces):
     return jnp.asarray(vertices), jnp.asarray(corners)
 
 
-def draw(clip, faces=FACES, resolution=RESOLUTION, capacity=None, **options):
-    drawn = rasterize(*filled(clip, faces), resolution, capacity=capacity or room(resolution), **options)
+def draw(clip, faces=FACES, resolution=RESOLUTION, **options):
+    drawn = rasterize(*filled(clip, faces), resolution, **options)
     return np.asarray(drawn.face), np.asarray(drawn.depth)
 
 
 def draw_culled(clip, faces=FACES, cull="back", behind=NOTHING_PASSED):
     """With culling, where equal depths pass, and faces `behind` do not: all by one program."""
-    return draw(clip, faces, capacity=ONE_SIZE, cull=cull, depth_test=LESS_EQUAL, behind=jnp.asarray(behind))
+    return draw(clip, faces, cull=cull, depth_test=LESS_EQUAL, behind=jnp.asarray(behind))
 
 
 def draw_window(xy, z, faces, cull="none"):
@@ -61,7 +49,7 @@ def draw_window(xy, z, faces, cull="none"):
     clip = from_window(np.asarray(xy, float), np.asarray(z, float), np.ones(len(xy)), RESOLUTION)
     faces = np.asarray(faces, int).reshape(-1, 3)
     if cull == "front":
-        return draw(clip, faces, capacity=FEW, cull=cull)
+        return draw(clip, faces, cull=cull)
     return draw(clip, faces) if cull == "none" else draw_culled(clip, faces, cull)
 
 
@@ -177,15 +165,6 @@ def test_scaling_a_vertex_in_clip_space_changes_nothing(seed):
     assert_explained(draw(scaled)[0], rasterize_exact(scaled, FACES, RESOLUTION), f"scaled soup of {seed}")
 
 
-def test_the_result_does_not_depend_on_the_capacity():
-    clip, _ = soup(np.random.default_rng(11), COUNT, RESOLUTION)
-    planned = plan(*filled(clip, FACES), RESOLUTION)
-    assert planned.grown_to(room()) == room()
-    left_out = rasterize(*filled(clip, FACES), RESOLUTION)
-    for got, expected in zip((left_out.face, left_out.depth), draw(clip), strict=True):
-        np.testing.assert_array_equal(got, expected)
-
-
 # Rules
 
 
@@ -284,9 +263,7 @@ VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float
     [(1, 1), (1, 8192), *(pytest.param(more, marks=pytest.mark.exhaustive) for more in [(8192, 1), (33, 47)])],
 )
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
-    large = Capacity(clipped=1, large=8, candidates=4096, blocks=4096)
-    capacity = Capacity(windows=(0, 0, 0, 0, 1)) if resolution == (1, 1) else large
-    face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution, capacity)
+    face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution)
     assert face.shape == resolution
     assert (face == 0).all()
     np.testing.assert_array_equal(depth, 0.5)
@@ -298,33 +275,35 @@ def test_nothing_is_seen_where_no_face_is():
     np.testing.assert_array_equal(depth, 1)
 
 
-# Capacity
+# However many triangles
 
 
-def capacity_cases():
-    """A triangle that needs room of one kind: the kind's name, and the corners in pixels and their `w`."""
-    yield "large", [[0, 0], [40, 0], [0, 40]], [1, 1, 1]
-    # Away from the corner behind the eye, it reaches to infinity.
-    yield "clipped", [[20, 20], [40, 20], [30, 5]], [1, 1, -1]
+def test_many_triangles_of_every_size_are_drawn_as_few_are():
+    """So many that every loop runs several times: small ones, large ones, and those that are clipped."""
+    times = MOST_FACES // COUNT // 3
+    for seed in (11, 12):
+        clip, _ = soup(np.random.default_rng(seed), COUNT, RESOLUTION)
+        face, depth = draw(np.tile(clip, (times, 1)), np.arange(3 * COUNT * times).reshape(-1, 3))
+        few, expected = draw(clip)
+        # Of equal depths, the first counts.
+        np.testing.assert_array_equal(face, few)
+        np.testing.assert_array_equal(depth, expected)
 
 
-@pytest.mark.parametrize(("name", "corners", "w"), list(capacity_cases()))
-def test_a_capacity_that_is_too_small_is_named(name, corners, w):
-    triangle = lambda corners, w: filled(from_window(np.array(corners), np.full(3, 0.5), np.array(w), RESOLUTION), ONE)
-    scene = triangle(corners, w)
-    needed = plan(*scene, RESOLUTION)
-    assert getattr(needed, name) > 0
-    assert np.any(np.asarray(rasterize(*scene, RESOLUTION, capacity=needed.grown_to(room())).face) == 0)
-    with pytest.raises(Exception, match="capacity") as caught:
-        rasterize(*scene, RESOLUTION, capacity=Capacity()).face.block_until_ready()
-    assert f"capacity.{name} of 0 is too small" in str(caught.value)
-    # A caller that reads it as data gets no error, and knows.
-    overflows = []
-    rasterize(*scene, RESOLUTION, capacity=Capacity(), overflows=overflows)
-    # That of a triangle that has no pixel.
-    rasterize(*triangle([[1, 1], [1.1, 1], [1, 1.1]], [1, 1, 1]), RESOLUTION, capacity=Capacity(), overflows=overflows)
-    assert list(map(bool, overflows)) == [True, False]
-    assert "plan(" in str(caught.value)
+def test_meshes_of_like_size_share_a_program():
+    compiled = []
+    listener = lambda event, _, **about: compiled.append(about.get("fun_name")) if "backend_compile" in event else None
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    try:
+        for n in (5, 7, 11):
+            corners = np.indices((n, n)).reshape(2, -1).T / (n - 1.0) * [40, 30]
+            clip = from_window(corners, np.full(n * n, 0.5), np.ones(n * n), (21, 33))
+            cell = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1, 1)
+            faces = np.concatenate([cell + np.array([0, n, 1]), cell + np.array([n, n + 1, 1])])
+            assert np.all(np.asarray(rasterize(jnp.asarray(clip), jnp.asarray(faces), (21, 33)).face) >= 0)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listener)
+    assert sum("_rasterize" in str(name) for name in compiled) == 1
 
 
 ONE = np.array([[0, 1, 2]])
@@ -337,101 +316,18 @@ def window_triangles(*sides):
     return filled(clip, np.arange(len(corners)).reshape(-1, 3))
 
 
-TWO_OF_EACH = Capacity(windows=(2,) * 5)
-
-
-def test_a_size_class_that_is_too_small_is_named():
-    sides = [2, 4, 8, 16, 32]
-    drawn = lambda *sides: rasterize(*window_triangles(*sides), RESOLUTION, capacity=TWO_OF_EACH).face
-    assert set(np.unique(drawn(*sides))) == {NO_FACE, 0, 1, 2, 3, 4}
-    for k, side in enumerate(sides):
-        others = sides[:k] + sides[k + 1 :]
-        drawn(side, side, *others).block_until_ready()
-        with pytest.raises(Exception, match=rf"windows\[{k}\] \({side} x {side} pixels\) of 2 is too small"):
-            drawn(side, side, side, *others).block_until_ready()
-
-
-def test_few_triangles_share_the_windows_of_larger_ones():
-    scene = window_triangles(2, 2, 8, 32)
-    shared = plan(*scene, RESOLUTION)
-    assert shared == Capacity(windows=(0, 0, 0, 0, 256))
-    # As many as are quicker to draw together than to compile apart.
-    assert plan(*window_triangles(*[2] * 64, 32), RESOLUTION) == shared
-    assert plan(*window_triangles(*[2] * 65, 32), RESOLUTION) == Capacity(windows=(256, 0, 0, 0, 256))
-    apart, together = (rasterize(*scene, RESOLUTION, capacity=capacity) for capacity in (TWO_OF_EACH, shared))
-    np.testing.assert_array_equal(together.face, apart.face)
-    np.testing.assert_array_equal(together.depth, apart.depth)
-
-
-def test_every_triangle_is_counted_however_many_come_before_it():
-    clip, faces = window_triangles(*[2] * 300, 32)
-    hidden = jnp.zeros((40_000, 3), jnp.int32)
-    for behind in (jnp.concatenate([hidden, faces]), jnp.concatenate([faces, hidden])):
-        assert plan(clip, behind, RESOLUTION) == plan(clip, faces, RESOLUTION)
-
-
-def test_capacities_are_rounded_up_to_few_sizes():
-    triangles = {n: plan(*window_triangles(*[32] * n), RESOLUTION).windows[-1] for n in (1, 256, 257)}
-    assert triangles == {1: 256, 256: 256, 257: 4096}
-
-
-def test_too_few_blocks_are_named_also_under_jit():
-    faces = jnp.asarray(ONE)
-    needed = plan(*filled(VIEW_FILLING, ONE), RESOLUTION)
-    assert needed == Capacity(large=256, candidates=256, blocks=256)
-    # There are 2 x 3 of them.
-    for named, short in (
-        ("blocks of 4", needed._replace(blocks=4)),
-        ("blocks of 0", needed._replace(blocks=0)),
-        ("candidates of 4", needed._replace(candidates=4, blocks=0)),
-    ):
-        with pytest.raises(Exception, match=f"{named} is too small"):
-            jax.jit(lambda c, short=short: rasterize(c, faces, RESOLUTION, capacity=short).depth)(VIEW_FILLING)
-
-
-def test_a_capacity_must_be_given_under_a_trace():
-    clip, faces = jnp.zeros((3, 4)), jnp.array([[0, 1, 2]])
-    with pytest.raises(ValueError, match=r"inside jax\.jit .* without a capacity; .* call plan"):
-        jax.jit(lambda c: rasterize(c, faces, (4, 4)))(clip)
-    with pytest.raises(ValueError, match="without a capacity"):
-        jax.vmap(lambda c: rasterize(c, faces, (4, 4)))(clip[None])
-
-
-def test_capacities_grow_to_hold_either_scene():
-    a = Capacity(clipped=4, windows=(0, 8, 0, 2, 1))
-    b = Capacity(windows=(2, 4, 0, 4, 1), large=8, candidates=128, blocks=64)
-    # Small triangles of the first stand among its 8 of up to 4 pixels: all of them may be as small as that.
-    both = Capacity(clipped=4, windows=(8, 8, 0, 4, 1), large=8, candidates=128, blocks=64)
-    assert a.grown_to(b) == b.grown_to(a) == both
-    assert a.grown_to(a) == a
-
-
-@pytest.mark.exhaustive
-def test_a_plan_holds_what_it_was_made_for_in_powers_of_two():
-    clip, _ = soup(np.random.default_rng(13), COUNT, RESOLUTION)
-    planned = plan(*filled(clip, FACES), RESOLUTION)
-    for n in jax.tree.leaves(tuple(planned)):
-        assert n == 0 or n & (n - 1) == 0
-    assert planned.clipped > 0
-    assert planned.large > 0
-    culled = plan(*filled(clip, FACES), RESOLUTION, cull="back")
-    assert planned.grown_to(culled) == planned
-    # Of triangles turned to the eye.
-    assert plan(*window_triangles(8), RESOLUTION, cull="front") == Capacity()
-
-
 def test_a_drawing_carries_no_gradient():
     clip, faces = window_triangles(8, 16)
-    depth = lambda c: jnp.sum(rasterize(c, faces, RESOLUTION, capacity=Capacity(windows=(0, 0, 0, 0, 2))).depth)
+    depth = lambda c: jnp.sum(rasterize(c, faces, RESOLUTION).depth)
     np.testing.assert_array_equal(jax.grad(depth)(clip), 0)
 
 
 @pytest.mark.exhaustive
 def test_a_batch_is_drawn_one_by_one():
     clips = np.stack([soup(np.random.default_rng(k), COUNT, RESOLUTION)[0] for k in range(3)])
-    batch = rasterize(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION, capacity=room())
-    mapped = jax.vmap(lambda c: rasterize(c, jnp.asarray(FACES), RESOLUTION, capacity=room()).face)(jnp.asarray(clips))
-    depth = rasterize_depth(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION, capacity=room())
+    batch = rasterize(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION)
+    mapped = jax.vmap(lambda c: rasterize(c, jnp.asarray(FACES), RESOLUTION).face)(jnp.asarray(clips))
+    depth = rasterize_depth(jnp.asarray(clips), jnp.asarray(FACES), RESOLUTION)
     for k, clip in enumerate(clips):
         face, expected_depth = draw(clip)
         np.testing.assert_array_equal(batch.face[k], face)

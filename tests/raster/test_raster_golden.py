@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from golden_cases import GoldenCase, golden_case, golden_names
 
-from diffshadow.raster import Capacity, DepthTest, Fragments, rasterize
+from diffshadow.raster import DepthTest, Fragments, rasterize
 
 CASES = [golden_case(name) for name in golden_names()]
 FORMATS = ("float32", "unorm24")
@@ -20,12 +20,6 @@ ULPS = 8 * np.finfo(np.float32).eps
 
 # What every scene is filled up to, so that one compilation serves all of one resolution, culling and depth test.
 FACES = 1280
-
-
-# Room for every scene: as many triangles of any kind as a scene has, and all blocks of twenty whole images. Windows of
-# every size where most is drawn, and of one, which takes less time to compile, elsewhere.
-MANY = Capacity(clipped=128, windows=(1024,) * 5, large=1024, candidates=4096, blocks=4096)
-ONE_SIZE = MANY._replace(windows=(0, 0, 0, 0, 1280))
 
 
 @functools.cache
@@ -43,7 +37,6 @@ def draw(name: str, depth_format: str) -> Fragments:
         cull=case.cull,
         depth_test=DepthTest(depth_format, "less" if case.depth_function == "<" else "less_equal"),
         polygon_offset=np.float32(case.offset),
-        capacity=MANY if is_usual(case) and depth_format == "float32" else ONE_SIZE,
     )
 
 

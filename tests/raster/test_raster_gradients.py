@@ -23,7 +23,7 @@ from diffshadow.geometry import (
     library_mesh,
     merge,
 )
-from diffshadow.raster import Capacity, barycentrics, draw_surface, interpolate, interpolate_depth, rasterize
+from diffshadow.raster import barycentrics, draw_surface, interpolate, interpolate_depth, rasterize
 from diffshadow.raster._interpolate import by_bands
 
 RESOLUTION = (24, 32)
@@ -72,23 +72,17 @@ def positions_by_bands(face, mesh, pixels):
 
 @pytest.mark.parametrize("pixels", [3 * 32, 32, 1])
 def test_bands_of_rows_make_the_whole_image(pixels):
-    capacity = Capacity(windows=(0, 0, 0, 0, 512))
-    face = rasterize(CAMERA.view().clip(MESH.vertices), MESH.faces, RESOLUTION, capacity=capacity).face
+    face = rasterize(CAMERA.view().clip(MESH.vertices), MESH.faces, RESOLUTION).face
     whole, banded = positions_by_bands(face, MESH, face.size), positions_by_bands(face, MESH, pixels)
     assert np.abs(np.asarray(whole[0])).max() > 0.5
     for expected, found in zip(whole, banded, strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
-# Nothing at this resolution is too large for a window.
-UNCLIPPED = Capacity(windows=(0, 0, 0, 0, 512))
-ROOM = UNCLIPPED._replace(clipped=64)
-
-
 @jax.jit
 def seen_from(clip, vertices, faces):
     """What is seen (h, w), and there the barycentrics, the vertices' place and depth."""
-    face = rasterize(clip, faces, RESOLUTION, capacity=ROOM).face
+    face = rasterize(clip, faces, RESOLUTION).face
     at = barycentrics(face, clip, faces)
     return face, at, interpolate(at, vertices, faces), interpolate_depth(at, clip, faces)
 
@@ -264,7 +258,7 @@ def maps(case, parameter):
     """What is seen (h, w), and depth and position there (h, w, 4), as functions of the parameter; all redrawn."""
     view, vertices = case.view_and_vertices(parameter)
     clip = view.clip(vertices)
-    face = rasterize(clip, MESH.faces, RESOLUTION, capacity=UNCLIPPED).face
+    face = rasterize(clip, MESH.faces, RESOLUTION).face
     at = barycentrics(face, clip, MESH.faces)
     position = interpolate(at, jnp.asarray(vertices, clip.dtype), MESH.faces)
     return jnp.concatenate([interpolate_depth(at, clip, MESH.faces)[..., None], position], axis=-1), face
@@ -328,7 +322,6 @@ def test_reverse_mode_equals_forward_mode(case):
 
 
 SPHERE = library_mesh("sphere", radius=0.5, subdivisions=4)
-SURFACE_ROOM = Capacity(windows=(0, 0, 0, 0, 8192))
 
 
 @pytest.mark.parametrize("resolution", [RESOLUTION])
@@ -341,7 +334,7 @@ def test_the_surface_of_a_plane_lies_on_it_and_faces_the_camera(resolution):
     mesh = Mesh(vertices, faces, normals)
     for eye in ((1.9, 1.6, 2.2), (1.9, -1.6, 2.2)):
         camera = PinholeCamera(eye, (0.0, 0.0, 0.0), near=0.5, far=8.0, resolution=resolution)
-        surface = draw_surface(mesh, camera, capacity=SURFACE_ROOM)
+        surface = draw_surface(mesh, camera)
         seen = np.asarray(surface.mask)
         np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
         assert seen.sum() > 100
@@ -364,7 +357,7 @@ def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
     centre = np.array([0, radius, 0])
     view = {"height": 1.2} if camera_type is OrthographicCamera else {"fov_y": 35.0}
     camera = camera_type(eye, centre, near=0.2, far=6.0, resolution=RESOLUTION, **view)
-    surface = draw_surface(SPHERE, camera, cull="back", capacity=SURFACE_ROOM)
+    surface = draw_surface(SPHERE, camera, cull="back")
     seen = np.asarray(surface.mask)
     np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
     assert seen.sum() > 150
@@ -387,7 +380,7 @@ def test_a_surface_carries_gradients_of_its_vertices():
     @jax.grad
     def gradient(vertices):
         mesh = eqx.tree_at(lambda m: m.vertices, MESH, vertices)
-        return jnp.sum(draw_surface(mesh, CAMERA, capacity=UNCLIPPED).position[..., 1])
+        return jnp.sum(draw_surface(mesh, CAMERA).position[..., 1])
 
     found = np.asarray(gradient(MESH.vertices))
     assert np.isfinite(found).all()

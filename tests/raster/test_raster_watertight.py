@@ -10,20 +10,18 @@ from hypothesis import strategies as st
 from triangle_soups import from_window
 
 from diffshadow.geometry import PinholeCamera, library_mesh
-from diffshadow.raster import Capacity, rasterize
+from diffshadow.raster import rasterize
 
 RESOLUTION = (32, 48)
 COLUMNS, ROWS = 7, 5
 
 
-# Room for one face of any size, which clipping may cut into seven.
-ROOM = Capacity(clipped=1, windows=(0, 0, 0, 0, 8), large=8, candidates=64, blocks=64)
 MOST_FACES, MOST_VERTICES = 80, 49
 
 
 @jax.jit
 def _coverage(clip, faces):
-    hits = jax.vmap(lambda face: rasterize(clip, face[None], RESOLUTION, capacity=ROOM).face == 0)(faces)
+    hits = jax.lax.map(lambda face: rasterize(clip, face[None], RESOLUTION).face == 0, faces)
     return jnp.sum(hits, axis=0)
 
 
@@ -128,10 +126,9 @@ def test_both_halves_of_a_fine_mesh_cover_what_the_whole_covers():
     mesh = library_mesh("torus", segments=48, sides=24)
     camera = PinholeCamera((0.7, 0.6, 0.8), (0.0, 0.1, 0.0), near=0.05, far=4.0)
     clip, resolution, whole = _clip(camera, np.asarray(mesh.vertices)), (64, 64), np.asarray(mesh.faces)
-    room = Capacity(windows=(0, 0, 0, 0, 4096))
     first = np.arange(len(whole)) % 2 == 0
     halves = [np.where(side[:, None], whole, 0) for side in (first, ~first)]
-    draw = lambda faces: rasterize(clip, jnp.asarray(faces), resolution, cull="back", capacity=room).face
+    draw = lambda faces: rasterize(clip, jnp.asarray(faces), resolution, cull="back").face
     seen = [np.asarray(draw(faces)) >= 0 for faces in (*halves, whole)]
     np.testing.assert_array_equal(seen[0] | seen[1], seen[2])
     assert np.sum(seen[2]) > 500

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scenes import (
     LIGHTS,
-    ROOM,
     apply,
     floor_and_card,
     floor_camera,
@@ -31,7 +30,6 @@ from diffshadow.shadow import (
     Bias,
     FourTap,
     HardCompare,
-    MapCapacity,
     Nearest,
     PercentageCloser,
     RandomDisk,
@@ -89,7 +87,7 @@ def least_bias(make_bias, angle, azimuth):
     """The least value, in texels, that leaves no false shadow on a tilted plane lit along -z."""
     light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -12, 12)
     surface = points_of_plane(angle, azimuth)
-    shadow_map = draw_shadow_map(tilted_plane(angle, azimuth), light, (TEXELS, TEXELS), capacity=MapCapacity(ROOM))
+    shadow_map = draw_shadow_map(tilted_plane(angle, azimuth), light, (TEXELS, TEXELS))
     low, high = 0.0, 8.0
     for _ in range(14):
         middle = (low + high) / 2
@@ -136,10 +134,8 @@ def lit_plane(angle, azimuth, light, depth_format="float32"):
     camera = OrthographicCamera(
         4 * TURNED[:, 2], (0, 0, 0), tuple(TURNED[:, 1]), height=1.9, near=-12.0, far=20.0, resolution=(64, 64)
     )
-    shadow_map = draw_shadow_map(
-        mesh, OVERHEAD[light](), (64, 64), depth_format=depth_format, capacity=MapCapacity(ROOM)
-    )
-    return shadow_map, draw_surface(mesh, camera, capacity=ROOM)
+    shadow_map = draw_shadow_map(mesh, OVERHEAD[light](), (64, 64), depth_format=depth_format)
+    return shadow_map, draw_surface(mesh, camera)
 
 
 KERNELS = {
@@ -258,9 +254,9 @@ def texels_of(light, points, resolution):
 def test_shadow_of_a_square_lies_where_geometry_says(name):
     mesh = floor_and_card(0.5, height=1.0)
     light = LIGHTS[name](mesh)
-    surface = draw_surface(mesh, floor_camera(1.5, (64, 64)), capacity=ROOM)
+    surface = draw_surface(mesh, floor_camera(1.5, (64, 64)))
     resolution = (64, 64)
-    shadow_map = draw_shadow_map(mesh, light, resolution, capacity=MapCapacity(ROOM))
+    shadow_map = draw_shadow_map(mesh, light, resolution)
     visibility = np.asarray(shadows(technique(Nearest(), constant=1.0, slope=1.0), shadow_map, surface))
 
     # Where each ray to the light pierces the card's plane, by similar triangles.
@@ -309,8 +305,8 @@ def test_hard_map_agrees_with_rays_away_from_outlines(light):
     mesh = merge([quad((0, 0, 0), (2.2, 0, 0), (0, 0, -2.2)), box])
     scene = Scene(mesh, side_camera((64, 64)), LIGHTS[light](mesh))
     reference = trace_visibility(scene)
-    surface = draw_surface(mesh, scene.camera, capacity=ROOM)
-    shadow_map = draw_shadow_map(mesh, scene.light, (64, 64), capacity=MapCapacity(ROOM))
+    surface = draw_surface(mesh, scene.camera)
+    shadow_map = draw_shadow_map(mesh, scene.light, (64, 64))
     nearest = np.asarray(shadows(technique(Nearest(), constant=0.5, slope=0.9), shadow_map, surface))
     mask = np.asarray(surface.mask) & reference.mask
     # A texel is about as wide as three pixels: what is lit like all around it lies a texel from every outline.
@@ -336,8 +332,8 @@ def test_a_plane_cut_off_at_the_receivers_depth_lights_the_foot_of_a_steep_wall(
     mesh = merge([floor, wall])
     light = DirectionalLight((0, -1, 0), (0, 0, 0.4), (2, 2), -3, 3)
     camera = OrthographicCamera((0, 1, 5), (0, 1, 0), height=1.9, near=0.1, far=9.0, resolution=(64, 64))
-    surface = draw_surface(mesh, camera, capacity=ROOM)
-    shadow_map = draw_shadow_map(mesh, light, (64, 64), capacity=MapCapacity(ROOM))
+    surface = draw_surface(mesh, camera)
+    shadow_map = draw_shadow_map(mesh, light, (64, 64))
     seen = lambda bias: np.asarray(shadows(ShadowMapping(FourTap(3.0), bias), shadow_map, surface))
     height = np.asarray(surface.position)[..., 1]
     # A texel holds 0.3 of the wall's height; the taps of its lower three reach over the floor.
@@ -370,8 +366,8 @@ def test_visibility_does_not_change_with_scale_or_rigid_motion(light, case):
     mapping = ShadowMapping(*INVARIANT[case])
 
     def seen(scene):
-        surface = draw_surface(scene.mesh, scene.camera, capacity=ROOM)
-        shadow_map = draw_shadow_map(scene.mesh, scene.light, (64, 64), capacity=MapCapacity(ROOM))
+        surface = draw_surface(scene.mesh, scene.camera)
+        shadow_map = draw_shadow_map(scene.mesh, scene.light, (64, 64))
         return np.asarray(shadows(mapping, shadow_map, surface))
 
     before = seen(scene)

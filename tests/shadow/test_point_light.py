@@ -11,11 +11,10 @@ from scenes import quad, shadows, surface_at, technique
 from scipy import ndimage
 
 from diffshadow.geometry import Mesh, PinholeCamera, PointLight, Scene, SpotLight, library_mesh, merge
-from diffshadow.raster import Capacity, Surface, draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bilinear,
-    MapCapacity,
     Nearest,
     PercentageCloser,
     RandomDisk,
@@ -27,7 +26,6 @@ from diffshadow.shadow import (
 AXES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
 PLACE = (0.3, -0.2, 0.1)
 # Room for any of these scenes, so that those of one size share one compiled rasterizer.
-CAPACITY = Capacity(clipped=16, windows=(0, 0, 0, 0, 128), large=32, candidates=1024, blocks=1024)
 
 
 def directions(n=500):
@@ -74,7 +72,7 @@ def draw(mesh, light, texels=128) -> ShadowMap:
     vertices, faces = 32 - len(mesh.vertices), 48 - len(mesh.faces)
     pad = lambda values, n: np.pad(np.asarray(values), [(0, n), (0, 0)])
     full = Mesh(pad(mesh.vertices, vertices), pad(mesh.faces, faces), np.zeros((48, 3, 3)))
-    return draw_shadow_map(full, light, (texels, texels), capacity=MapCapacity(CAPACITY))
+    return draw_shadow_map(full, light, (texels, texels))
 
 
 # --- Faces ---
@@ -212,7 +210,7 @@ def room() -> Scene:
 
 @pytest.fixture(scope="module")
 def room_images(room):
-    surface = draw_surface(room.mesh, room.camera, capacity=CAPACITY)
+    surface = draw_surface(room.mesh, room.camera)
     assert np.asarray(surface.mask).all()
     # Every other pixel is enough.
     surface = jax.tree.map(lambda values: jnp.asarray(np.asarray(values)[::2, ::2]), surface)

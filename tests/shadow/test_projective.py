@@ -10,7 +10,7 @@ import pytest
 from scenes import floor_surface, quad, side_camera
 
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, SpotLight
-from diffshadow.raster import Capacity, draw_surface
+from diffshadow.raster import draw_surface
 from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture
 
 DOWN = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -3, 3)
@@ -22,7 +22,6 @@ CARD = quad((0, 1, 0), (HALF, 0, 0), (0, 0, -HALF))
 FLOOR = quad((0, 0, 0), (1.5, 0, 0), (0, 0, -1.5))
 CAMERA = OrthographicCamera((0, 2, 0), (0, 0, 0), (0, 0, -1), height=3.0)
 # All textures and images are of one size, and all can be blurred as far, so that they share what is compiled.
-ROOM = Capacity(windows=(0, 0, 0, 0, 16), large=16, candidates=1024, blocks=1024)
 MOST_BLUR = 10.0
 
 
@@ -42,7 +41,7 @@ def scene_of(light):
 
 def texture_of(light=DOWN, blur=0.0, kernel="box"):
     technique = ProjectiveShadow((TEXELS, TEXELS), blur, max_blur=MOST_BLUR, kernel=kernel)
-    return technique.prepare(scene_of(light), capacity=ROOM)
+    return technique.prepare(scene_of(light))
 
 
 def project(floor, blur=0.0, light=DOWN, **options):
@@ -89,9 +88,9 @@ def test_shadow_grows_with_the_distance_from_a_spot_light(floor):
 def test_casters_are_lit_and_surfaces_turned_away_are_dark():
     below = quad((0, 0.5, 0), (0.2, 0, 0), (0, 0, 0.2))
     scene = Scene([FLOOR, CARD, below], side_camera((TEXELS, TEXELS)), DOWN, casts=(False, True, True))
-    surface = draw_surface(scene.mesh, scene.camera, capacity=ROOM)
+    surface = draw_surface(scene.mesh, scene.camera)
     technique = ProjectiveShadow((TEXELS, TEXELS), max_blur=MOST_BLUR)
-    shadows = lambda scene: np.asarray(technique.visibility(technique.prepare(scene, capacity=ROOM), surface))
+    shadows = lambda scene: np.asarray(technique.visibility(technique.prepare(scene), surface))
     visibility = shadows(scene)
     face = np.asarray(surface.face)
     # The small card hangs in the shadow of the large one, and is a caster itself.
@@ -141,9 +140,8 @@ def _compiled():
     surface = floor_surface(1.5, (24, 24))
 
     def sums(at):
-        room = Capacity(windows=(0, 0, 0, 0, 16))
         technique = ProjectiveShadow((32, 32), at[0], max_blur=6.0)
-        texture = technique.prepare(scene_of(DOWN), capacity=room)
+        texture = technique.prepare(scene_of(DOWN))
         moved = eqx.tree_at(lambda s: s.position, surface, surface.position + at[1] * jnp.array([1.0, 0, 0.3]))
         visibility = technique.visibility(texture, moved)
         return jnp.stack([jnp.mean(visibility**2), jnp.mean(jnp.arange(24.0) * visibility)])
@@ -186,7 +184,7 @@ def test_impossible_blurs_are_refused(options, message):
 
 
 def test_texture_knows_its_resolution():
-    prepare = lambda: ProjectiveShadow((8, 16), 2.0).prepare(scene_of(DOWN), capacity=ROOM)
+    prepare = lambda: ProjectiveShadow((8, 16), 2.0).prepare(scene_of(DOWN))
     texture = jax.eval_shape(prepare)
     assert isinstance(texture, ProjectiveTexture)
     assert texture.resolution == (8, 16)

@@ -22,12 +22,11 @@ from scenes import (
 )
 
 from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
-from diffshadow.raster import Capacity, draw_surface
+from diffshadow.raster import draw_surface
 from diffshadow.shadow import (
     Bias,
     Bilinear,
     ConstantBias,
-    MapCapacity,
     Nearest,
     ShadowMap,
     draw_shadow_map,
@@ -38,7 +37,6 @@ from diffshadow.shadow import (
 # A map and an image of one size, and meshes filled up to one number of faces, share what is compiled. Nothing in an
 # image of this size is too large for a window.
 SIZE = (32, 32)
-ROOM = Capacity(windows=(0, 0, 0, 0, 2048))
 
 
 def of_size(mesh, vertices=700, faces=1300):
@@ -51,7 +49,7 @@ def of_size(mesh, vertices=700, faces=1300):
 
 
 def drawn_map(mesh, light, **options):
-    return draw_shadow_map(of_size(mesh), light, SIZE, capacity=MapCapacity(ROOM), **options)
+    return draw_shadow_map(of_size(mesh), light, SIZE, **options)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -98,7 +96,7 @@ def test_culling_leaves_out_the_faces_named():
     assert (no_front == 1).all()
 
 
-def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated():
+def test_the_map_is_drawn_under_a_trace_and_differentiated():
     mesh = floor_and_card()
     light = sun(mesh)
 
@@ -106,7 +104,7 @@ def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated
     def depth_and_slope(lift):
         def depth_with(lift):
             raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices + jnp.array([0.0, 1.0, 0.0]) * lift)
-            return draw_shadow_map(raised, light, SIZE, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 4)))).depth
+            return draw_shadow_map(raised, light, SIZE).depth
 
         return jax.jvp(depth_with, (lift,), (jnp.ones(()),))
 
@@ -116,10 +114,9 @@ def test_a_given_capacity_lets_the_map_be_drawn_under_a_trace_and_differentiated
     direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
     expected = -1 / abs(direction[1]) / float(light.far - light.near)
     np.testing.assert_allclose(slope[value < 1], expected, rtol=1e-4)
-    with pytest.raises(ValueError, match="without a capacity"):
-        jax.jit(lambda v: draw_shadow_map(eqx.tree_at(lambda m: m.vertices, mesh, v), light, (8, 8)).depth)(
-            mesh.vertices
-        )
+    edges = Edges.of(mesh)
+    with pytest.raises(ValueError, match=r"without crossings.*plan_crossings"):
+        jax.jit(lambda light: draw_shadow_map(mesh, light, (8, 8), edges=edges).depth)(light)
 
 
 LAYERS = ("nearest", "midpoint", "second")
@@ -161,9 +158,7 @@ def test_layers_of_a_map_are_differentiable(layer):
     def depth_and_slope(stretch):
         def depth_with(stretch):
             raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
-            return draw_shadow_map(
-                raised, NOON, SIZE, depth_layer=layer, capacity=MapCapacity(Capacity(windows=(0, 0, 0, 0, 16)))
-            ).depth
+            return draw_shadow_map(raised, NOON, SIZE, depth_layer=layer).depth
 
         return jax.jvp(depth_with, (stretch,), (jnp.ones(()),))
 
@@ -199,7 +194,7 @@ def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side
     ball = library_mesh("sphere", radius=0.5, subdivisions=3)
     light = DirectionalLight((0.3, -1, -0.2), (0, 0.5, 0), (1.2, 1.2), -1, 1)
     camera = OrthographicCamera((-1.0, 2.5, 1.0), (0, 0.5, 0), height=1.2, near=0.1, far=6.0, resolution=SIZE)
-    surface = draw_surface(of_size(ball), camera, capacity=ROOM)
+    surface = draw_surface(of_size(ball), camera)
     mapping = technique(Nearest())
     plain = drawn_map(ball, light)
     cosine = np.asarray(_received(plain, surface)[0].cosine)

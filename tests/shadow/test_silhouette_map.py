@@ -24,7 +24,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.io import load_mesh
-from diffshadow.raster import Capacity, Surface
+from diffshadow.raster import Surface
 from diffshadow.shadow import (
     Bias,
     Bilinear,
@@ -32,7 +32,6 @@ from diffshadow.shadow import (
     ConstantBias,
     FourTap,
     HardCompare,
-    MapCapacity,
     Nearest,
     PercentageCloser,
     PercentageCloserSoft,
@@ -42,7 +41,7 @@ from diffshadow.shadow import (
     Tent,
     VarianceShadowMap,
     draw_shadow_map,
-    plan_shadow_map,
+    plan_crossings,
     stratified,
 )
 from diffshadow.shadow._map import _about_corners
@@ -52,7 +51,7 @@ from diffshadow.shadow.silhouettes._padded import Pyramid
 # What every mesh of the usual run is filled up to, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
 # Room for any of them; a silhouette map is told apart from a full one by twenty squares.
-TRIANGLES, SILHOUETTES = Capacity(windows=(0, 0, 0, 0, 2304)), 512
+CROSSINGS = 512
 POINTS = 160
 """A side of the square array of points that receive shadows."""
 UP = (0, 1, 0)
@@ -140,7 +139,7 @@ _visibility = eqx.filter_jit(lambda technique, shadow_map, surface: technique.vi
 
 @eqx.filter_jit
 def _draw(mesh: Mesh, edges: Edges, light):
-    """The map of a mesh of `SIZES`, of 48 texels; a point light's, and whether its room is too small, of 96."""
+    """The map of a mesh of `SIZES`, of 48 texels; a point light's, and whether silhouettes are missing, of 96."""
     texels = 2 * TEXELS if isinstance(light, PointLight) else TEXELS
     overflows = [] if isinstance(light, PointLight) else None
     shadow_map = draw_shadow_map(
@@ -148,7 +147,7 @@ def _draw(mesh: Mesh, edges: Edges, light):
         light,
         (texels, texels),
         edges=edges,
-        capacity=MapCapacity(TRIANGLES, SILHOUETTES),
+        crossings=CROSSINGS,
         overflows=overflows,
     )
     return shadow_map if overflows is None else (shadow_map, overflows)
@@ -163,7 +162,7 @@ ROWS = 512
 
 
 @eqx.filter_jit
-def _follow(make, mesh: Mesh, edges: Edges, resolution: int, room, by, surface: Surface):
+def _follow(make, mesh: Mesh, edges: Edges, resolution: int, crossings: int, by, surface: Surface):
     """Visibility of points (h, w), and its derivative (h, w, p) by the light's pose and the caster's place."""
 
     def lit(by):
@@ -172,7 +171,7 @@ def _follow(make, mesh: Mesh, edges: Edges, resolution: int, room, by, surface: 
             make(by),
             (resolution, resolution),
             edges=edges,
-            capacity=room,
+            crossings=crossings,
         )
         return _technique(Bilinear()).visibility(shadow_map, surface)
 
@@ -207,7 +206,7 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
     edges = Edges.of(mesh)
     if len(mesh.faces) <= SIZES[1]:
         mesh, edges = filled(mesh, edges, *SIZES)
-    room = plan_shadow_map(mesh, make(start), (resolution, resolution), edges=edges)
+    crossings = plan_crossings(mesh, make(start), (resolution, resolution), edges)
     # Texels of a point light are twice as wide as any other's.
     width = (2.2 if light == "point" else 1.1) * 2 * PLACE[1] * np.tan(np.radians(CONE)) / resolution
     near, lit = _near_outlines(mesh, towards(np.zeros(parameters)), points, 4 * width)
@@ -217,7 +216,7 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
     for first in range(0, len(chosen), ROWS * 256):
         part = chosen[first : first + ROWS * 256]
         surface = surface_at(points[np.resize(part, (ROWS, 256))], UP)
-        slope, value = _follow(make, mesh, edges, resolution, room, start, surface)
+        slope, value = _follow(make, mesh, edges, resolution, crossings, start, surface)
         values += np.asarray(value).ravel()[: len(part)].sum()
         slopes += np.asarray(slope).reshape(-1, parameters + 3)[: len(part)].sum(axis=0)
 
@@ -316,7 +315,7 @@ def test_a_vertex_moves_the_shadow_of_a_square(light, float64):
     mesh, none = square(jnp.asarray(SQUARE)), jnp.zeros(parameters)
     edges, box = Edges.of(mesh), (-0.8, 0.5, -0.4, 0.7)
     surface, resolution = surface_at(_spread(192 * 192, box).reshape(192, 192, 3), UP), (128, 128)
-    room = plan_shadow_map(mesh, make(none), resolution, edges=edges)
+    crossings = plan_crossings(mesh, make(none), resolution, edges)
     technique, size = _technique(PercentageCloser(1.5)), (box[1] - box[0]) * (box[3] - box[2])
 
     def ours(v):
@@ -325,7 +324,7 @@ def test_a_vertex_moves_the_shadow_of_a_square(light, float64):
             make(none),
             resolution,
             edges=edges,
-            capacity=room,
+            crossings=crossings,
         )
         return size * jnp.mean(technique.visibility(shadow_map, surface))
 
@@ -371,10 +370,10 @@ def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light(float64)
     texel = 2 * 4 * np.tan(np.radians(CONE)) / resolution
     most = height / (4 - height) / texel
     torus, edges = _of_size(_caster("torus", **CASTERS["torus"]))
-    room = plan_shadow_map(torus, _spot(jnp.zeros(8)), (resolution, resolution), edges=edges)
+    crossings = plan_crossings(torus, _spot(jnp.zeros(8)), (resolution, resolution), edges)
     mesh, edges = _of_size(mesh)
     surface = surface_at(_spread(ROWS * 256, (-0.35, 0.35, -0.2, 0.2)).reshape(ROWS, 256, 3), UP)
-    slopes, _ = _follow(_spot, mesh, edges, resolution, room, jnp.zeros(8), surface)
+    slopes, _ = _follow(_spot, mesh, edges, resolution, crossings, jnp.zeros(8), surface)
     change = np.asarray(slopes[..., 0])
     assert np.sum(np.abs(change) > 0.1 * most) > 300
     # A chord turns as its ends move, so that parts of it go a little further.
@@ -588,13 +587,13 @@ def test_no_marked_texel_within_reach_is_overlooked():
         assert reach > 1.5 or not np.asarray(found).all()
 
 
-def test_too_little_room_is_told():
-    # Twenty squares have more outline than there is room for.
+def test_too_little_memory_for_crossings_is_an_error():
+    # Twenty squares have more outline than there is memory for.
     mesh, edges = _of_size(merge([_moved(_square(), (0, 0.01 * k, 0)) for k in range(20)]))
-    with pytest.raises(Exception, match=rf"silhouette capacity of {SILHOUETTES} is too small.*plan_shadow_map"):
+    with pytest.raises(Exception, match=rf"memory for {CROSSINGS} crossings.*plan_crossings"):
         jax.block_until_ready(_draw(mesh, edges, _sun(jnp.zeros(2))))
     _, overflows = _draw(mesh, edges, _point(jnp.zeros(3)))
-    assert list(map(bool, overflows)) == [False, False, True]
+    assert list(map(bool, overflows)) == [True]
 
 
 @pytest.mark.parametrize("settings", [{"depth_layer": "second"}, {"cull": "front"}])

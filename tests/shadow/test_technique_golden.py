@@ -25,7 +25,7 @@ from golden_techniques import (
 from scenes import apply, map_of, shadows
 
 from diffshadow.geometry import DirectionalLight, Mesh, PinholeCamera, SpotLight, View
-from diffshadow.raster import Capacity, Surface, draw_surface
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.shadow import (
     AbstractFilter,
     Bias,
@@ -33,7 +33,6 @@ from diffshadow.shadow import (
     FourTap,
     HardCompare,
     Lookup,
-    MapCapacity,
     Nearest,
     Pattern,
     RandomDisk,
@@ -58,7 +57,6 @@ ROUNDING = 2e-5
 EDGE_ON = 1e-6
 """Of the cosine to the light; its sign may be either."""
 # For every view, so that maps share what is compiled, in one size of windows.
-ROOM = Capacity(windows=(0, 0, 0, 0, 1024), large=64, candidates=1024, blocks=1024)
 SCENE = golden_scene()
 FACTORS = [(light, factor) for light in golden_lights() for factor in golden_light(light).factors]
 # One compare of each map is enough for the whole column; of exact ties, both.
@@ -168,7 +166,7 @@ class Column:
             resolution=SCENE.face.shape,
             stored=view,
         )
-        self.surface = draw_surface(self.mesh, self.camera, capacity=ROOM)
+        self.surface = draw_surface(self.mesh, self.camera)
         self.lights = {name: stored_light(golden_light(name)) for name in golden_lights()}
 
     @functools.cache  # noqa: B019 (there is but one column)
@@ -183,7 +181,6 @@ class Column:
             cull=stored.cull,
             depth_format="float32" if stored.bits == 32 else "unorm24",
             polygon_offset=stored.offset,
-            capacity=MapCapacity(ROOM),
         )
 
 

@@ -13,7 +13,6 @@ from scenes import apply, drawn, floor_and_card, map_of, random_lookups, shadows
 
 from diffshadow._misc import in_unit_range
 from diffshadow.geometry import Edges
-from diffshadow.raster import Capacity
 from diffshadow.shadow import (
     Bias,
     Bilinear,
@@ -22,7 +21,6 @@ from diffshadow.shadow import (
     ExponentialVarianceShadowMap,
     FourTap,
     HardCompare,
-    MapCapacity,
     MomentShadowMap,
     PercentageCloser,
     PercentageCloserSoft,
@@ -118,8 +116,7 @@ def test_visibility_lies_in_the_unit_range_exactly(silhouettes, kernel, radius, 
 @functools.cache
 def outlined():
     mesh = floor_and_card()
-    capacity = MapCapacity(Capacity(windows=(0, 0, 0, 0, 256)), 512)
-    return draw_shadow_map(mesh, sun(mesh), MAP, edges=Edges.of(mesh), capacity=capacity)
+    return draw_shadow_map(mesh, sun(mesh), MAP, edges=Edges.of(mesh), crossings=512)
 
 
 def test_a_mean_beyond_the_range_keeps_its_derivative():

@@ -4,7 +4,6 @@ import functools
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,17 +29,15 @@ from diffshadow.geometry import (
     translation,
 )
 from diffshadow.io import load_mesh
-from diffshadow.raster import Capacity, count_fragments, plan_counts, rasterize
+from diffshadow.raster import count_fragments, rasterize
 from diffshadow.reference import trace_visibility_exact
-from diffshadow.shadow import ShadowVolumes, VolumeCapacity, VolumeScene
+from diffshadow.shadow import ShadowVolumes, VolumeScene
 
 REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 RESOLUTION = (48, 64)
 # Alike for all scenes, so that little is compiled.
 VERTICES, FACES, EDGES = 300, 600, 520
-ROOM = Capacity(clipped=1024, windows=(0, 0, 0, 0, 2048), large=1024, candidates=16384, blocks=8192)
 # Sides and caps of volumes are so many that they are filled up alike, whatever the light.
-CAPACITY = VolumeCapacity(ROOM, ROOM)
 # How far from a shadow's edge, in pixels, every count must be right.
 BAR = 1e-3
 
@@ -83,7 +80,7 @@ def found(casters, light, camera, method=Z_FAIL, receivers=None):
     vertices, faces = (0, 0) if receivers is None else (len(receivers.vertices), len(receivers.faces))
     mesh, edges = filled(casters, Edges.of(casters), VERTICES - vertices, FACES - faces, EDGES)
     state = VolumeScene(mesh, light, camera, edges, receivers)
-    return tuple(np.asarray(ask(state, capacity=CAPACITY)) for ask in (method.visibility, method.counts))
+    return tuple(np.asarray(ask(state)) for ask in (method.visibility, method.counts))
 
 
 @functools.cache
@@ -158,10 +155,9 @@ def test_real_closed_meshes_agree_with_float64_rays(file):
     assert np.asarray(edges.solid).tolist() == [True, False]
     camera = eqx.tree_at(lambda c: c.fov_y, PERSPECTIVE, jnp.asarray(25.0))
     camera = PinholeCamera(camera.eye, camera.target, fov_y=25.0, near=0.1, far=20.0, resolution=(32, 48))
-    room = Capacity(4096, (32768, 8192, 4096, 2048, 1024), 4096, 32768, 16384)
     whole, rows = filled(mesh, edges, 6600, 13000, 19500)
     state = VolumeScene(whole, LAMP, camera, rows)
-    visibility = Z_FAIL.visibility(state, capacity=VolumeCapacity(room, room))
+    visibility = Z_FAIL.visibility(state)
     expected = trace_visibility_exact(Scene(mesh, camera, LAMP), 1).visibility
     assert_right(np.asarray(visibility), expected, Truth(mesh, LAMP, camera), file)
 
@@ -286,34 +282,11 @@ def test_compiled_call_equals_the_plain_one():
 
     @eqx.filter_jit
     def compiled(mesh, light):
-        return Z_FAIL.visibility(VolumeScene(mesh, light, PERSPECTIVE, edges), capacity=CAPACITY)
+        return Z_FAIL.visibility(VolumeScene(mesh, light, PERSPECTIVE, edges))
 
     result = compiled(mesh, scene.light)
     assert result.dtype == jnp.float32
     np.testing.assert_array_equal(result, visibility)
-
-
-@pytest.mark.exhaustive
-def test_a_capacity_that_is_left_out_is_planned():
-    casters = merge([library_mesh("box"), GROUND])
-    state = Z_FAIL.prepare(Scene(casters, PERSPECTIVE, LAMP))
-    np.testing.assert_array_equal(Z_FAIL.visibility(state), found(casters, LAMP, PERSPECTIVE)[0])
-    needed = Z_FAIL.plan(state)
-    assert all(n == 0 or n & (n - 1) == 0 for n in jax.tree.leaves(needed))
-
-
-def test_a_capacity_too_small_is_named():
-    casters = merge([library_mesh("box"), GROUND])
-    mesh, edges = filled(casters, Edges.of(casters), VERTICES, FACES, EDGES)
-    short = VolumeCapacity(ROOM, Capacity())
-    with pytest.raises(Exception, match=r"capacity\.(clipped|large) of 0 is too small"):
-        Z_FAIL.counts(VolumeScene(mesh, LAMP, PERSPECTIVE, edges), capacity=short).block_until_ready()
-
-
-def test_traced_call_without_capacity_is_refused():
-    at = lambda vertices: VolumeScene(Mesh(vertices, GROUND.faces), LAMP, PERSPECTIVE, Edges.of(GROUND))
-    with pytest.raises(ValueError, match="without a capacity"):
-        jax.jit(lambda vertices: Z_FAIL.counts(at(vertices)))(GROUND.vertices)
 
 
 def test_unknown_methods_are_refused():
@@ -335,9 +308,9 @@ def test_faces_counted_against_their_own_depth_have_the_same_bits():
     faces = jnp.arange(3 * count).reshape(-1, 3)
     for seed in range(8):
         clip = jnp.asarray(soup(np.random.default_rng(seed), count, RESOLUTION)[0], jnp.float32)
-        seen = rasterize(clip, faces, RESOLUTION, capacity=ROOM)
+        seen = rasterize(clip, faces, RESOLUTION)
         powers = jnp.asarray(np.random.default_rng(seed).integers(1, 1 << 20, count), jnp.int32)
-        passing = count_fragments(clip, faces, powers, seen.depth, "pass", capacity=ROOM)
+        passing = count_fragments(clip, faces, powers, seen.depth, "pass")
         assert (passing == 0).all()
     assert (seen.face >= 0).any()
 
@@ -345,7 +318,6 @@ def test_faces_counted_against_their_own_depth_have_the_same_bits():
 # Against OpenGL
 
 STENCIL = [stencil_case(name) for name in stencil_names()]
-STENCIL_ROOM = Capacity(clipped=1024, windows=(0, 0, 0, 0, 4096), large=1024, candidates=32768, blocks=16384)
 # A difference is explained by a depth this close to that of a wall, or by an outline this near, in pixels.
 TIED, NEAR_OUTLINE = 4e-6, 1 / 256
 
@@ -364,8 +336,8 @@ def counted(stencil):
     """Whether a pixel is covered, and passing and failing counts."""
     clip, volume_faces, weights = volumes(stencil.clip, stencil.volume_faces, stencil.weights)
     faces = filled_up(stencil.faces, 600, np.int32([[1299] * 3]))
-    seen = rasterize(clip, faces, stencil.resolution, capacity=STENCIL_ROOM)
-    count = lambda when: count_fragments(clip, volume_faces, weights, seen.depth, when, capacity=STENCIL_ROOM)
+    seen = rasterize(clip, faces, stencil.resolution)
+    count = lambda when: count_fragments(clip, volume_faces, weights, seen.depth, when)
     return np.asarray(seen.face) >= 0, np.asarray(count("pass")), np.asarray(count("fail"))
 
 
@@ -380,11 +352,10 @@ def test_weights_and_windings_add_up():
         np.int32([3, 3, 5, 5, 0, 0]),
     )
     # Half as large as the image, and nearer on the left.
-    resolution, rows, left, right = (72, 96), slice(27, 45), slice(36, 48), slice(48, 60)
+    rows, left, right = slice(27, 45), slice(36, 48), slice(48, 60)
     depth = jnp.asarray(np.where(np.arange(96) < 48, np.float32(0.25), np.float32(0.75)) * np.ones((72, 1), np.float32))
-    assert plan_counts(clip, faces, weights, resolution) == Capacity(windows=(0, 0, 0, 0, 256))
     for when, expected in (("pass", ([0], [3])), ("fail", ([3 - 5], [-5]))):
-        counts = np.asarray(count_fragments(clip, faces, weights, depth, when, capacity=STENCIL_ROOM))
+        counts = np.asarray(count_fragments(clip, faces, weights, depth, when))
         assert (np.unique(counts[rows, left]).tolist(), np.unique(counts[rows, right]).tolist()) == expected
         counts = counts.copy()
         counts[rows, 36:60] = 0

@@ -2,7 +2,6 @@
 
 from ._abstract import AbstractProblem as AbstractProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
-from ._capacity import PoseCapacity as PoseCapacity
 from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import any_of as any_of

@@ -1,15 +1,13 @@
 """What a fit needs to know of a problem."""
 
 import abc
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ...raster import Overflow
-from ...shadow import ShadowMapping
+from ...shadow import Overflow, ShadowMapping
 
 
 class AbstractProblem(eqx.Module):
@@ -55,5 +53,5 @@ class AbstractProblem(eqx.Module):
         """The part of a difference that the fit makes small, such as its blur. Linear."""
 
     @abc.abstractmethod
-    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "AbstractProblem":
-        """With the capacity to draw every subject that has one row of `values` (k, p) at `paths`."""
+    def planned(self) -> "AbstractProblem":
+        """With the memory that drawing needs under a trace."""

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ...raster import Overflow
-from ...shadow import AbstractCompare, HardCompare, ShadowMapping
+from ...shadow import AbstractCompare, HardCompare, Overflow, ShadowMapping
 from .._parameters import Parameters, resolve
 from ._abstract import AbstractProblem
 
@@ -59,7 +58,7 @@ class Joint(eqx.Module):
     def losses(self, subject: Any) -> tuple[Scalar, Scalar, Overflow]:
         """The mean square of the compared part of the differences, which a fit minimises, and of all of them.
 
-        **Returns** also whether a capacity was too small to draw the images, which are then wrong.
+        **Returns** also whether silhouettes are missing from a map, and the images wrong.
         """
         overflows: list[Overflow] = []
         differences = self.differences(subject, overflows)
@@ -94,7 +93,7 @@ class Joint(eqx.Module):
 
 
 def any_of(overflows: Sequence[Overflow]) -> Overflow:
-    """Whether any capacity was too small."""
+    """Whether silhouettes are missing from any map."""
     return jnp.any(jnp.asarray(overflows, bool))
 
 

@@ -4,20 +4,17 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge, transform_points
-from ...raster import Overflow, Surface, draw_surface, plan
+from ...raster import Surface, draw_surface
 from ...reference import Reference
-from ...shadow import MapCapacity, MapSettings, ShadowMap, ShadowMapping, plan_shadow_map
+from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
-from .._parameters import with_values
 from ._abstract import AbstractProblem
 from ._blur import blurred
-from ._capacity import PoseCapacity, with_headroom
 
 # The standard deviation, in pixels of any level, of the Gaussian under which images are compared. Without it, a shadow
 # that is further off than its outline is wide has no derivative towards its place; and outlines here are as soft as the
@@ -29,8 +26,8 @@ _LAST_BLUR = 0.7
 _LEAST_BLUR = 1.0
 # By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
 _FINER_MAP = 2
-# The number of silhouettes varies less over the bounds than triangles' sizes do; it is planned at one place alone.
-_MORE_SILHOUETTES = 4
+# There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
+_MORE_CROSSINGS = 4
 
 
 class PoseProblem(AbstractProblem):
@@ -43,7 +40,7 @@ class PoseProblem(AbstractProblem):
     - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
     - `settings`: how the map is drawn. Only with silhouettes do derivatives see the shadow's outline move.
     - `surface`: what the camera sees; none to draw it again at every step, which is needed where meshes in sight move.
-    - `capacity`: to draw map and surface, see `planned`; needed under a trace.
+    - `crossings`: as for `draw_shadow_map`; `planned` finds it.
     - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
         cover a texel of the map as the camera sees it.
@@ -57,7 +54,7 @@ class PoseProblem(AbstractProblem):
     weight: Float[Array, "h w"]
     settings: MapSettings = eqx.field(static=True, default=MapSettings(silhouettes=True))
     surface: Surface | None = None
-    capacity: PoseCapacity | None = eqx.field(static=True, default=None)
+    crossings: int | None = eqx.field(static=True, default=None)
     edges: Edges | None = None
     blur: float = eqx.field(static=True, default=_BLUR)
     # A number of the program, so that one program serves phases of any sharpness.
@@ -148,17 +145,16 @@ class PoseProblem(AbstractProblem):
         **Arguments:** `overflows` as for `draw_shadow_map`.
         """
         meshes = self._placed(arrangement)
-        to_map, to_surface = (None, None) if self.capacity is None else self.capacity
         shadow_map = self.settings.draw(
             self._casters(meshes),
             self._light(arrangement, meshes),
             edges=self._edges(),
-            capacity=to_map,
+            crossings=self.crossings,
             overflows=overflows,
         )
         if self.surface is not None:
             return shadow_map, self.surface
-        return shadow_map, draw_surface(merge(meshes), self.scene.camera, capacity=to_surface, overflows=overflows)
+        return shadow_map, draw_surface(merge(meshes), self.scene.camera)
 
     @property
     def sharpest(self) -> float:
@@ -196,26 +192,17 @@ class PoseProblem(AbstractProblem):
             weight=weight,
             settings=self.settings._replace(resolution=smaller(self.settings.resolution, max(1, level // _FINER_MAP))),
             surface=None if self.surface is None else draw_surface(scene.mesh, scene.camera),
-            capacity=None if self.capacity is None else self.capacity.coarser(),
         )
 
-    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "PoseProblem":
-        """With twice the capacity to draw every arrangement that has one row of `values` (k, p) at `paths`."""
-        from_light, from_camera = _clips(self, tuple(paths), values)
-        casters, edges, resolution = self._casters(self.scene.meshes), self._edges(), self.settings.resolution
-        triangles = plan(from_light, casters.faces, resolution, cull=self.settings.cull)
-        capacity = with_headroom(PoseCapacity(MapCapacity(triangles)))
-        if edges is not None:
-            meshes = self._placed(self.arrangement)
-            light = self._light(self.arrangement, meshes)
-            here = plan_shadow_map(self._casters(meshes), light, resolution, edges=edges)
-            more = MapCapacity(with_headroom(here.triangles), _MORE_SILHOUETTES * here.silhouettes)
-            capacity = capacity.grown_to(PoseCapacity(more))
-        if from_camera is not None:
-            seen = plan(from_camera, self.scene.mesh.faces, self.scene.camera.resolution)
-            capacity = capacity._replace(surface=with_headroom(seen))
-        capacity = capacity if self.capacity is None else self.capacity.grown_to(capacity)
-        return dataclasses.replace(self, capacity=capacity, edges=edges)
+    def planned(self) -> "PoseProblem":
+        """With memory for several times the silhouettes of its arrangement, and no less than before."""
+        edges = self._edges()
+        if edges is None:
+            return self
+        meshes = self._placed(self.arrangement)
+        light = self._light(self.arrangement, meshes)
+        needed = _MORE_CROSSINGS * plan_crossings(self._casters(meshes), light, self.settings.resolution, edges)
+        return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
 
     @property
     def sides(self) -> tuple[int, ...]:
@@ -255,24 +242,6 @@ def _texel_in_pixels(
     layer = light.layer(points)
     from_light = light.view() if layer is None else light.view().facing(layer)
     return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))
-
-
-@eqx.filter_jit
-def _clips(problem: PoseProblem, paths: tuple[str, ...], values: Float[Array, "k p"]) -> tuple[Array, Array | None]:
-    """Clip coordinates of what casts, as the light sees it, and of everything as a camera does that sees it move."""
-
-    def of(values: Array) -> tuple[Array, Array | None]:
-        arrangement = with_values(problem.arrangement, paths, values)
-        meshes = problem._placed(arrangement)
-        view = problem._light(arrangement, meshes).view()
-        casters = problem._casters(meshes)
-        views = view.world_to_eye.reshape(-1, 4, 4)
-        one = lambda matrix: eqx.tree_at(lambda v: v.world_to_eye, view, matrix).clip(casters.vertices)
-        from_camera = None if problem.surface is not None else problem.scene.camera.view().clip(merge(meshes).vertices)
-        return jax.vmap(one)(views), from_camera
-
-    from_light, from_camera = jax.vmap(of)(values)
-    return from_light.reshape(-1, *from_light.shape[-2:]), from_camera
 
 
 def _points(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:

@@ -1,15 +1,13 @@
 """Fits of a technique alone: the map and the surface are drawn once."""
 
-from collections.abc import Sequence
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
-from ...raster import Overflow, Surface, draw_surface
+from ...raster import Surface, draw_surface
 from ...reference import Reference
-from ...shadow import ShadowMap, ShadowMapping
+from ...shadow import Overflow, ShadowMap, ShadowMapping
 from ._abstract import AbstractProblem
 
 
@@ -69,7 +67,7 @@ class TechniqueProblem(AbstractProblem):
         """The subject itself."""
         return subject
 
-    def planned(self, paths: Sequence[str], values: Float[Array, "k p"]) -> "TechniqueProblem":
+    def planned(self) -> "TechniqueProblem":
         """The problem itself: nothing is drawn again."""
         return self
 

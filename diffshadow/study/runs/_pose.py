@@ -130,7 +130,7 @@ def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
             yield f"the image hardly determines {listed}: they can change together and fit as well"
     if result.enlargements:
-        yield f"the drawing capacity was enlarged {result.enlargements} times during the fit; each time recompiles"
+        yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 
 
 def _cause(config: Config, name: str) -> str:

@@ -85,8 +85,7 @@ def work(batch: Batch) -> list[Outcome]:
     if batch.programs is not None:
         # If another worker is writing the same program, it is compiled here too.
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
-        jax.config.update("jax_compilation_cache_dir", batch.programs)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        io.keep_compiled_programs(batch.programs)
     return [read_outcome(batch.folder, run.id, batch.settings) or _do(batch, run) for run in batch.runs]
 
 
