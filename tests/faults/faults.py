@@ -481,6 +481,13 @@ _RASTER = (
         "test_raster_gradients.py",
     ),
     _fault(
+        "visible depth: slopes along x and y exchanged",
+        "raster/_interpolate.py",
+        "plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)",
+        "plane.slope_y * (X - plane.x) + plane.slope_x * (Y - plane.y)",
+        "test_raster_gradients.py",
+    ),
+    _fault(
         "surface: shading normals not turned to the camera",
         "raster/_surface.py",
         "normalize(shading_normal) * sign",
@@ -1184,7 +1191,7 @@ _FIT = (
     _fault(
         "bands of rows: all are the image's first",
         "raster/_interpolate.py",
-        "row = first + jnp.arange(",
+        "row = rows.first + jnp.arange(",
         "row = jnp.arange(",
         "test_raster_gradients.py",
     ),
