@@ -51,7 +51,8 @@ def test_benchmark_reports_times_and_memory_without_opengl(tmp_path):
     assert 0 < row["memory"]["loaded"] <= row["memory"]["peak"]
 
 
-def test_benchmark_refuses_a_size_of_nothing(capsys):
+def test_benchmark_refuses_a_size_of_nothing(capsys, monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPT.parent)
     with pytest.raises(SystemExit):
         runpy.run_path(str(SCRIPT))["main"](["--sizes", "0"])
     assert "0 is not positive" in capsys.readouterr().err

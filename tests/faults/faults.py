@@ -462,8 +462,8 @@ _RASTER = (
     _fault(
         "interpolation: pixel's corner for its centre",
         "raster/_interpolate.py",
-        "(jnp.arange(width, dtype=clip.dtype) + 0.5) * (2 / width)",
-        "jnp.arange(width, dtype=clip.dtype) * (2 / width)",
+        "(jnp.arange(width, dtype=dtype) + 0.5) * (2 / width)",
+        "jnp.arange(width, dtype=dtype) * (2 / width)",
         "test_raster_gradients.py",
     ),
     _fault(
