@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 SIZE = 192
-SIDES = (2, 4, 8, 16, 32)
+SIDES = (2, 4, 8, 16)
 
 
 def main() -> None:

@@ -1,9 +1,11 @@
-"""Speed of the rasterizer drawing a light's depth map, compared with OpenGL in software (Mesa's llvmpipe).
+"""Speed of the rasterizer and its gradients, compared with OpenGL in software (Mesa's llvmpipe).
 
 Each case, a number of triangles and of texels, runs in a separate process, so that its peak memory can be measured.
-Both sides draw the same clip-space triangles with back faces culled. They take turns, so that a machine that slows down
-affects both. OpenGL draws only depth, from vertices and indices already uploaded, on all threads; its time is the
-wall-clock time of the clear, the draw and `glFinish`, since llvmpipe's timer queries do not include its threads.
+Both sides draw the same clip-space triangles with back faces culled. Everything takes turns, so that a machine that
+slows down affects all alike, and ratios are medians over the turns. OpenGL draws from vertices and indices already
+uploaded, on all threads; its time is the wall-clock time of the clear, the draw and `glFinish`, since llvmpipe's timer
+queries do not include its threads. Its surface pass writes what ours does, depth, face, position and normal, to float
+targets.
 """
 
 import argparse
@@ -18,11 +20,13 @@ import time
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from _opengl_passes import SETTINGS as SETTINGS
+from _opengl_passes import OpenGL, Triangles
 from rich.console import Console
 from rich.table import Table
 
@@ -40,29 +44,41 @@ GROUND_SIZE = 6.0
 AGREEMENT = 1e-4
 """Texels of OpenGL's map and ours count as the same if their window depths differ by no more than this."""
 
-# The measurements of our side, and their names in the table.
 MEASURES = {
-    "plan": "count pass",
-    "depth": "depth only",
-    "rasterize": "depth + index",
-    "rasterize_counting": "count, then draw",
-    "attributes": "depth, position, normal",
-    "gradient": "value + gradient",
+    "opengl_depth": "OpenGL depth",
+    "opengl_surface": "OpenGL surface",
+    "depth": "depth",
+    "rasterize": "depth, face",
+    "attributes": "depth, position, normal of faces",
+    "surface": "surface",
+    "forward": "value + forward gradient",
+    "reverse": "value + reverse gradient",
 }
-SETTINGS = {
-    "EGL_PLATFORM": "surfaceless",
-    "LIBGL_ALWAYS_SOFTWARE": "1",
-    "GALLIUM_DRIVER": "llvmpipe",
+"""What is timed, and its name in the table. The surface has face, depth, position and normal."""
+
+
+class Comparison(NamedTuple):
+    """The ratio of two measurements, or without `peer` nanoseconds a texel; `limits` at some sizes, if not at all."""
+
+    title: str
+    measure: str
+    peer: str | None
+    limits: dict[int, float] | float
+
+    def limit(self, size: int) -> float | None:
+        return self.limits.get(size) if isinstance(self.limits, dict) else self.limits
+
+
+COMPARISONS = {
+    "depth": Comparison("depth / OpenGL's", "depth", "opengl_depth", {1024: 1.0, 2048: 1.2}),
+    "face": Comparison("depth and face / depth", "rasterize", "depth", {2048: 1.5}),
+    "surface": Comparison("surface / OpenGL's", "surface", "opengl_surface", {512: 1.2, 1024: 1.5, 2048: 2.0}),
+    "interpolation": Comparison("interpolation, ns a texel", "attributes", None, 35.0),
+    "forward": Comparison("forward / depth", "forward", "depth", {1024: 8.0}),
+    "reverse": Comparison("reverse / depth", "reverse", "depth", {1024: 12.0}),
 }
-VERTEX_SHADER = """
-#version 330
-in vec4 position;
-void main() { gl_Position = position; }
-"""
-FRAGMENT_SHADER = """
-#version 330
-void main() {}
-"""
+GROWTH_LIMIT = 1.05
+"""Of slopes of time over triangles or texels, in logarithms: 1 is linear."""
 
 
 def scene(triangles: int, seed: int) -> Mesh:
@@ -96,82 +112,51 @@ class Case:
         self.mesh, self.resolution = mesh, resolution
         view = DirectionalLight.around(jnp.array(LIGHT_DIRECTION), mesh.vertices).view()
         self.clip = jax.block_until_ready(jax.jit(lambda vertices: view.clip(vertices))(mesh.vertices))
-        # Counting and drawing are needed to set up the rest, so their first calls are timed here.
-        plan_time, self.capacity = timed(lambda: raster.plan(self.clip, mesh.faces, resolution, cull=CULL))
-        draw = {"cull": CULL, "capacity": self.capacity}
-        draw_time, self.fragments = timed(lambda: raster.rasterize(self.clip, mesh.faces, resolution, **draw))
-        corners = mesh.corner_normals
+        # What is drawn is needed to set up the rest, so the first call is timed here.
+        draw_time, self.fragments = timed(lambda: raster.rasterize(self.clip, mesh.faces, resolution, cull=CULL))
+
+        def interpolated(face, clip, vertices, faces, corners):
+            def band(face, rows):
+                at = raster.barycentrics(face, clip, faces, rows)
+                depth = raster.interpolate_depth(at, clip, faces)
+                return depth, raster.interpolate(at, vertices, faces), raster.interpolate_corners(at, corners)
+
+            return raster.by_bands(band, face)
 
         @jax.jit
-        def attributes(face, clip, vertices, faces, corners):
-            at = raster.barycentrics(face, clip, faces)
-            depth = raster.interpolate_depth(at, clip, faces)
-            normal = raster.interpolate_corners(at, corners)
-            return depth, raster.interpolate(at, vertices, faces), normal
+        def surface(clip, vertices, faces, corners):
+            fragments = raster.rasterize(clip, faces, resolution, cull=CULL)
+            _, position, normal = interpolated(fragments.face, clip, vertices, faces, corners)
+            return fragments, position, normal
 
-        @jax.jit
-        @jax.value_and_grad
-        def gradient(vertices, faces):
+        def loss(vertices, faces):
             clip = view.clip(vertices)
-            face = raster.rasterize(clip, faces, resolution, cull=CULL, capacity=self.capacity).face
-            return jnp.sum(raster.interpolate_depth(raster.barycentrics(face, clip, faces), clip, faces))
+            face = raster.rasterize(clip, faces, resolution, cull=CULL).face
+            return jnp.sum(raster.visible_depth(face, clip, faces) ** 2)
 
-        self.measures: dict[str, Callable[[], Any]] = {
-            "plan": lambda: raster.plan(self.clip, mesh.faces, resolution, cull=CULL),
-            "rasterize": lambda: raster.rasterize(self.clip, mesh.faces, resolution, **draw),
-            "rasterize_counting": lambda: raster.rasterize(self.clip, mesh.faces, resolution, cull=CULL),
-            "attributes": lambda: attributes(self.fragments.face, self.clip, mesh.vertices, mesh.faces, corners),
-            "gradient": lambda: gradient(mesh.vertices, mesh.faces),
-        }
-        depth_only = getattr(raster, "rasterize_depth", None)
-        if depth_only is not None:
-            self.measures["depth"] = lambda: depth_only(self.clip, mesh.faces, resolution, **draw)
-        self.first_call = {"plan": plan_time, "rasterize": draw_time}
-        for name, work in self.measures.items():
-            # Counting and then drawing compiles nothing new.
-            if name not in (*self.first_call, "rasterize_counting"):
-                self.first_call[name], _ = timed(work)
+        @jax.jit
+        def forward(vertices, faces, offset):
+            """The loss and its derivative as the mesh moves."""
+            return jax.jvp(lambda offset: loss(vertices + offset, faces), (jnp.zeros_like(offset),), (offset,))
 
-
-class OpenGL:
-    """A depth pass in software, with its triangles already uploaded.
-
-    **Raises** moderngl's errors if there is no EGL, `ImportError` without moderngl, and `RuntimeError` if the driver is
-    not llvmpipe.
-    """
-
-    def __init__(self, clip: np.ndarray, faces: np.ndarray, resolution: tuple[int, int]):
-        os.environ.update(SETTINGS)
-        import moderngl  # optional; it reads the environment when it is first used
-
-        height, width = resolution
-        # The stub's type of `backend` is wrong.
-        self.context = gl = moderngl.create_context(
-            standalone=True,
-            backend="egl",  # pyright: ignore[reportArgumentType]
-            require=330,
+        attributes, reverse, offset = (
+            jax.jit(interpolated),
+            jax.jit(jax.value_and_grad(loss)),
+            jnp.array([0.1, 0.2, 0.3]),
         )
-        self.name = f"{gl.info['GL_RENDERER']}, {gl.info['GL_VERSION']}"
-        if "llvmpipe" not in self.name:
-            raise RuntimeError(f"OpenGL is {self.name}; expected Mesa's llvmpipe: install libgl1-mesa-dri")
-        program = gl.program(vertex_shader=VERTEX_SHADER, fragment_shader=FRAGMENT_SHADER)
-        vertices = gl.buffer(np.ascontiguousarray(clip, np.float32).tobytes())
-        indices = gl.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
-        self.triangles = gl.vertex_array(program, [(vertices, "4f", "position")], index_buffer=indices)
-        self.target = gl.framebuffer([], gl.depth_renderbuffer((width, height)))
-        self.resolution, self.mode = resolution, gl.TRIANGLES
-        self.target.use()
-        gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        gl.front_face, gl.cull_face, gl.depth_func = "ccw", CULL, "<"
-
-    def draw(self) -> None:
-        self.target.clear(depth=1.0)
-        self.triangles.render(self.mode)
-        self.context.finish()
-
-    def depth(self) -> np.ndarray:
-        """The map last drawn, (h, w), row 0 at the bottom."""
-        return np.frombuffer(self.target.read(components=1, attachment=-1, dtype="f4"), "f4").reshape(self.resolution)
+        given = self.clip, mesh.vertices, mesh.faces, mesh.corner_normals
+        self.measures: dict[str, Callable[[], Any]] = {
+            "depth": lambda: raster.rasterize_depth(self.clip, mesh.faces, resolution, cull=CULL),
+            "rasterize": lambda: raster.rasterize(self.clip, mesh.faces, resolution, cull=CULL),
+            "attributes": lambda: attributes(self.fragments.face, *given),
+            "surface": lambda: surface(*given),
+            "forward": lambda: forward(mesh.vertices, mesh.faces, offset),
+            "reverse": lambda: reverse(mesh.vertices, mesh.faces),
+        }
+        self.first_call = {"rasterize": draw_time}
+        for name, work in self.measures.items():
+            if name not in self.first_call:
+                self.first_call[name], _ = timed(work)
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
@@ -190,7 +175,9 @@ def peak_memory() -> float:
 def open_opengl(case: Case) -> tuple[OpenGL | None, str]:
     """OpenGL with the case's triangles, or why there is none."""
     try:
-        opengl = OpenGL(np.asarray(case.clip), np.asarray(case.mesh.faces), case.resolution)
+        mesh = case.mesh
+        arrays = map(np.asarray, (case.clip, mesh.vertices, mesh.faces, mesh.corner_normals))
+        opengl = OpenGL(Triangles(*arrays), case.resolution, CULL)
     except Exception as error:  # moderngl and its loader raise bare Exception
         return None, f"{type(error).__name__}: {error}"
     return opengl, opengl.name
@@ -204,9 +191,9 @@ def measure(triangles: int, size: int, repeats: int, seed: int, with_opengl: boo
     case = Case(mesh, (size, size))
     device = jax.devices()[0]
     row: dict[str, Any] = {
+        "asked": triangles,
         "triangles": mesh.faces.shape[0],
         "size": size,
-        "capacity": case.capacity._asdict(),
         "seen": float(jnp.mean(case.fragments.face >= 0)),
         "memory": {"loaded": loaded, "peak": peak_memory()},
         "first_call": case.first_call,
@@ -217,26 +204,40 @@ def measure(triangles: int, size: int, repeats: int, seed: int, with_opengl: boo
         row["memory"]["device_peak"] = (device.memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**20
 
     opengl, row["opengl"] = open_opengl(case) if with_opengl else (None, "left out")
+    work = dict(case.measures)
     if opengl is not None:
-        opengl.draw()
+        opengl.draw_depth()
         row["agreement"] = float(np.mean(np.abs(opengl.depth() - np.asarray(case.fragments.depth)) <= AGREEMENT))
-        opengl.draw()
-    row["measures"] = {name: alternate(work, opengl, repeats) for name, work in case.measures.items()}
+        work |= {"opengl_depth": opengl.draw_depth, "opengl_surface": opengl.draw_surface}
+    times = in_turns(work, repeats)
+    row["measures"] = {name: {"median": statistics.median(each), "least": min(each)} for name, each in times.items()}
+    row["comparisons"] = compared(times, size)
     return row
 
 
-def alternate(work: Callable[[], Any], opengl: OpenGL | None, repeats: int) -> dict[str, float]:
-    """Medians of our time and of OpenGL's, called in turn, and their ratio."""
-    ours, theirs = [], []
-    timed(work)
-    for _ in range(repeats):
-        ours.append(timed(work)[0])
-        if opengl is not None:
-            theirs.append(timed(opengl.draw)[0])
-    result = {"median": statistics.median(ours), "least": min(ours)}
-    if theirs:
-        result |= {"opengl": statistics.median(theirs), "ratio": statistics.median(ours) / statistics.median(theirs)}
-    return result
+def in_turns(work: dict[str, Callable[[], Any]], repeats: int) -> dict[str, list[float]]:
+    """Milliseconds of each, called in turn."""
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for turn in range(repeats + 1):
+        for name, call in work.items():
+            taken, _ = timed(call)
+            if turn:  # The first warms up.
+                times[name].append(taken)
+    return times
+
+
+def compared(times: dict[str, list[float]], size: int) -> dict[str, dict[str, float | None]]:
+    """Each comparison's value and limit, where both of its sides were timed."""
+    found = {}
+    for name, (_, measure, peer, _) in COMPARISONS.items():
+        if peer is None:
+            value = statistics.median(times[measure]) * 1e6 / size**2
+        elif peer in times:
+            value = statistics.median(ours / theirs for ours, theirs in zip(times[measure], times[peer], strict=True))
+        else:
+            continue
+        found[name] = {"value": value, "limit": COMPARISONS[name].limit(size)}
+    return found
 
 
 def machine() -> dict[str, Any]:
@@ -267,22 +268,62 @@ def in_child(triangles: int, size: int, options: argparse.Namespace) -> dict[str
     return json.loads(child.stdout.splitlines()[-1])
 
 
+def comparison_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Each comparison's median and, in brackets, its limit."""
+    table = Table(title="Ratios, median (limit)")
+    for title in ("triangles", "texels", *(comparison.title for comparison in COMPARISONS.values())):
+        table.add_column(title, justify="right")
+    for row in rows:
+        cells = []
+        for name in COMPARISONS:
+            found = row["comparisons"].get(name, {"value": None, "limit": None})
+            limit = "" if found["limit"] is None else f" ({found['limit']:g})"
+            cells.append("-" if found["value"] is None else f"{found['value']:.2f}{limit}")
+        table.add_row(f"{row['triangles']:,}", f"{row['size']}²", *cells)
+    return table
+
+
 def time_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """Medians in milliseconds, in brackets the ratio to OpenGL's depth pass."""
-    table = Table(title="Milliseconds, median (times OpenGL's depth pass)")
-    for title in ("triangles", "texels", "OpenGL depth", *MEASURES.values(), "index / depth"):
+    """Medians in milliseconds."""
+    table = Table(title="Milliseconds, median")
+    for title in ("triangles", "texels", *MEASURES.values()):
         table.add_column(title, justify="right")
     for row in rows:
         measures = row["measures"]
-        theirs = [m["opengl"] for m in measures.values() if "opengl" in m]
-        cells = [f"{row['triangles']:,}", f"{row['size']}²", f"{statistics.median(theirs):.2f}" if theirs else "-"]
+        cells = [f"{measures[name]['median']:.2f}" if name in measures else "-" for name in MEASURES]
+        table.add_row(f"{row['triangles']:,}", f"{row['size']}²", *cells)
+    return table
+
+
+def growth(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """How each measurement grows over triangles and over texels: the slope of a line through its logarithms.
+
+    The greatest of the slopes at all sizes or numbers of triangles; none where there is only one to compare.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for over, along, fixed in (
+        ("triangles", lambda r: r["triangles"], "size"),
+        ("texels", lambda r: r["size"] ** 2, "asked"),
+    ):
         for name in MEASURES:
-            found = measures.get(name)
-            ratio = f" ({found['ratio']:.2f})" if found and "ratio" in found else ""
-            cells.append(f"{found['median']:.2f}{ratio}" if found else "-")
-        both = "depth" in measures
-        cells.append(f"{measures['rasterize']['median'] / measures['depth']['median']:.2f}" if both else "-")
-        table.add_row(*cells)
+            slopes = []
+            for key in {row[fixed] for row in rows}:
+                line = [
+                    (along(r), r["measures"][name]["median"]) for r in rows if r[fixed] == key and name in r["measures"]
+                ]
+                if len(line) > 1:
+                    slopes.append(float(np.polyfit(*np.log(np.array(line)).T, deg=1)[0]))
+            if slopes:
+                found.setdefault(over, {})[name] = max(slopes)
+    return found
+
+
+def growth_table(found: dict[str, dict[str, float]]) -> Table:
+    table = Table(title=f"Growth: greatest slope of log time over log count (limit {GROWTH_LIMIT})")
+    for title in ("over", *MEASURES.values()):
+        table.add_column(title, justify="right")
+    for over, slopes in found.items():
+        table.add_row(over, *(f"{slopes[name]:.2f}" if name in slopes else "-" for name in MEASURES))
     return table
 
 
@@ -303,7 +344,9 @@ def cost_table(rows: Sequence[dict[str, Any]]) -> Table:
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--triangles", type=positive, nargs="+", default=[1000, 10_000, 100_000, 1_000_000])
-    parser.add_argument("--sizes", type=positive, nargs="+", default=[512, 1024, 2048], help="texels along a side")
+    parser.add_argument(
+        "--sizes", type=positive, nargs="+", default=[256, 512, 1024, 2048, 4096], help="texels along a side"
+    )
     parser.add_argument("--repeats", type=positive, default=9)
     parser.add_argument("--seed", type=int, default=0, help="of the scene")
     parser.add_argument("--json", type=Path, help="file to write all numbers to")
@@ -337,9 +380,13 @@ def main(argv: Sequence[str] | None = None) -> None:
                 console.print(f"ours: {rows[0]['device']}, {rows[0]['dtype']}; OpenGL: {rows[0]['opengl']}")
                 if options.opengl and "agreement" not in rows[0]:
                     console.print("OpenGL is not available: timing our side only.")
-    console.print(time_table(rows), cost_table(rows))
+    grown = growth(rows)
+    console.print(comparison_table(rows), time_table(rows), cost_table(rows))
+    if grown:
+        console.print(growth_table(grown))
     if options.json:
-        options.json.write_text(json.dumps({"machine": about, "cull": CULL, "rows": rows}, indent=1) + "\n")
+        report = {"machine": about, "cull": CULL, "growth": grown, "rows": rows}
+        options.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -7,10 +7,13 @@ from ._grid_crossings import Crossings as Crossings
 from ._grid_crossings import count_crossings as count_crossings
 from ._grid_crossings import grid_crossings as grid_crossings
 from ._interpolate import Barycentrics as Barycentrics
+from ._interpolate import Rows as Rows
 from ._interpolate import barycentrics as barycentrics
+from ._interpolate import by_bands as by_bands
 from ._interpolate import interpolate as interpolate
 from ._interpolate import interpolate_corners as interpolate_corners
 from ._interpolate import interpolate_depth as interpolate_depth
+from ._interpolate import visible_depth as visible_depth
 from ._rasterize import NO_FACE as NO_FACE
 from ._rasterize import Fragments as Fragments
 from ._rasterize import rasterize as rasterize

@@ -18,14 +18,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import safe_divide, take
+from .._misc import safe_divide, take, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
 
 # A pixel centre may lie outside its face by the half sub-pixel of snapping. For a sliver that can be many times its
 # width; beyond this share of the face's height the point is pulled back onto the face.
 _OVERSHOOT = 0.1
 # Images of more pixels are interpolated in bands, whose attributes fit in a processor's cache.
-_WHOLE, _BAND = 1 << 18, 1 << 16
+_BAND = 1 << 16
+
+CornerValues = Callable[[FaceMap], list[list[Array]]]
+"""Of the faces at the pixels (h, w), each component's values at the three corners, (h, w) each."""
 
 
 class Rows(NamedTuple):
@@ -35,25 +38,39 @@ class Rows(NamedTuple):
     height: int
 
 
-def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, whole: int = _WHOLE, band: int = _BAND) -> Any:
+def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND) -> Any:
     """`function` of a face map (h, w), evaluated in bands of rows, one after the other.
 
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
-    - `whole`: images of at most so many pixels are evaluated at once.
     - `band`: the most pixels of a band of several rows.
 
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
-    if height * width <= whole:
+    if height * width <= band:
         return function(face, Rows(0, height))
     # The most rows that divide the height.
     rows = next(n for n in range(max(band // width, 1), 0, -1) if height % n == 0)
     bands = face.reshape(-1, rows, width), jnp.arange(0, height, rows, dtype=jnp.int32)
     found = lax.map(lambda part: function(part[0], Rows(part[1], height)), bands)
     return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
+
+
+def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> CornerValues:
+    """Looks up a vertex attribute at the corners of the faces that so many pixels see.
+
+    Called outside of `by_bands`, so that what is the same for all bands is done once.
+    """
+    # Columns of their own: gathers of whole rows do not vectorize, and cost ten times as much.
+    values, vertices = ([array[:, k] for k in range(array.shape[1])] for array in (attribute, faces))
+    values, vertices = _computed((values, vertices))
+    if faces.shape[0] > pixels:
+        return lambda face: [[take(value, take(vertex, face)) for vertex in vertices] for value in values]
+    # One gather for each pixel instead of two.
+    tables = _computed([[take(value, vertex) for vertex in vertices] for value in values])
+    return lambda face: [[take(table, face) for table in corners] for corners in tables]
 
 
 class Barycentrics(eqx.Module):
@@ -78,69 +95,154 @@ def barycentrics(face: FaceMap, clip: ClipVertices, faces: Faces, rows: Rows | N
     - `faces`: (f, 3), indices into `clip`.
     - `rows`: which rows of the image `face` holds; all of them if left out.
     """
-    width = face.shape[1]
-    first, height = Rows(0, face.shape[0]) if rows is None else rows
+    return barycentrics_in_rows(face, corner_values(clip, faces, face.size), rows or Rows(0, face.shape[0]))
+
+
+def barycentrics_in_rows(face: FaceMap, clip: CornerValues, rows: Rows) -> Barycentrics:
+    """`barycentrics` of some rows of an image, whose faces are `face`; `clip` has all four coordinates."""
+    return _locate(face, clip, rows)[0]
+
+
+def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics, Mask]:
+    """Where the pixels' centres lie on their faces, and which of them were not pulled back onto them."""
     mask = face >= 0
     face = jnp.maximum(face, 0)
-    X = (jnp.arange(width, dtype=clip.dtype) + 0.5) * (2 / width) - 1
-    row = first + jnp.arange(face.shape[0], dtype=jnp.int32)
-    Y = ((row.astype(clip.dtype) + 0.5) * (2 / height) - 1)[:, None]
-    corners = [[clip[:, c][vertex] for c in (0, 1, 3)] for vertex in _vertices(face, faces)]
-    (x0, y0), (x1, y1), (x2, y2) = ((x - X * w, y - Y * w) for x, y, w in corners)
+    x, y, _, w = clip(face)
+    X, Y = _centres(face.shape, rows, w[0].dtype)
+    (x0, y0), (x1, y1), (x2, y2) = ((x[k] - X * w[k], y[k] - Y * w[k]) for k in range(3))
     areas = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
     # A face seen exactly edge-on has no area; its middle then stands for it.
     weights = _fractions(areas)
     on_face = (weights[0] > -_OVERSHOOT) & (weights[1] > -_OVERSHOOT) & (weights[2] > -_OVERSHOOT)
     clamped = _fractions([jnp.clip(weight, 0, 1) for weight in weights])
     weights = [jnp.where(on_face, weight, nearest) for weight, nearest in zip(weights, clamped, strict=True)]
-    return Barycentrics(face, mask, jnp.stack(weights, axis=-1))
+    return Barycentrics(face, mask, jnp.stack(weights, axis=-1)), on_face
+
+
+def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, " w"], Float[Array, "h 1"]]:
+    """Normalized device coordinates of the pixel centres in some rows of an image."""
+    height, width = shape
+    X = (jnp.arange(width, dtype=dtype) + 0.5) * (2 / width) - 1
+    row = rows.first + jnp.arange(height, dtype=jnp.int32)
+    return X, ((row.astype(dtype) + 0.5) * (2 / rows.height) - 1)[:, None]
 
 
 def interpolate(at: Barycentrics, attribute: Float[Array, "v c"], faces: Faces) -> Float[Array, "h w c"]:
     """A vertex attribute (v, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return _weighted(at, attribute, _vertices(at.face, faces))
+    return interpolate_values(at, corner_values(attribute, faces, at.face.size))
+
+
+def interpolate_values(at: Barycentrics, values: CornerValues) -> Float[Array, "h w c"]:
+    """`interpolate` of values that `corner_values` looks up."""
+    return _stacked(at, [_mean(at, corners) for corners in values(at.face)])
 
 
 def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> Float[Array, "h w c"]:
     """An attribute of each corner of each face (f, 3, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return _weighted(at, attribute.reshape(-1, attribute.shape[-1]), [3 * at.face + k for k in range(3)])
+    columns = [[attribute[:, k, c] for k in range(3)] for c in range(attribute.shape[-1])]
+    return _stacked(at, [_mean(at, [take(column, at.face) for column in corners]) for corners in columns])
 
 
 def of_face(at: Barycentrics, attribute: Float[Array, "f c"]) -> Float[Array, "h w c"]:
     """An attribute of each face (f, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return _by_components(at, attribute, lambda values: take(values, at.face))
+    return _stacked(at, [take(attribute[:, c], at.face) for c in range(attribute.shape[1])])
 
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:
     """Window depth at the pixels, (h, w); 1 where nothing is seen."""
-    # From the far plane: z and w of a far corner are nearly equal, so their difference is exact and small, where z
-    # itself would leave the rounding of a corner's distance behind.
-    from_far = jnp.stack([clip[:, 2] - clip[:, 3], clip[:, 3]], axis=-1)
-    z, w = jnp.moveaxis(_weighted(at, from_far, _vertices(at.face, faces)), -1, 0)
+    return _depth(at, corner_values(_from_far(clip), faces, at.face.size))
+
+
+def _from_far(clip: ClipVertices) -> ClipVertices:
+    """Clip coordinates with z measured from the far plane.
+
+    z and w of a far corner are nearly equal, so their difference is exact and small, where z itself would leave the
+    rounding of a corner's distance behind.
+    """
+    return jnp.stack([clip[:, 0], clip[:, 1], clip[:, 2] - clip[:, 3], clip[:, 3]], axis=-1)
+
+
+def _depth(at: Barycentrics, from_far: CornerValues) -> DepthMap:
+    _, _, z, w = (_mean(at, corners) for corners in from_far(at.face))
     return jnp.where(at.mask, 1 + safe_divide(z, w) * 0.5, 1)
 
 
-def _vertices(face: FaceMap, faces: Faces) -> list[FaceMap]:
-    """The three vertices of the face at each pixel."""
-    return [faces[:, k][face] for k in range(3)]
+def visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces) -> DepthMap:
+    """Window depth of the faces that the pixels see, (h, w); 1 where nothing is seen.
+
+    It equals `interpolate_depth` with the `barycentrics` of the same clip coordinates, and takes less time to
+    differentiate: depth is linear in the window, so the derivative at a pixel follows from three of its face. A pixel
+    whose centre was pulled back onto its face has the derivative of the face's middle.
+
+    **Arguments:** as for `barycentrics`.
+    """
+    if faces.shape[0] > face.size:
+        # Most faces are not seen, so their planes would cost more than they save.
+        return interpolate_depth(barycentrics(face, clip, faces), clip, faces)
+    from_far = _from_far(clip)
+    values = corner_values(lax.stop_gradient(from_far), faces, face.size)
+
+    def band(face: FaceMap, rows: Rows) -> tuple[DepthMap, Mask]:
+        at, on_face = _locate(face, values, rows)
+        return _depth(at, values), on_face
+
+    depth, on_face = by_bands(band, face)
+    X, Y = _centres(face.shape, Rows(0, face.shape[0]), clip.dtype)
+    plane = jax.tree.map(lambda values: take(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
+    linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
+    return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)
 
 
-def _weighted(at: Barycentrics, attribute: Float[Array, "n c"], corners: list[FaceMap]) -> Float[Array, "h w c"]:
-    # One gather for each component of each corner: gathers of whole rows do not vectorize, and cost ten times as much.
-    return _by_components(
-        at, attribute, lambda values: sum(at.weights[..., k] * values[corner] for k, corner in enumerate(corners))
-    )
+class _Planes(NamedTuple):
+    """Planes of z / w over normalized device coordinates, (f,) each.
+
+    - `depth`: z / w at the point (`x`, `y`), and `slope_x`, `slope_y`, its derivatives.
+    - `middle`: z / w at the face's middle.
+    """
+
+    depth: Float[Array, " f"]
+    slope_x: Float[Array, " f"]
+    slope_y: Float[Array, " f"]
+    middle: Float[Array, " f"]
+    x: Float[Array, " f"]
+    y: Float[Array, " f"]
 
 
-def _by_components(
-    at: Barycentrics, attribute: Float[Array, "n c"], component: Callable[[Float[Array, " n"]], Any]
-) -> Float[Array, "h w c"]:
-    """`component` of each column of an attribute, stacked; 0 where nothing is seen."""
-    value = jnp.stack([component(attribute[:, c]) for c in range(attribute.shape[1])], axis=-1)
-    return jnp.where(at.mask[..., None], value, 0)
+def _depth_planes(clip: ClipVertices, faces: Faces) -> _Planes:
+    """The planes that the faces lie in.
+
+    Let the columns of M be the corners' (x, y, w), and z the row of their z. The point of the face at (X, Y) is
+    M⁻¹ (X, Y, 1), as weights of the corners whose mean w is 1; so z / w is z M⁻¹ (X, Y, 1) there.
+    """
+    x, y, z, w = ([take(clip[:, c], faces[:, k]) for k in range(3)] for c in range(4))
+    total = lambda a, b=(1, 1, 1): a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    # About a point near the face, since about a distant one they would be small differences of large numbers.
+    X, Y = (lax.stop_gradient(jnp.clip(safe_divide(total(values), total(w)), -1, 1)) for values in (x, y))
+    x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
+    # The rows of the adjugate of M: M⁻¹ times the determinant.
+    pairs = ((1, 2), (2, 0), (0, 1))
+    adjugate = [[a[i] * b[j] - a[j] * b[i] for i, j in pairs] for a, b in ((y, w), (w, x), (x, y))]
+    determinant = total(adjugate[2], w)
+    slope_x, slope_y, depth = (safe_divide(total(column, z), determinant) for column in adjugate)
+    return _computed(_Planes(depth, slope_x, slope_y, safe_divide(total(z), total(w)), X, Y))
 
 
 def _fractions(parts: Sequence[Array]) -> list[Array]:
     """Each part over their sum; 1/3 where that is 0."""
     total = parts[0] + parts[1] + parts[2]
     return [safe_divide(part, total, 1 / 3) for part in parts]
+
+
+def _mean(at: Barycentrics, corners: list[Array]) -> Float[Array, "h w"]:
+    """The mean of the corners' values by the pixels' weights."""
+    return at.weights[..., 0] * corners[0] + at.weights[..., 1] * corners[1] + at.weights[..., 2] * corners[2]
+
+
+def _stacked(at: Barycentrics, components: list[Array]) -> Float[Array, "h w c"]:
+    """The components along the last axis; 0 where nothing is seen."""
+    return jnp.where(at.mask[..., None], jnp.stack(components, axis=-1), 0)
+
+
+def _computed(arrays: Any) -> Any:
+    """The arrays as they are, each computed before whatever reads it, not anew for every element that is read."""
+    return jax.tree.map(lax.optimization_barrier, arrays)

@@ -7,7 +7,15 @@ from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Cull
-from ._interpolate import Rows, barycentrics, by_bands, interpolate, interpolate_corners, of_face
+from ._interpolate import (
+    Rows,
+    barycentrics_in_rows,
+    by_bands,
+    corner_values,
+    interpolate_corners,
+    interpolate_values,
+    of_face,
+)
 from ._rasterize import rasterize
 
 
@@ -56,10 +64,11 @@ def _clip(mesh: Mesh, camera: AbstractCamera) -> ClipVertices:
 @eqx.filter_jit
 def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertices) -> Surface:
     normals, view = face_normals(mesh), camera.view()
+    clip_values, positions = (corner_values(values, mesh.faces, face.size) for values in (clip, mesh.vertices))
 
     def band(face: FaceMap, rows: Rows) -> Surface:
-        at = barycentrics(face, clip, mesh.faces, rows)
-        position = interpolate(at, mesh.vertices, mesh.faces)
+        at = barycentrics_in_rows(face, clip_values, rows)
+        position = interpolate_values(at, positions)
         normal = of_face(at, normals)
         shading_normal = interpolate_corners(at, mesh.corner_normals)
         # The direction to the camera: to its eye, or against its axis.

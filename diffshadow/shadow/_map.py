@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, View
-from ..raster import Cull, DepthTest, barycentrics, interpolate_depth, rasterize, rasterize_depth
+from ..raster import Cull, DepthTest, rasterize, rasterize_depth, visible_depth
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
@@ -226,5 +226,5 @@ def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
 
 @eqx.filter_jit
 def _depth(face: Int[Array, "*l h w"], clip: Float[Array, "*l v 4"], faces: Faces) -> Float[Array, "*l h w"]:
-    of_view = lambda face, clip: interpolate_depth(barycentrics(face, clip, faces), clip, faces)
+    of_view = lambda face, clip: visible_depth(face, clip, faces)
     return jax.vmap(of_view)(face, clip) if face.ndim > 2 else of_view(face, clip)

@@ -462,8 +462,8 @@ _RASTER = (
     _fault(
         "interpolation: pixel's corner for its centre",
         "raster/_interpolate.py",
-        "(jnp.arange(width, dtype=clip.dtype) + 0.5) * (2 / width)",
-        "jnp.arange(width, dtype=clip.dtype) * (2 / width)",
+        "(jnp.arange(width, dtype=dtype) + 0.5) * (2 / width)",
+        "jnp.arange(width, dtype=dtype) * (2 / width)",
         "test_raster_gradients.py",
     ),
     _fault(
@@ -478,6 +478,13 @@ _RASTER = (
         "raster/_interpolate.py",
         "x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0",
         "x1 * y2 - x2 * y1, x0 * y1 - x1 * y0, x2 * y0 - x0 * y2",
+        "test_raster_gradients.py",
+    ),
+    _fault(
+        "visible depth: slopes along x and y exchanged",
+        "raster/_interpolate.py",
+        "plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)",
+        "plane.slope_y * (X - plane.x) + plane.slope_x * (Y - plane.y)",
         "test_raster_gradients.py",
     ),
     _fault(
@@ -1184,7 +1191,7 @@ _FIT = (
     _fault(
         "bands of rows: all are the image's first",
         "raster/_interpolate.py",
-        "row = first + jnp.arange(",
+        "row = rows.first + jnp.arange(",
         "row = jnp.arange(",
         "test_raster_gradients.py",
     ),
