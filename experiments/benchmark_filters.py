@@ -8,6 +8,9 @@ draw and `glFinish`. Each comparison includes the same work on both sides:
 - `visibility`: from the surface to its visibility, with projection and bias. OpenGL: the draw, minus that of a shader
   that writes a constant.
 - `whole`: the above and drawing the image. OpenGL: the draw.
+
+Some filters are also timed beside a limit on the same pixels and map: a bare loop over the texels of as many nearest
+taps, or a box that reads the same texels.
 """
 
 import argparse
@@ -25,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from benchmark_raster import SETTINGS, machine, positive, timed
+from jax import lax
 from rich.console import Console
 from rich.table import Table
 
@@ -82,6 +86,14 @@ def cases() -> dict[str, Case]:
     }
 
 
+BARE_LOOP = "bare loop"
+LIMITS = {
+    "random disk, nearest, hard": (BARE_LOOP, 1.5),
+    "random disk, bilinear, hard": (BARE_LOOP, 3.0),
+    "5 x 5 whole texels, hard": ("5 x 5 sliding, hard", 2.0),
+}
+"""The limit that a case is timed beside, and the target for the ratio of `filter` to it."""
+
 JACOBIANS = ("random disk, nearest, soft", "random disk, bilinear, soft", "5 x 5 sliding, soft")
 JACOBIAN_BAR = 4.0
 
@@ -106,11 +118,14 @@ class Ours(eqx.Module):
         capacity = raster.plan(camera.view().clip(mesh.vertices), mesh.faces, camera.resolution)
         return cls(mesh, camera, shadow_map, raster.draw_surface(mesh, camera, capacity=capacity), capacity)
 
+    def lookup(self) -> shadow.Lookup:
+        at = shadow.receiver(self.shadow_map, self.surface)
+        return shadow.look_up(self.shadow_map, at, shadow.Bias(BIAS)(at))
+
     def measures(self, case: Case) -> dict[str, Callable[[], Any]]:
         """The measured functions, by the names of `COMPARISONS`."""
         technique = shadow.ShadowMapping(case.filter, shadow.Bias(BIAS), case.compare)
-        at = shadow.receiver(self.shadow_map, self.surface)
-        lookup = shadow.look_up(self.shadow_map, at, technique.bias(at))
+        lookup = self.lookup()
 
         @eqx.filter_jit
         def look(filter, compare, shadow_map, lookup):
@@ -129,6 +144,33 @@ class Ours(eqx.Module):
             "visibility": lambda: visibility(technique, self.shadow_map, self.surface),
             "whole": whole,
         }
+
+    def bare_loop(self, filter: shadow.RandomDisk) -> Callable[[], jax.Array]:
+        """The hard compares of a random disk's nearest taps, by a loop that is given the index of each tap's texel.
+
+        All that is left is to read a depth, compare it and add, which no filter with as many taps can do without.
+        """
+        lookup, offsets = self.lookup(), np.asarray(filter.pattern.offsets)
+        (height, width), tile = lookup.depth.shape, offsets.shape[1]
+        tiles = 1, -(-height // tile), -(-width // tile), 1
+        offset = np.tile(offsets, tiles)[:, :height, :width]
+        texel = np.floor(np.asarray(lookup.texel) + np.asarray(filter.radius) * offset)
+        # The map gets a border of empty texels. Those further out are moved there.
+        rows, columns = self.shadow_map.resolution
+        column, row = np.moveaxis(np.clip(texel, -1, (columns, rows)).astype(np.uint32) + 1, -1, 0)
+        stored = jnp.pad(self.shadow_map.depth, 1, constant_values=2.0).reshape(-1)
+        indices = jnp.asarray(row * (columns + 2) + column)
+
+        @jax.jit
+        def run(stored, indices, depth):
+            def add(total, index):
+                element = lax.GatherDimensionNumbers((), (0,), (0,))
+                read = lax.gather(stored, index[..., None], element, (1,), mode="promise_in_bounds")
+                return total + (depth < read), None
+
+            return lax.scan(add, jnp.zeros_like(depth), indices)[0] / len(indices)
+
+        return lambda: run(stored, indices, lookup.depth)
 
     def jacobian(self, case: Case) -> dict[str, Callable[[], Any]]:
         """Visibility, and visibility with its forward-mode Jacobian, by constant bias, slope bias and radius."""
@@ -243,6 +285,14 @@ def compare_jacobian(ours: Ours, case: Case, repeats: int) -> dict[str, float]:
     return times | {"ratio": times["jacobian"] / times["primal"], "bar": JACOBIAN_BAR}
 
 
+def compare_limit(ours: Ours, case: Case, limit: str, bar: float, repeats: int) -> dict[str, Any]:
+    """Medians of the look-ups of a case and of its limit in milliseconds, and their ratio."""
+    at_least = ours.bare_loop(case.filter) if limit == BARE_LOOP else ours.measures(cases()[limit])["filter"]
+    times = interleaved({"filter": ours.measures(case)["filter"], "limit": at_least}, repeats)
+    row = {name: statistics.median(each) for name, each in times.items()}
+    return row | {"ratio": row["filter"] / row["limit"], "beside": limit, "bar": bar}
+
+
 def case_table(rows: dict[str, dict[str, Any]]) -> Table:
     table = Table(title="Milliseconds, median: ours / OpenGL = ratio")
     for title in ("case", *COMPARISONS, "bar", "same pixels"):
@@ -254,6 +304,16 @@ def case_table(rows: dict[str, dict[str, Any]]) -> Table:
             cells = [f"{cell} / {theirs:.2f} = {ratio:.2f}" for cell, (theirs, ratio) in zip(cells, more, strict=True)]
         same = f"{row['agreement']:.2%}" if "agreement" in row else "-"
         table.add_row(name, *cells, "-" if row["bar"] is None else f"{row['bar']}", same)
+    return table
+
+
+def limit_table(rows: dict[str, dict[str, Any]]) -> Table:
+    table = Table(title="Look-ups beside a limit, milliseconds, median")
+    for title in ("case", "filter", "limit", "", "ratio", "bar"):
+        table.add_column(title, justify="left" if title in ("case", "") else "right")
+    for name, row in rows.items():
+        cells = f"{row['filter']:.2f}", f"{row['limit']:.2f}", row["beside"], f"{row['ratio']:.2f}", f"{row['bar']}"
+        table.add_row(name, *cells)
     return table
 
 
@@ -288,18 +348,22 @@ def main(argv: Sequence[str] | None = None) -> None:
     device, seen = jax.devices()[0], float(jnp.mean(ours.surface.mask))
     console.print(f"ours: {device.platform}: {device.device_kind}; OpenGL: {name}; {seen:.1%} of the image is covered")
     chosen = {key: case for key, case in cases().items() if options.only in key}
-    rows, jacobians = {}, {}
+    rows, limits, jacobians = {}, {}, {}
     for key, case in chosen.items():
         with console.status(key):
             rows[key] = compare(ours, opengl, case, options.repeats)
+    for key, limit in LIMITS.items():
+        if key in chosen:
+            with console.status(f"limit: {key}"):
+                limits[key] = compare_limit(ours, chosen[key], *limit, options.repeats)
     for key in JACOBIANS:
         if key in chosen:
             with console.status(f"Jacobian: {key}"):
                 jacobians[key] = compare_jacobian(ours, chosen[key], options.repeats)
-    console.print(case_table(rows), jacobian_table(jacobians))
+    console.print(case_table(rows), limit_table(limits), jacobian_table(jacobians))
     if options.json:
-        report = {"machine": about, "opengl": name, "covered": seen, "cases": rows, "jacobians": jacobians}
-        report |= {"pixels": options.pixels, "texels": options.texels}
+        report = {"machine": about, "opengl": name, "covered": seen, "cases": rows, "limits": limits}
+        report |= {"jacobians": jacobians, "pixels": options.pixels, "texels": options.texels}
         options.json.write_text(json.dumps(report, indent=1) + "\n")
 
 

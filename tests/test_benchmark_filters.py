@@ -40,6 +40,8 @@ def test_benchmark_times_the_same_visibility_on_both_sides(tmp_path):
     for name, row in report["cases"].items():
         assert row["ours"].keys() == COMPARISONS, name
         assert all(0 < time < math.inf for time in row["ours"].values()), name
+    (limit,) = report["limits"].values()
+    assert limit["ratio"] == pytest.approx(limit["filter"] / limit["limit"])
     (jacobian,) = report["jacobians"].values()
     assert jacobian["primal"] > 0
     assert jacobian["ratio"] == pytest.approx(jacobian["jacobian"] / jacobian["primal"])

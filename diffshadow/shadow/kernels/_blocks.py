@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-# Pixels of a row in one SIMD vector.
-_VECTOR = 8
+# Pixels of a row in two SIMD vectors.
+_VECTOR = 16
 
 
 class Blocks(eqx.Module):

@@ -17,8 +17,8 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup
 from ._padded_map import PaddedMap
 
-# The cost of a compare with one texel of a row, in nearest taps. A tap costs more since it must locate its texel.
-_COST_OF_A_TEXEL = 0.4
+# The cost of a compare with one texel of a row, in taps. A tap costs more since it stores its texel's index.
+_COST_OF_A_TEXEL = 0.1
 
 
 class Span(NamedTuple):
@@ -77,7 +77,7 @@ class AbstractKernel(eqx.Module):
 
     Its arrays are scalars or have one value per look-up. Visibility is differentiable with respect to them.
 
-    - `cost`: of a step, in nearest taps.
+    - `cost`: of a step, in taps.
     """
 
     @property

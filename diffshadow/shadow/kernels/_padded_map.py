@@ -7,10 +7,10 @@ a branch.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import take
 from .._map import ShadowMap
 from ..silhouettes._padded import PaddedSilhouettes
 
@@ -37,12 +37,15 @@ class PaddedMap(eqx.Module):
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Index of texel (x, y), integers, clamped so that `margin` texels to the right of it and above it exist."""
-        clamp = lambda p, size: jnp.clip(p, -self.margin, size).astype(jnp.int32) + self.margin
-        row = clamp(y, self.height)
+        """Index of texel (x, y), integers. `margin` texels to the right of it and above it exist.
+
+        If all of these lie outside the map, it is the index of other empty texels.
+        """
+        row = _count_from(-self.margin, y, self.height)
         if layer is not None:
             row = row + layer * (self.height + 2 * self.margin)
-        return row * self.stride + clamp(x, self.width)
+        # Barrier: otherwise XLA computes indices where it reads texels, one by one instead of in SIMD vectors.
+        return lax.optimization_barrier(row * self.stride + _count_from(-self.margin, x, self.width))
 
     def depth_at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Float[Array, "*n"]:
         """The depths stored `skip` after `place`: fewer than `margin` texels to the right and up.
@@ -54,7 +57,23 @@ class PaddedMap(eqx.Module):
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         """As `depth_at`, from another flat array with the same layout."""
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
-        return take(from_there, place)
+        # XLA clamps indices: signed ones to two bounds, unsigned ones to one.
+        index, element = place.astype(jnp.uint32)[..., None], lax.GatherDimensionNumbers((), (0,), (0,))
+        return lax.gather(from_there, index, element, (1,), mode="promise_in_bounds")
+
+
+def _count_from(first: int, x: Float[Array, "*n"], last: int) -> Int[Array, "*n"]:
+    """`x - first` for integers x from `first` to `last`, and `last - first` for all others.
+
+    Adding 1.5 · 2^23 to a small integer puts it into the lowest bits of a float32. This takes one SIMD instruction,
+    while a conversion takes several since it checks the range. As unsigned words, negative differences exceed all
+    others.
+    """
+    dtype = np.dtype(x.dtype)
+    word = np.dtype(f"uint{8 * dtype.itemsize}")
+    offset = np.asarray(1.5 * 2.0 ** np.finfo(dtype).nmant, dtype)
+    count = lax.bitcast_convert_type(x + offset, word) - (offset + dtype.type(first)).view(word)
+    return jnp.minimum(count, word.type(last - first)).astype(jnp.int32)
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:

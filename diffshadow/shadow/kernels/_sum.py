@@ -19,9 +19,9 @@ from ._kernel import AbstractKernel, AbstractRow
 from ._padded_map import PaddedMap, pad
 from ._terms import AbstractTerms, total, zeros_like
 
-# The cost of one iteration of the loop over a kernel's steps, in nearest taps: longer iterations run no faster and
-# compile more slowly.
-_COST_OF_A_STEP = 16
+# The cost of one iteration of the loop over a kernel's steps, in taps: longer iterations run no faster, compile more
+# slowly and take more memory.
+_COST_OF_A_STEP = 4
 # The cost of a step with its derivatives, relative to the step alone.
 _COST_OF_DERIVATIVES = 2
 

@@ -41,14 +41,18 @@ class Tap(AbstractKernel):
 
     @property
     def cost(self) -> float:
-        return {"nearest": 1.0, "bilinear": 4.0}[self.mode]
+        return 1.0
 
     def footprint(self, lookup: Lookup, step: tuple[Array, Array]) -> Footprint:
         x, y = step
         if self.turn is not None:
             cosine, sine = self.turn
             x, y = cosine * x - sine * y, sine * x + cosine * y
-        x, y = lookup.x + self.radius * x, lookup.y + self.radius * y
+        x, y = self.radius * x, self.radius * y
+        if self.mode == "bilinear" or lookup.slope is not None:
+            # Barrier: otherwise some uses of the position round the product, and others fuse it with the sum below.
+            x, y = lax.optimization_barrier(x), lax.optimization_barrier(y)
+        x, y = lookup.x + x, lookup.y + y
         if self.mode == "nearest":
             column, row = jnp.floor(x), jnp.floor(y)
             at = lambda p: [Span(1.0, jnp.clip(p - _POINT, -0.5, 0.5), jnp.clip(p + _POINT, -0.5, 0.5))]
