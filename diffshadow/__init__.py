@@ -7,7 +7,8 @@ Its subpackages, each with its public names on one page:
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
 A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global;
-`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores.
+`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores, and `keep_freed_memory()`
+spares large arrays fresh pages.
 """
 
 from importlib import import_module
@@ -15,6 +16,7 @@ from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from ._memory import keep_freed_memory as keep_freed_memory
 from ._xla import use_all_cores as use_all_cores
 
 if TYPE_CHECKING:
@@ -31,14 +33,14 @@ if TYPE_CHECKING:
 
 __version__ = version("diffshadow")
 
-_ROOMS = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
+_SUBPACKAGES = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
 
 
 def __getattr__(name: str) -> ModuleType:
-    if name in _ROOMS:
+    if name in _SUBPACKAGES:
         return import_module(f".{name}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_ROOMS])
+    return sorted([*globals(), *_SUBPACKAGES])

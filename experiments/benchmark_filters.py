@@ -105,7 +105,6 @@ class Ours(eqx.Module):
     camera: PinholeCamera
     shadow_map: shadow.ShadowMap
     surface: raster.Surface
-    capacity: raster.Capacity = eqx.field(static=True)
 
     @classmethod
     def draw(cls, pixels: int, texels: int) -> "Ours":
@@ -115,8 +114,7 @@ class Ours(eqx.Module):
         )
         light = DirectionalLight((0.5, -1.0, -0.3), (0.0, 0.3, 0.2), (6.0, 6.0), -3.5, 3.5)
         shadow_map = shadow.draw_shadow_map(mesh, light, (texels, texels))
-        capacity = raster.plan(camera.view().clip(mesh.vertices), mesh.faces, camera.resolution)
-        return cls(mesh, camera, shadow_map, raster.draw_surface(mesh, camera, capacity=capacity), capacity)
+        return cls(mesh, camera, shadow_map, raster.draw_surface(mesh, camera))
 
     def lookup(self) -> shadow.Lookup:
         at = shadow.receiver(self.shadow_map, self.surface)
@@ -136,7 +134,7 @@ class Ours(eqx.Module):
             return technique.visibility(shadow_map, surface)
 
         def whole():
-            surface = raster.draw_surface(self.mesh, self.camera, capacity=self.capacity)
+            surface = raster.draw_surface(self.mesh, self.camera)
             return visibility(technique, self.shadow_map, surface)
 
         return {

@@ -30,11 +30,12 @@ from _opengl_passes import OpenGL, Triangles
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import raster, use_all_cores
+from diffshadow import keep_freed_memory, raster, use_all_cores
 from diffshadow.geometry import DirectionalLight, Mesh, library_mesh, merge, rotation, scaling, translation
 
 # At import, since benchmarks make arrays when they are imported.
 use_all_cores()
+keep_freed_memory()
 
 CULL = "back"
 LIGHT_DIRECTION = (0.1, -1.0, 0.5)

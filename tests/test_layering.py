@@ -23,12 +23,13 @@ FOLDERS = {
     "study": ("files", "pages", "runs", "sweeps", "_report"),
 }
 # Outside the order: what each may import, and which may import it.
-ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set()}
+ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
 IMPORTED_BY = {
     "reference": {"fit", "config", "study", "cli"},
     "metrics": {"fit", "config", "study", "cli"},
     "io": {"config", "study", "cli"},
     "_xla": {"study", "cli"},
+    "_memory": {"study", "cli"},
 }
 PURE = {*COMMON, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {

@@ -16,7 +16,7 @@ from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
 from ._precision import Precision, precision_of
 from ._programs import compiled
-from ._solve import Solution, losses, solve
+from ._solve import Solution, solve
 from .problems import Joint
 from .solvers import Solver
 
@@ -187,11 +187,12 @@ class Run:
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
         for _ in range(_ENLARGEMENTS + 1):
-            *found, overflow = self._returned(None, losses, (self.judge, self.parameters, values))
+            # Not as one program: its parts share theirs with all else that is drawn.
+            *found, overflow = self.judge.losses(self.parameters.put(self.judge.subject, values))
             if not overflow:
                 loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found)
                 return loss, hard_loss
-            self._forget(None)
+            self.enlargements += 1
             self.judge = enlarged(self.judge, self.parameters, values[None])
         raise RuntimeError(_NEVER_ENOUGH)
 
@@ -199,7 +200,9 @@ class Run:
         """What the program of a phase returns, repeated with memory for more silhouettes until none is missing."""
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
-            found = self._returned(phase.program, solve, self._arguments(phase, free, scale))
+            arguments = self._arguments(phase, free, scale)
+            found = self._program(phase.program, solve, arguments)(*arguments)
+            jax.effects_barrier()
             if not self.reporter.overflowed:
                 return found
             places = list(dict.fromkeys(self.reporter.overflowed))
@@ -208,18 +211,13 @@ class Run:
             self.reporter.again()
         raise RuntimeError(_NEVER_ENOUGH)
 
-    def _returned(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
-        found = self._program(key, function, arguments)(*arguments)
-        jax.effects_barrier()
-        return jax.block_until_ready(found)
-
     def _forget(self, key: Any) -> None:
         """Drops a program that has memory for too few silhouettes."""
         self.enlargements += 1
         self._programs.pop(key, None)
 
     def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
-        """The compiled program of the phases with this key; `None` is the judge's."""
+        """The compiled program of the phases with this key."""
         if key not in self._programs:
             started = time.perf_counter()
             self._programs[key] = compiled(function, arguments)

@@ -101,5 +101,3 @@ solve: Any = eqx.filter_jit(_solve)
 
 `token` names the reporter of its steps, and `scale` multiplies the residuals.
 """
-losses: Any = eqx.filter_jit(lambda joint, parameters, values: joint.losses(parameters.put(joint.subject, values)))
-"""`losses(joint, parameters, values)`: as `Joint.losses`."""

@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import qmc
 
 from .._misc import as_float
 from ._parameters import Parameters
@@ -18,6 +17,8 @@ def starts_within(parameters: Parameters, initial: Float[Array, " p"], count: in
         raise ValueError(f"{count} starts were requested; expected 1 or more")
     if count == 1:
         return initial[None]
+    from scipy.stats import qmc  # here, since it takes long to load
+
     sobol = qmc.Sobol(initial.shape[0], rng=np.random.default_rng(seed))
     # A power of two at once, whose points are even.
     fractions = sobol.random_base2(max(count - 2, 0).bit_length())[: count - 1]

@@ -244,5 +244,5 @@ def _stacked(at: Barycentrics, components: list[Array]) -> Float[Array, "h w c"]
 
 
 def _computed(arrays: Any) -> Any:
-    """The arrays as they are, each computed before whatever reads it, not anew for every element that is read."""
+    """The arrays, behind barriers: XLA computes each once, instead of again for every element that is read."""
     return jax.tree.map(lax.optimization_barrier, arrays)

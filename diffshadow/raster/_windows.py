@@ -37,7 +37,7 @@ VIEWS = "views"
 """Name of the mapped axis where several views are drawn at once."""
 _FACE_BITS = 32
 # How many are drawn, clipped and tested at once: triangles of a size class, faces to clip, and blocks.
-_SMALL = 1 << 10
+_SMALL = 1 << 9
 _CLIPPED = 1 << 7
 _BLOCKS = 1 << 9
 

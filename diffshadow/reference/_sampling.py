@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
-from scipy.stats import qmc
 
 from .._types import HostArray
 from ..geometry import Domain
@@ -99,6 +98,8 @@ class LightSampler:
         self.seed = seed
         if sampler == "sobol":
             # Drawn in powers of two, for which the sequence is balanced, and truncated.
+            from scipy.stats import qmc  # here, since it takes long to load
+
             sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng((seed, 0)))
             points = sequence.random_base2(max(self.samples - 1, 0).bit_length())[: self.samples]
             self._points, self._cell = points.astype(np.float32), None

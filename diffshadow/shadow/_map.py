@@ -129,9 +129,16 @@ def draw_shadow_map(
         return ShadowMap(depth, light, depth_format)
     height, width = resolution
     corners = rasterize_depth(_about_corners(clip, resolution), mesh.faces, (height + 1, width + 1))
-    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings, overflows is None)
+    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
     if overflows is not None:
         overflows.append(overflow)
+    else:
+        silhouettes = eqx.error_if(
+            silhouettes,
+            overflow,
+            f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these "
+            "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
+        )
     return ShadowMap(depth, light, depth_format, silhouettes)
 
 
@@ -191,20 +198,12 @@ def _silhouettes(
     light: AbstractLight,
     edges: Edges,
     crossings: int,
-    checked: bool,
 ) -> tuple[SilhouetteMap, Overflow]:
-    """The silhouettes in a map, and whether some are missing, which is an error if `checked`."""
+    """The silhouettes in a map, and whether some are missing."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
-    overflow = jnp.sum(outline.counts) > crossings
-    if checked:
-        outline = eqx.error_if(
-            outline,
-            overflow,
-            f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these "
-            "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
-        )
-    return find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings), overflow
+    found = find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings)
+    return found, jnp.sum(outline.counts) > crossings
 
 
 @eqx.filter_jit

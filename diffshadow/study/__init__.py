@@ -1,10 +1,28 @@
 """Runs: from a configuration to a folder of numbers, images and a report."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from ._report import report as report
 from .pages._compare import compare as compare
 from .runs._check import check as check
 from .runs._fit import run_fit as run_fit
 from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render as run_render
-from .sweeps._run import print_plan as print_plan
-from .sweeps._run import run_sweep as run_sweep
+
+if TYPE_CHECKING:
+    from .sweeps._run import print_plan as print_plan
+    from .sweeps._run import run_sweep as run_sweep
+
+_OF_SWEEPS = ("print_plan", "run_sweep")
+
+
+def __getattr__(name: str) -> Any:
+    # On first use: sweeps load Dask, pandas and Arrow.
+    if name in _OF_SWEEPS:
+        return getattr(import_module(".sweeps._run", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_OF_SWEEPS])

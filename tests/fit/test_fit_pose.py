@@ -128,7 +128,7 @@ def test_rectangle_light_takes_its_shadow_along():
     one = problem(LIGHTS["rectangle"], texels=128)
     paths = tuple(f"lights.0.position.{axis}" for axis in "xyz")
     start = jnp.array(values(one, paths))
-    one = one.planned(paths, start[None])
+    one = one.planned()
 
     def moments(at):
         arrangement = with_values(one.arrangement, paths, at)

@@ -12,8 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffshadow._misc import shared_size
 from diffshadow.geometry import (
     DirectionalLight,
+    Edges,
     Mesh,
     OrthographicCamera,
     PinholeCamera,
@@ -384,3 +386,31 @@ def test_merge_keeps_every_triangle_with_its_normals_and_colour():
     np.testing.assert_array_equal(np.asarray(both.vertices)[np.asarray(both.faces)], triangles)
     np.testing.assert_array_equal(both.corner_normals[12:], ball.corner_normals)
     np.testing.assert_allclose(both.albedo[:, 0], [0.8] * 12 + [0.25] * 80)
+
+
+def test_padded_meshes_have_one_of_few_sizes_and_nothing_more_to_see():
+    mesh = library_mesh("torus", segments=20, sides=10)
+    padded = mesh.padded()
+    count, vertices = len(mesh.faces), len(mesh.vertices)
+    assert (padded.faces.shape, padded.vertices.shape) == ((4096, 3), (4096, 3))
+    for name in ("vertices", "faces", "corner_normals", "albedo"):
+        own = np.asarray(getattr(mesh, name))
+        np.testing.assert_array_equal(np.asarray(getattr(padded, name))[: len(own)], own)
+    further = np.asarray(padded.faces)[count:]
+    assert (further == further[:, :1]).all(), "they are points"
+    np.testing.assert_array_equal(padded.bounds, mesh.bounds)
+    assert padded.padded() is padded
+    assert jax.jit(lambda m: len(m.padded().vertices))(mesh) == vertices, "traced meshes stay as they are"
+    # Four sizes to an octave.
+    assert [shared_size(n) for n in (1, 257, 4097, 16385, 20481, 33000, 10**6)] == [
+        *(256, 4096, 16384, 20480, 24576, 40960, 1048576)
+    ]
+
+
+def test_padded_edges_have_further_rows_that_are_no_silhouettes():
+    mesh = library_mesh("box")
+    edges, padded = Edges.of(mesh), Edges.of(mesh).padded(256)
+    np.testing.assert_array_equal(np.asarray(padded.vertices)[: len(edges.vertices)], edges.vertices)
+    assert padded.vertices.shape == (256, 2)
+    assert padded.component.shape == (256,)
+    assert not np.asarray(padded.directions)[len(edges.vertices) :].any()

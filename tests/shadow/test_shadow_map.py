@@ -21,7 +21,7 @@ from scenes import (
     technique,
 )
 
-from diffshadow.geometry import DirectionalLight, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, SpotLight, library_mesh, merge
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import (
     Bias,

@@ -40,7 +40,8 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
     if config.drop_to_ground:
         mesh = geometry.drop_to_ground(mesh)
     mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    placed = _placed(mesh, *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
+    placed = _placed(mesh.padded(), *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
+    placed = jax.tree.map(lambda filled, own: jnp.asarray(np.asarray(filled)[: len(own)]), placed, mesh)
     reach = float(np.abs(placed.vertices).max())
     if not reach <= FARTHEST:
         raise ValueError(

@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jax.scipy.stats import norm
@@ -14,6 +15,7 @@ REACH_OF_BLUR = 4
 """Where the Gaussian is cut off, in standard deviations."""
 
 
+@eqx.filter_jit
 def blurred(image: Float[Array, "h w"], widest: float, sharpness: Scalar | float) -> Float[Array, "h w"]:
     """An image under a Gaussian of standard deviation `widest / sharpness` in pixels; 0 beyond its border."""
     if widest == 0:

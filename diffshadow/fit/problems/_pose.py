@@ -131,9 +131,7 @@ class PoseProblem(AbstractProblem):
         **Arguments:** `overflows` as for `draw_shadow_map`.
         """
         image = self.image(*self.draw(subject, overflows), subject.technique)
-        counts = self.weight > 0
-        root = jnp.sqrt(jnp.where(counts, self.weight, 1))
-        return jnp.where(counts, (image - self.reference) * root, 0)
+        return _weighted_difference(image, self.reference, self.weight)
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """The blur of a difference."""
@@ -144,17 +142,13 @@ class PoseProblem(AbstractProblem):
 
         **Arguments:** `overflows` as for `draw_shadow_map`.
         """
-        meshes = self._placed(arrangement)
+        casters, light, every = _arranged(self.scene, arrangement, self.index)
         shadow_map = self.settings.draw(
-            self._casters(meshes),
-            self._light(arrangement, meshes),
-            edges=self._edges(),
-            crossings=self.crossings,
-            overflows=overflows,
+            casters, light, edges=self._edges(), crossings=self.crossings, overflows=overflows
         )
         if self.surface is not None:
             return shadow_map, self.surface
-        return shadow_map, draw_surface(merge(meshes), self.scene.camera)
+        return shadow_map, draw_surface(every, self.scene.camera)
 
     @property
     def sharpest(self) -> float:
@@ -199,9 +193,8 @@ class PoseProblem(AbstractProblem):
         edges = self._edges()
         if edges is None:
             return self
-        meshes = self._placed(self.arrangement)
-        light = self._light(self.arrangement, meshes)
-        needed = _MORE_CROSSINGS * plan_crossings(self._casters(meshes), light, self.settings.resolution, edges)
+        casters, light, _ = _arranged(self.scene, self.arrangement, self.index)
+        needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
         return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
 
     @property
@@ -209,21 +202,29 @@ class PoseProblem(AbstractProblem):
         """The sides of image and map, in pixels and texels."""
         return (*self.reference.shape, *self.settings.resolution)
 
-    def _casters(self, meshes: Sequence[Mesh]) -> Mesh:
-        return dataclasses.replace(self.scene, meshes=meshes).casters
-
     def _edges(self) -> Edges | None:
         if not self.settings.silhouettes:
             return None
         return Edges.of(self.scene.casters) if self.edges is None else self.edges
 
-    def _light(self, arrangement: Arrangement, meshes: Sequence[Mesh]) -> AbstractLight:
-        return self.scene.light.at(arrangement.lights[self.index]).refitted(_points(meshes))
 
-    def _placed(self, arrangement: Arrangement) -> list[Mesh]:
-        return [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, self.scene.meshes, strict=True)]
+# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
+@eqx.filter_jit
+def _arranged(scene: Scene, arrangement: Arrangement, index: int) -> tuple[Mesh, AbstractLight, Mesh]:
+    """What casts, the light, and all meshes, as they are arranged."""
+    meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
+    light = scene.light.at(arrangement.lights[index]).refitted(_points(meshes))
+    return dataclasses.replace(scene, meshes=meshes).casters, light, merge(meshes)
 
 
+@eqx.filter_jit
+def _weighted_difference(image: Visibility, reference: Visibility, weight: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    counts = weight > 0
+    root = jnp.sqrt(jnp.where(counts, weight, 1))
+    return jnp.where(counts, (image - reference) * root, 0)
+
+
+@eqx.filter_jit
 def cone_fraction(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
     """The fraction of the light that its cone lets through to each pixel, (h, w); 1 where there is no surface."""
     return jnp.where(surface.mask, light.cone_fraction(surface.position), 1)

@@ -1,7 +1,6 @@
 """Halton's sequence, scrambled."""
 
 import numpy as np
-from scipy.stats import qmc
 
 from ._disk import DiskMapping, to_disk
 from ._pattern import Pattern, check_counts, pattern_of
@@ -30,6 +29,8 @@ def halton(
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)
+    from scipy.stats import qmc  # here, since it takes long to load
+
     sets = [qmc.Halton(2, scramble=True, rng=rng).random(samples) for _ in range(pattern_size**2)]
     points = np.reshape(sets, (pattern_size, pattern_size, samples, 2))
     return pattern_of(to_disk(points, mapping), rotated)

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.stats import qmc
 
 from ..._types import HostArray
 from ._disk import DiskMapping, to_disk
@@ -37,6 +36,8 @@ def sobol(
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)
+    from scipy.stats import qmc  # here, since it takes long to load
+
     plain = qmc.Sobol(2, scramble=False, bits=_BITS).random_base2(math.ceil(math.log2(samples)))[:samples]
     seeds = rng.integers(1 << _BITS, size=(pattern_size, pattern_size, 1, 2), dtype=np.uint32)
     digits = _owen_scrambled((plain * 2.0**_BITS).astype(np.uint32), seeds)

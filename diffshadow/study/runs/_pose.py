@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float32
 from rich.console import Console
@@ -62,17 +61,12 @@ def images_at(
     """The image of an arrangement that is compared with each reference, and the scene as light and camera see it."""
     images, seen = [], []
     for problem, each in zip(problems, drawn, strict=True):
-        image, shadow_map, surface = _drawn(problem, arrangement)
+        shadow_map, surface = problem.draw(arrangement)
+        image = problem.image(shadow_map, surface, arrangement.technique)
         images.append(np.asarray(image, np.float32))
         scene = dataclasses.replace(each.scene, lights=shadow_map.light)
         seen.append(each._replace(scene=scene, state=shadow_map, surface=surface))
     return images, seen
-
-
-@eqx.filter_jit
-def _drawn(problem: fit.PoseProblem, arrangement: fit.Arrangement) -> tuple[Any, Any, Any]:
-    shadow_map, surface = problem.draw(arrangement)
-    return problem.image(shadow_map, surface, arrangement.technique), shadow_map, surface
 
 
 def errors_of(plan: FitPlan, result: fit.FitResult) -> dict[str, float]:
