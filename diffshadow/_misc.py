@@ -78,6 +78,12 @@ def shared_size(n: int) -> int:
     return -(-n // step) * step
 
 
+def shared_mesh_size(faces: int, vertices: int) -> tuple[int, int]:
+    """Numbers of faces and vertices that a mesh of these is filled up to: one size for both where the vertices fit."""
+    size = shared_size(faces)
+    return size, size if vertices <= size else shared_size(vertices)
+
+
 def filled(array: Any, size: int, value: Any = 0) -> np.ndarray:
     """`array` on the host, filled up with `value` to `size` along its first axis."""
     array = np.asarray(array)

@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._misc import array_module, as_float, as_int, concrete, filled, normalize, shared_size
+from .._misc import array_module, as_float, as_int, concrete, filled, normalize, shared_mesh_size
 from .._types import Faces, Mat4, Vertices
 from ._transforms import transform_points, transform_vectors
 
@@ -73,8 +73,7 @@ class Mesh(eqx.Module):
         meshes of like size then share compiled programs. A traced mesh stays as it is.
         """
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
-        faces = shared_size(count)
-        size = faces if vertices <= faces else shared_size(vertices)
+        faces, size = shared_mesh_size(count, vertices)
         if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
         return Mesh(

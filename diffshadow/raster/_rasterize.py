@@ -10,7 +10,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._misc import as_float, filled, shared_size
+from .._misc import as_float, filled, shared_mesh_size
 from .._types import Faces, Resolution
 from ._bins import Cull, bin_triangles
 from ._depth_test import DepthTest
@@ -37,8 +37,7 @@ def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b
     """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled."""
     if isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
-    size = shared_size(faces.shape[0])
-    vertices = size if clip.shape[-2] <= size else shared_size(clip.shape[-2])
+    size, vertices = shared_mesh_size(faces.shape[0], clip.shape[-2])
     if (size, vertices) != (faces.shape[0], clip.shape[-2]):
         # In NumPy, whose copies need no compiling.
         clip = jnp.asarray(np.moveaxis(filled(np.moveaxis(np.asarray(clip), -2, 0), vertices), 0, -2))
