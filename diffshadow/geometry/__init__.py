@@ -30,6 +30,8 @@ from ._transforms import transform_vectors as transform_vectors
 from ._transforms import translation as translation
 from ._view import View as View
 from .lights import AbstractLight as AbstractLight
+from .lights import CascadedLight as CascadedLight
+from .lights import CascadeSelection as CascadeSelection
 from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
 from .lights import LightPose as LightPose

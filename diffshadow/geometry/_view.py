@@ -4,29 +4,36 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Mat4, Scalar
-from ._transforms import transform_points
+from .._misc import with_gradient_of
+from .._types import Scalar, Vec2
+from ._transforms import transform_points, transform_vectors
 
 
 class View(eqx.Module):
     """A pose and a projection.
 
-    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. (l, 4, 4) for a light with several views, which all have
-        the same projection.
+    A light may have several views: then `world_to_eye` is (l, 4, 4), or `eye_to_clip` is, or both.
+
+    - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
     - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units.
     - `is_perspective`: whether sizes shrink with distance.
+    - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
+        are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
+        whole steps then sees the same triangles to the bit. None if vertices are drawn where they are.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
-    eye_to_clip: Mat4
+    eye_to_clip: Float[Array, "*m 4 4"]
     near: Scalar
     far: Scalar
     is_perspective: bool = eqx.field(static=True)
+    steps: Vec2 | None = None
 
     def facing(self, layer: Int[Array, "*n"]) -> "View":
         """For a light with several views, the view of `layer` for each point."""
-        return eqx.tree_at(lambda view: view.world_to_eye, self, self.world_to_eye[layer])
+        each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
+        return self._with(each(self.world_to_eye), each(self.eye_to_clip))
 
     @property
     def matrix(self) -> Float[Array, "*l 4 4"]:
@@ -38,6 +45,23 @@ class View(eqx.Module):
         # Two steps keep precision for small scenes far from the world's origin.
         eye = transform_points(self.world_to_eye, points)[..., :3]
         return transform_points(self.eye_to_clip, eye)
+
+    def clip_vertices(self, vertices: Float[Array, "v 3"]) -> Float[Array, "*l v 4"]:
+        """Clip coordinates of a mesh's `vertices` in each view, at whole steps if the view has any."""
+        # Broadcasts each view's matrix over all vertices.
+        spread = lambda matrix: matrix[..., None, :, :] if matrix.ndim > 2 else matrix
+        view = self._with(spread(self.world_to_eye), spread(self.eye_to_clip))
+        clip = view.clip(vertices)
+        if self.steps is None:
+            return clip
+        eye = transform_points(view.world_to_eye, vertices)[..., :3]
+        from_axis, offset = transform_vectors(view.eye_to_clip, eye)[..., :2], view.eye_to_clip[..., :2, 3]
+        whole = jnp.round(from_axis * self.steps) + jnp.round(offset * self.steps)
+        return jnp.concatenate([with_gradient_of(clip[..., :2], whole / self.steps), clip[..., 2:]], axis=-1)
+
+    def _with(self, world_to_eye: Float[Array, "*l 4 4"], eye_to_clip: Float[Array, "*m 4 4"]) -> "View":
+        matrices = lambda view: (view.world_to_eye, view.eye_to_clip)
+        return eqx.tree_at(matrices, self, (world_to_eye, eye_to_clip))
 
     def eye_depth(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Distance along the view axis, in world units, of window `depth`."""
@@ -59,7 +83,8 @@ class View(eqx.Module):
         view axis."""
         height, width = resolution
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
-        at_unit = 2 / jnp.stack([self.eye_to_clip[0, 0] * width, self.eye_to_clip[1, 1] * height])
+        across, up = self.eye_to_clip[..., 0, 0], self.eye_to_clip[..., 1, 1]
+        at_unit = 2 / jnp.stack([across * width, up * height], axis=-1)
         return at_unit * (distance if self.is_perspective else jnp.ones_like(distance))[..., None]
 
     def texel_size(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n"]:

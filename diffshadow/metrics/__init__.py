@@ -1,5 +1,7 @@
 """Error metrics of a visibility image against its reference."""
 
+from ._aliasing import AliasingFigures as AliasingFigures
+from ._aliasing import measure_aliasing as measure_aliasing
 from ._differences import mae as mae
 from ._differences import psnr as psnr
 from ._differences import rmse as rmse

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
+"""Steps to a pixel, at whole numbers of which vertices are drawn."""
 
 # Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
 # within 2²¹, and 256 of them within 2²⁹.

@@ -1,5 +1,7 @@
 """Shadow mapping, its biases, compares and filters; shadow volumes and projective shadows."""
 
+from ._aliasing import Aliasing as Aliasing
+from ._aliasing import aliasing as aliasing
 from ._compare import AbstractCompare as AbstractCompare
 from ._compare import HardCompare as HardCompare
 from ._compare import SoftCompare as SoftCompare
@@ -43,6 +45,10 @@ from .filters import RandomDisk as RandomDisk
 from .filters import Tent as Tent
 from .filters import VarianceShadowMap as VarianceShadowMap
 from .kernels import mean_of_taps as mean_of_taps
+from .layouts import AbstractLayout as AbstractLayout
+from .layouts import Cascades as Cascades
+from .layouts import Choice as Choice
+from .layouts import SingleMap as SingleMap
 from .patterns import DiskMapping as DiskMapping
 from .patterns import Pattern as Pattern
 from .patterns import halton as halton

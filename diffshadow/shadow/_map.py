@@ -40,6 +40,10 @@ class ShadowMap(eqx.Module):
         """The projection it was drawn with."""
         return self.light.view()
 
+    def view_of(self, layer: Int[Array, "*n"] | None) -> View:
+        """The projection of `layer`, for each point; the map's only one if there are no layers."""
+        return self.view if layer is None else self.view.facing(layer)
+
     @property
     def resolution(self) -> Resolution:
         """(height, width) in texels."""
@@ -216,11 +220,7 @@ def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: Dep
 @eqx.filter_jit
 def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
     """Clip coordinates of a mesh's vertices in each of the light's views."""
-    view = light.view()
-    layers = view.world_to_eye.shape[:-2]
-    # Broadcasts each layer's matrix over all vertices.
-    spread = view.world_to_eye[..., None, :, :] if layers else view.world_to_eye
-    return eqx.tree_at(lambda view: view.world_to_eye, view, spread).clip(mesh.vertices)
+    return light.view().clip_vertices(mesh.vertices)
 
 
 @eqx.filter_jit

@@ -48,10 +48,15 @@ class Receiver(eqx.Module):
     layer: Int[Array, "h w"] | None
 
 
-def receiver(shadow_map: ShadowMap, surface: Surface) -> Receiver:
-    """The surface as the light sees it. Pixels without a surface hold finite dummy values."""
-    layer = shadow_map.light.layer(surface.position)
-    view = view_of(shadow_map, layer)
+def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] | None = None) -> Receiver:
+    """The surface as the light sees it. Pixels without a surface hold finite dummy values.
+
+    **Arguments:**
+
+    - `layer`: (h, w), which of the light's maps each point falls in; the one that the light's `layer` says if left out.
+    """
+    layer = shadow_map.light.layer(surface.position) if layer is None else layer
+    view = shadow_map.view_of(layer)
     eye = transform_points(view.world_to_eye, surface.position)[..., :3]
     # Behind a spot light the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
@@ -76,16 +81,11 @@ def receiver(shadow_map: ShadowMap, surface: Surface) -> Receiver:
     )
 
 
-def view_of(shadow_map: ShadowMap, layer: Int[Array, "h w"] | None) -> View:
-    """The view that each receiver is seen in."""
-    return shadow_map.view if layer is None else shadow_map.view.facing(layer)
-
-
 def project(
     shadow_map: ShadowMap, position: VectorMap, layer: Int[Array, "h w"] | None
 ) -> tuple[TexelMap, DepthMap, Mask]:
     """Projects `position` (h, w, 3) into the map: texel, window depth, and whether it is in front of the light."""
-    view = view_of(shadow_map, layer)
+    view = shadow_map.view_of(layer)
     clip = view.clip(position)
     w = clip[..., 3]
     # In the plane of a spot light the divide overflows; nothing that close to the plane casts a shadow.

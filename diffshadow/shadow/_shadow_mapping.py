@@ -4,11 +4,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Int
 
 from .._misc import in_unit_range
-from .._types import Mask, Visibility
-from ..geometry import Edges, Scene
-from ..raster import Surface
+from .._types import Mask, Scalar, Visibility
+from ..geometry import AbstractCamera, Edges, Scene, transform_points
+from ..raster import Surface, draw_surface
+from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
 from ._lookup import Lookup, look_up, within_frustum
 from ._map import MapSettings, ShadowMap
@@ -16,6 +18,7 @@ from ._receiver import receiver
 from ._technique import AbstractTechnique
 from .biases import AbstractBias
 from .filters import AbstractFilter
+from .layouts import AbstractLayout, SingleMap
 
 # A texel position so far outside the map that no filter reaches it.
 _NOWHERE = -1e6
@@ -28,21 +31,28 @@ class ShadowMapping(AbstractTechnique):
     - `bias`: what keeps surfaces from shadowing themselves.
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
+    - `layout`: how the map's texels are laid out over the scene.
     """
 
     filter: AbstractFilter
     bias: AbstractBias
     compare: AbstractCompare = HardCompare()
     map: MapSettings = eqx.field(static=True, default=MapSettings())
+    layout: AbstractLayout = SingleMap()
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ShadowMap:
-        """The shadow map of the scene's casters under its only light. It does not depend on `surface`.
+        """The shadow map of the scene's casters under its only light.
 
-        **Raises** what `draw_shadow_map` raises. For use inside `jax.jit`, call that function with a capacity.
+        It depends on `surface` only if the layout does.
+
+        **Raises** what `draw_shadow_map` and the layout raise. For use inside `jax.jit`, call `draw_shadow_map`.
         """
-        casters = scene.casters
+        casters, camera, depths = scene.casters, scene.camera, None
         edges = Edges.of(casters) if self.map.silhouettes else None
-        return self.map.draw(casters, scene.light, edges=edges)
+        if self.layout.needs_surface:
+            depths = _depths(draw_surface(scene.mesh, camera) if surface is None else surface, camera)
+        light = self.layout.light(scene.light, camera, self.map.resolution, depths)
+        return self.map.draw(casters, light, edges=edges)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
@@ -50,38 +60,78 @@ class ShadowMapping(AbstractTechnique):
         A receiver outside the map or beyond its far plane is lit. A surface that faces away from the light's centre is
         dark. Pixels without a surface are lit.
         """
-        return _visibility(self.filter, self.bias, self.compare, state, surface)
+        return _visibility(self.layout, self.filter, self.bias, self.compare, state, surface)
 
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
         """Pixels whose surface lies within the light's frustum, (h, w): those that the map covers."""
-        return _covered(self.bias, state, surface)
+        return _covered(self.layout, self.bias, state, surface)
+
+    def aliasing(self, state: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
+        """How large the map's texels are on the screen of `camera`, which sees `surface`."""
+        return _aliasing(self.layout, state, surface, camera)
+
+
+@eqx.filter_jit
+def _aliasing(layout: AbstractLayout, shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
+    return aliasing(shadow_map, surface, camera, layout.choose(shadow_map.light, surface.position))
+
+
+@eqx.filter_jit
+def _depths(surface: Surface, camera: AbstractCamera) -> tuple[Scalar, Scalar]:
+    """The least and greatest depth of a surface along the camera's axis, world units."""
+    depth = -transform_points(camera.view().world_to_eye, surface.position)[..., 2]
+    near, far = camera.near, camera.far
+    least = jnp.min(jnp.where(surface.mask, depth, far))
+    return jnp.clip(least, near, far), jnp.clip(jnp.max(jnp.where(surface.mask, depth, near)), near, far)
 
 
 # These take no map settings: the compiled programs do not depend on them.
 @eqx.filter_jit
 def _visibility(
-    filter: AbstractFilter, bias: AbstractBias, compare: AbstractCompare, shadow_map: ShadowMap, surface: Surface
+    layout: AbstractLayout,
+    filter: AbstractFilter,
+    bias: AbstractBias,
+    compare: AbstractCompare,
+    shadow_map: ShadowMap,
+    surface: Surface,
 ) -> Visibility:
-    lookup, cosine = _look_up(bias, shadow_map, surface)
-    faces_away = surface.mask & ~(cosine > 0)
-    active = surface.mask & lookup.inside & ~faces_away
-    # Inactive pixels look far outside the map, where no work is done.
-    lookup = lookup.at(*(jnp.where(active, place, _NOWHERE) for place in (lookup.x, lookup.y)))
-    # Barrier: otherwise XLA recomputes the projection for every tap. One barrier per array, so that arrays without a
-    # derivative do not get one.
-    lookup = jax.tree.map(lax.optimization_barrier, lookup)
-    lit = in_unit_range(filter(shadow_map, lookup, compare))
-    return jnp.where(active, lit, jnp.where(faces_away, 0, 1))
+    layer, other, weight, strength = layout.choose(shadow_map.light, surface.position)
+
+    def visibility_in(layer: Int[Array, "h w"] | None) -> tuple[Visibility, Mask]:
+        lookup, cosine = _look_up(bias, shadow_map, surface, layer)
+        faces_away = surface.mask & ~(cosine > 0)
+        active = surface.mask & lookup.inside & ~faces_away
+        # Inactive pixels look far outside the map, where no work is done.
+        lookup = lookup.at(*(jnp.where(active, place, _NOWHERE) for place in (lookup.x, lookup.y)))
+        # Barrier: otherwise XLA recomputes the projection for every tap. One barrier per array, so that arrays without
+        # a derivative do not get one.
+        lookup = jax.tree.map(lax.optimization_barrier, lookup)
+        lit = in_unit_range(filter(shadow_map, lookup, compare))
+        return jnp.where(active, lit, 1), faces_away
+
+    if layer is None or other is None or weight is None:
+        lit, faces_away = visibility_in(layer)
+    else:
+        # A loop, so that the filter is compiled once.
+        both, (faces_away, _) = lax.map(visibility_in, jnp.stack([layer, other]))
+        lit = both[1] + weight * (both[0] - both[1])
+    if strength is not None:
+        lit = 1 - strength * (1 - lit)
+    return jnp.where(faces_away, 0, lit)
 
 
 @eqx.filter_jit
-def _covered(bias: AbstractBias, shadow_map: ShadowMap, surface: Surface) -> Mask:
-    lookup, _ = _look_up(bias, shadow_map, surface)
-    return surface.mask & within_frustum(lookup, shadow_map)
+def _covered(layout: AbstractLayout, bias: AbstractBias, shadow_map: ShadowMap, surface: Surface) -> Mask:
+    choice = layout.choose(shadow_map.light, surface.position)
+    lookup, _ = _look_up(bias, shadow_map, surface, choice.layer)
+    covered = surface.mask & within_frustum(lookup, shadow_map)
+    return covered if choice.strength is None else covered & (choice.strength > 0)
 
 
 @eqx.filter_checkpoint
-def _look_up(bias: AbstractBias, shadow_map: ShadowMap, surface: Surface) -> tuple[Lookup, Visibility]:
+def _look_up(
+    bias: AbstractBias, shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] | None
+) -> tuple[Lookup, Visibility]:
     # Reverse mode recomputes this, which is faster than storing residuals for every pixel.
-    at = receiver(shadow_map, surface)
+    at = receiver(shadow_map, surface, layer)
     return look_up(shadow_map, at, bias(at)), at.cosine

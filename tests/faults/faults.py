@@ -146,8 +146,8 @@ _GEOMETRY = (
     _fault(
         "texel's width: by the map's height",
         "geometry/_view.py",
-        "self.eye_to_clip[0, 0] * width",
-        "self.eye_to_clip[0, 0] * height",
+        "across * width",
+        "across * height",
         "test_bias.py",
         "test_geometry.py",
     ),
@@ -693,8 +693,8 @@ _SHADOW = (
     _fault(
         "visibility: surfaces turned away are lit",
         "shadow/_shadow_mapping.py",
-        "jnp.where(faces_away, 0, 1)",
-        "jnp.where(faces_away, 1, 1)",
+        "jnp.where(faces_away, 0, lit)",
+        "jnp.where(faces_away, 1, lit)",
         "test_shadow_map.py",
     ),
     _fault(
@@ -1247,8 +1247,8 @@ _FIT = (
     _fault(
         "shadow mapping: the map of the default settings",
         "shadow/_shadow_mapping.py",
-        "self.map.draw(casters, scene.light, edges=edges)",
-        "MapSettings().draw(casters, scene.light, edges=edges)",
+        "self.map.draw(casters, light, edges=edges)",
+        "MapSettings().draw(casters, light, edges=edges)",
         "test_technique.py",
     ),
     _fault(

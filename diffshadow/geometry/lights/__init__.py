@@ -2,6 +2,8 @@
 
 from ._abstract import AbstractLight as AbstractLight
 from ._abstract import Domain as Domain
+from ._cascaded import CascadedLight as CascadedLight
+from ._cascaded import CascadeSelection as CascadeSelection
 from ._directional import DirectionalLight as DirectionalLight
 from ._matrix import MatrixLight as MatrixLight
 from ._point import PointLight as PointLight

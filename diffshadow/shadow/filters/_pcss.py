@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete
-from ..._types import DepthMap, Mask, Scalar, Visibility
-from ...geometry import AbstractLight
+from ..._types import DepthMap, Mask, Resolution, Scalar, Visibility
+from ...geometry import AbstractLight, View
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
@@ -144,35 +144,37 @@ class _BlockingDepth(AbstractCompare):
 class _Penumbra(eqx.Module):
     """The width of penumbrae at the receivers, in texels.
 
-    - `shadow_map`: its view converts window depth to distance.
+    - `view`: it converts window depth to distance.
+    - `resolution`: of the map.
     - `distance`: (h, w), of receivers along the light's axis, world units.
     - `light_size`: half the light's width in world units; of a directional light, at distance 1.
     """
 
-    shadow_map: ShadowMap
+    view: View
+    resolution: Resolution = eqx.field(static=True)
     distance: Float[Array, "h w"]
     light_size: Scalar
 
     @classmethod
     def of(cls, shadow_map: ShadowMap, lookup: Lookup, light_size: Scalar | None) -> "_Penumbra":
-        distance = shadow_map.view.eye_depth(jnp.clip(lookup.depth, 0, 1))
-        return cls(shadow_map, distance, half_width_of(shadow_map.light, light_size))
+        view = shadow_map.view_of(lookup.layer)
+        distance = view.eye_depth(jnp.clip(lookup.depth, 0, 1))
+        return cls(view, shadow_map.resolution, distance, half_width_of(shadow_map.light, light_size))
 
     @property
     def reach(self) -> Float[Array, "h w"]:
         """Radius of the blocker search: nothing beyond it can hide the light from the receiver."""
-        return self._between(self.shadow_map.view.near)
+        return self._between(self.view.near)
 
     def half_width(self, blocker: DepthMap) -> Float[Array, "h w"]:
         """Half width of the penumbra of a blocker at this window depth."""
-        return self._between(self.shadow_map.view.eye_depth(jnp.clip(blocker, 0, 1)))
+        return self._between(self.view.eye_depth(jnp.clip(blocker, 0, 1)))
 
     def _between(self, blocker: Float[Array, "..."]) -> Float[Array, "h w"]:
-        view = self.shadow_map.view
         width = jnp.maximum(self.distance - blocker, 0) * self.light_size
-        if view.is_perspective:
+        if self.view.is_perspective:
             width = width / blocker
-        return width / view.texel_size(self.distance, self.shadow_map.resolution)
+        return width / self.view.texel_size(self.distance, self.resolution)
 
 
 def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:

@@ -1,0 +1,110 @@
+"""A directional light whose shadow map is made of cascades."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._types import Scalar, Vec2
+from .._transforms import transform_points
+from .._view import View
+from ._abstract import AbstractLight, Domain
+
+CascadeSelection = Literal["interval", "map"]
+"""Which cascade a point falls in: that of its depth, or the first whose map contains it."""
+
+
+class CascadedLight(AbstractLight):
+    """A directional light whose shadow map has a layer, called a cascade, for each of several ranges of a camera's
+    depth. Each cascade is a part of the light's own map, drawn at full resolution.
+
+    `shadow.Cascades` makes one for a light and a camera.
+
+    - `light`: the directional light.
+    - `camera`: the view of the camera.
+    - `begins`, `ends`: (l,), the range of depth along the camera's axis that each cascade covers, in world units. A
+        range may begin before the one before it ends.
+    - `scale`, `offset`: (l, 2), each cascade's window in the light's own clip space: a point's clip coordinates x and y
+        in the cascade are `scale · xy + offset`.
+    - `margin`: (2,), how far from the border of a cascade a point must lie to be in it, in its clip space, if cascades
+        are selected by map.
+    - `select`: how a point's cascade is found.
+    - `steps`: (2,), see `View.steps`.
+    """
+
+    light: AbstractLight
+    camera: View
+    begins: Float[Array, " l"]
+    ends: Float[Array, " l"]
+    scale: Float[Array, "l 2"]
+    offset: Float[Array, "l 2"]
+    margin: Vec2
+    select: CascadeSelection = eqx.field(static=True, default="interval")
+    steps: Vec2 | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of cascades."""
+        return self.ends.shape[0]
+
+    def view(self) -> View:
+        own = self.light.view()
+        # Rows x and y of the projection are scaled, and shifted by multiples of row w.
+        rows = own.eye_to_clip[:2]
+        cropped = self.scale[..., None] * rows + self.offset[..., None] * own.eye_to_clip[3]
+        others = jnp.broadcast_to(own.eye_to_clip[2:], (self.count, 2, 4))
+        eye_to_clip = jnp.concatenate([cropped, others], axis=-2)
+        return View(own.world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, self.steps)
+
+    def depth(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """The depth of `points` (..., 3) along the camera's axis, in world units."""
+        return -transform_points(self.camera.world_to_eye, points)[..., 2]
+
+    def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
+        points = lax.stop_gradient(points)
+        if self.select == "interval":
+            # Written out, since few comparisons in one pass are faster than a reduction.
+            depth = self.depth(points)
+            beyond = [depth > self.ends[k] for k in range(self.count - 1)]
+            return sum((past.astype(jnp.int32) for past in beyond), start=jnp.zeros(depth.shape, jnp.int32))
+        result = jnp.full(points.shape[:-1], self.count - 1, jnp.int32)
+        for k in range(self.count - 2, -1, -1):
+            result = jnp.where(self.to_border(points, k) >= 0, k, result)
+        return result
+
+    def to_border(self, points: Float[Array, "*n 3"], layer: Int[Array, "*n"] | int) -> Float[Array, "*n"]:
+        """How far inside the margin of cascade `layer` the `points` lie, in half widths of the cascade; negative
+        outside of it."""
+        own = self.light.view().clip(points)
+        at = self.scale[layer] * own[..., :2] + self.offset[layer]
+        inside = 1 - self.margin - jnp.abs(at)
+        return jnp.minimum(inside[..., 0], inside[..., 1])
+
+    def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
+        """Which of `points` are no deeper than the last cascade's end."""
+        return self.depth(points) <= self.ends[-1]
+
+    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        return self.light.cone_fraction(points)
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+        return self.light.towards(points, sample)
+
+    @property
+    def angular_radius(self) -> Scalar | None:
+        """Half the light's angular diameter, in degrees; none for a light without."""
+        return getattr(self.light, "angular_radius", None)
+
+    @property
+    def domain(self) -> Domain:
+        return self.light.domain
+
+    @property
+    def is_directional(self) -> bool:
+        return self.light.is_directional
+
+    @property
+    def has_size(self) -> bool:
+        return self.light.has_size

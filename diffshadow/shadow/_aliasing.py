@@ -1,0 +1,129 @@
+"""Aliasing: how large a shadow map's texels are on the screen."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._misc import dot, normalize, safe_divide, safe_norm
+from .._types import Mask, TexelMap, VectorMap
+from ..geometry import AbstractCamera
+from ..raster import Surface
+from ._map import ShadowMap
+from ._receiver import project
+from .layouts import Choice
+
+Jacobian = Float[Array, "h w 2 2"]
+
+
+class Aliasing(eqx.Module):
+    """How large a texel is on the screen at each pixel. It is 1 where map and image match; a larger texel is
+    undersampled, and its edges can be seen.
+
+    The longest extent is Lloyd's error m ("Warping and Partitioning for Low Error Shadow Maps", TR07-005, University of
+    North Carolina, 2007).
+
+    - `jacobian`: (h, w, 2, 2), by how many pixels along x and y (rows) a point of the surface moves on the screen if it
+        moves by one texel along the map's x and y (columns).
+    - `perspective`: (h, w, 2, 2), the same of a surface that leans as much towards the camera as towards the light, so
+        that only the two perspectives count. What remains is projection aliasing: it grows as light grazes the surface.
+    - `mask`: (h, w), where it is measured: at surfaces in the map that face the light.
+    """
+
+    jacobian: Jacobian
+    perspective: Jacobian
+    mask: Mask
+
+    @property
+    def extent(self) -> Float[Array, "h w"]:
+        """The longest extent of a texel, (h, w), in pixels: the Jacobian's greater singular value."""
+        return _singular_values(self.jacobian)[0]
+
+    @property
+    def least_extent(self) -> Float[Array, "h w"]:
+        """The shortest extent of a texel, (h, w), in pixels."""
+        return _singular_values(self.jacobian)[1]
+
+    @property
+    def area(self) -> Float[Array, "h w"]:
+        """The area of a texel, (h, w), in pixels."""
+        return jnp.abs(_determinant(self.jacobian))
+
+    @property
+    def perspective_extent(self) -> Float[Array, "h w"]:
+        """The longest extent due to perspective alone, (h, w), in pixels."""
+        return _singular_values(self.perspective)[0]
+
+    @property
+    def projection_extent(self) -> Float[Array, "h w"]:
+        """The factor, (h, w), by which the surface's slope changes the longest extent."""
+        return safe_divide(self.extent, self.perspective_extent)
+
+
+@eqx.filter_jit
+def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, choice: Choice | None = None) -> Aliasing:
+    """How large the texels of `shadow_map` are on the screen of `camera`, at the surface that it sees.
+
+    Differentiable with respect to the surface, the camera and the map's views.
+
+    **Arguments:**
+
+    - `choice`: the layers that the surface is looked up in; those of the light if left out.
+    """
+    choice = Choice(shadow_map.light.layer(surface.position)) if choice is None else choice
+    view, resolution = camera.view(), camera.resolution
+
+    def pixel(points: VectorMap) -> TexelMap:
+        clip = view.clip(points)
+        window = safe_divide(clip[..., :2], clip[..., 3:]) * 0.5 + 0.5
+        return window * jnp.array(resolution[::-1], window.dtype)
+
+    def texel(points: VectorMap) -> TexelMap:
+        return project(shadow_map, points, choice.layer)[0]
+
+    def across(normal: VectorMap) -> Jacobian:
+        right = _orthogonal(normal)
+        tangents = right, jnp.cross(normal, right)
+        moved = lambda project: jnp.stack([jax.jvp(project, (points,), (t,))[1] for t in tangents], axis=-1)
+        return _divided(moved(pixel), moved(texel))
+
+    # Pixels without a surface have no place on the screen.
+    points = jnp.where(surface.mask[..., None], surface.position, camera.target)
+    to_light = normalize(shadow_map.light.towards(points))
+    to_camera = normalize(camera.eye - points) if view.is_perspective else view.world_to_eye[2, :3]
+    # Twice orthogonal, and of no use, where light and camera are opposite.
+    half_way = normalize(to_light + to_camera)
+    at, _, in_front = project(shadow_map, points, choice.layer)
+    height, width = shadow_map.resolution
+    inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= width) & (at[..., 1] <= height)
+    mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
+    mask = mask if choice.strength is None else mask & (choice.strength > 0)
+    return Aliasing(across(surface.normal), across(half_way), mask)
+
+
+def _orthogonal(normal: VectorMap) -> VectorMap:
+    """A unit vector orthogonal to each unit `normal`."""
+    x, y, z = jnp.moveaxis(normal, -1, 0)
+    is_steep, zero = jnp.abs(y) > 0.7, jnp.zeros_like(x)
+    first, second = jnp.stack([zero, z, -y], axis=-1), jnp.stack([z, zero, -x], axis=-1)
+    return normalize(jnp.where(is_steep[..., None], first, second))
+
+
+def _divided(numerator: Jacobian, denominator: Jacobian) -> Jacobian:
+    """B A⁻¹; 0 where A is singular."""
+    a, b, c, d = (denominator[..., i, j] for i in range(2) for j in range(2))
+    adjugate = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-c, a], axis=-1)], axis=-2)
+    product = jnp.sum(numerator[..., :, :, None] * adjugate[..., None, :, :], axis=-2)
+    return safe_divide(product, _determinant(denominator)[..., None, None])
+
+
+def _determinant(matrix: Jacobian) -> Float[Array, "h w"]:
+    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+
+
+def _singular_values(matrix: Jacobian) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """The greater and the smaller singular value."""
+    a, b, c, d = (matrix[..., i, j] for i in range(2) for j in range(2))
+    turning = safe_norm(jnp.stack([a + d, b - c], axis=-1))
+    mirroring = safe_norm(jnp.stack([a - d, b + c], axis=-1))
+    return (turning + mirroring) / 2, jnp.abs(turning - mirroring) / 2

@@ -1,0 +1,59 @@
+"""The interface of layouts."""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from ..._types import Resolution
+from ...geometry import AbstractCamera, AbstractLight
+
+
+class Choice(NamedTuple):
+    """Which layers of a map each point is looked up in.
+
+    - `layer`: (h, w); none for a map without layers.
+    - `other`, `weight`: (h, w), a second layer, and the weight of the first in the mean of both; none if there is only
+        one.
+    - `strength`: (h, w), from 1, where there are shadows, to 0, where the map no longer has any; none if it has them
+        everywhere.
+    """
+
+    layer: Int[Array, "h w"] | None
+    other: Int[Array, "h w"] | None = None
+    weight: Float[Array, "h w"] | None = None
+    strength: Float[Array, "h w"] | None = None
+
+
+class AbstractLayout(eqx.Module):
+    """Which parts of the scene the layers of a shadow map show, and which layers each receiver is looked up in."""
+
+    @abc.abstractmethod
+    def light(
+        self,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        resolution: Resolution,
+        depths: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
+    ) -> AbstractLight:
+        """`light` with the views of this layout: the light that the map is drawn from.
+
+        **Arguments:**
+
+        - `camera`: where the image is drawn from.
+        - `resolution`: (height, width) of each layer, in texels.
+        - `depths`: the least and greatest depth of the surface that the camera sees, along its axis, in world units.
+            Required if `needs_surface`.
+
+        **Raises** `ValueError` if the layout does not suit the light or the camera.
+        """
+
+    @property
+    def needs_surface(self) -> bool:
+        """Whether `light` needs `depths`."""
+        return False
+
+    @abc.abstractmethod
+    def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
+        """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""

@@ -1,0 +1,312 @@
+"""Cascaded shadow maps (Engel, "Cascaded Shadow Maps", ShaderX5, 2006), also called parallel-split shadow maps (Zhang,
+Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments", VRCIA 2006)."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete
+from ..._types import Resolution, Scalar, Vec2, Vec3
+from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
+from ...raster import SUBPIXELS
+from ..biases._abstract import check_choice
+from ._abstract import AbstractLayout, Choice
+
+MOST_CASCADES = 8
+# The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
+_LEAST_SIZE = 1e-3
+# The least share of a slice over which cascades are blended: 1 / blend has to be finite.
+_LEAST_BLEND = 1e-6
+
+CascadeFit = Literal["cascade", "scene"]
+DepthRange = Literal["camera", "surface"]
+
+
+class Cascades(AbstractLayout):
+    """Cascades for a directional light: the camera's view is split by depth into slices, and each slice has a map of
+    its own, in the layers of one.
+
+    Maps near the camera show less, in smaller texels. With a camera's depths from n to f and λ = `logarithmic`, slice i
+    of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of Zhang et al. 2006).
+    Logarithmic slices give all cascades the same worst aliasing, uniform ones suit scenes with little near the camera.
+
+    - `count`: the number of cascades, 1 to 8.
+    - `logarithmic`: λ in [0, 1], from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
+    - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
+        The last is the shadow distance.
+    - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the least and
+        greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
+        Lefohn 2011).
+    - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
+    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: all that lies before the end of its slice,
+        which wastes texels, but lets a receiver move to another cascade without a change of outline.
+    - `stabilize`: whether texels stay where they are on the scene's surfaces as the camera moves: each cascade contains
+        the least sphere around its slice, whose size does not change as the camera turns, and moves by whole texels.
+        Otherwise it contains the box of its slice, and no more than the light's own map does.
+    - `select`: which cascade a receiver is looked up in. `"interval"`: that of its depth. `"map"`: the first whose map
+        contains it, which uses more of the finer maps.
+    - `blend`: over which part of a slice, in [0, 1], at its end, its cascade fades into the next; 0 for a sharp change.
+        With `select="map"`, over which part of the map's half width, at its border.
+    - `max_blend`: upper bound on `blend`, for which the maps are fitted; defaults to `blend`.
+    - `fade`: over which part of the last slice, at its end, shadows fade out if there is a shadow distance.
+    - `margin`: how far the maps extend beyond their slices, in texels, so that filters read no texels beyond the
+        border: at least the greatest radius of the filter, plus any normal offset.
+
+    **Raises** `ValueError` for a number out of range, or distances that do not increase.
+    """
+
+    logarithmic: Scalar
+    distances: tuple[Scalar, ...] | None
+    shadow_distance: Scalar | None
+    blend: Scalar
+    count: int = eqx.field(static=True)
+    depths: DepthRange = eqx.field(static=True)
+    fit: CascadeFit = eqx.field(static=True)
+    stabilize: bool = eqx.field(static=True)
+    select: CascadeSelection = eqx.field(static=True)
+    max_blend: float = eqx.field(static=True)
+    fade: float = eqx.field(static=True)
+    margin: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        count: int = 4,
+        logarithmic: float | Scalar = 0.5,
+        *,
+        distances: Sequence[float | Scalar] | None = None,
+        depths: DepthRange = "camera",
+        shadow_distance: float | Scalar | None = None,
+        fit: CascadeFit = "cascade",
+        stabilize: bool = True,
+        select: CascadeSelection = "interval",
+        blend: float | Scalar = 0.1,
+        max_blend: float | None = None,
+        fade: float = 0.0,
+        margin: float = 8.0,
+    ):
+        self.count = count if distances is None else len(distances)
+        self.logarithmic = as_float(logarithmic)
+        self.distances = None if distances is None else tuple(as_float(each) for each in distances)
+        self.depths, self.fit, self.stabilize, self.select = depths, fit, stabilize, select
+        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
+        self.blend = as_float(blend)
+        self.max_blend = float(blend) if max_blend is None else max_blend
+        self.fade, self.margin = float(fade), float(margin)
+
+    def __check_init__(self):
+        if not 1 <= self.count <= MOST_CASCADES:
+            raise ValueError(f"the cascades' count is {self.count}; expected 1 to {MOST_CASCADES}")
+        for name, choices in (("depths", DepthRange), ("fit", CascadeFit), ("select", CascadeSelection)):
+            check_choice(f"the cascades' {name}", getattr(self, name), choices.__args__)
+        shares = {"logarithmic": self.logarithmic, "max_blend": self.max_blend, "blend": self.blend, "fade": self.fade}
+        for name, share in shares.items():
+            known, most = concrete(share), self.max_blend if name == "blend" else 1.0
+            if known is not None and not 0 <= known <= most:
+                raise ValueError(f"the cascades' {name} is {known}; expected 0 to {most:g}")
+        if not (self.margin >= 0 and math.isfinite(self.margin)):
+            raise ValueError(f"the cascades' margin is {self.margin}; expected 0 or more texels")
+        if self.distances is not None:
+            self._check_distances(self.distances)
+
+    def _check_distances(self, distances: tuple[Scalar, ...]) -> None:
+        if self.shadow_distance is not None or self.depths != "camera":
+            raise ValueError(
+                f"the cascades have distances, and also shadow_distance = {self.shadow_distance} or depths = "
+                f"{self.depths!r}; expected the last distance to be the shadow distance: remove the others"
+            )
+        known = [concrete(each) for each in distances]
+        if not any(each is None for each in known) and not (np.diff(np.array(known, float)) > 0).all():
+            raise ValueError(
+                f"the cascades' distances are {[float(each) for each in distances]}; expected each to be greater than "
+                "the one before: sort them, and remove those that occur twice"
+            )
+
+    @property
+    def needs_surface(self) -> bool:
+        return self.depths == "surface"
+
+    def splits(self, near: Scalar, far: Scalar) -> Float[Array, " N+1"]:
+        """Where the slices of depths from `near` to `far` begin and end, in world units."""
+        if self.distances is not None:
+            return jnp.stack([near, *self.distances])
+        fraction = np.arange(1, self.count) / self.count
+        uniform = near + (far - near) * fraction
+        # Only where it counts: an orthographic camera's near may be negative.
+        ratio = jnp.where(self.logarithmic > 0, far / jnp.where(self.logarithmic > 0, near, 1), 1)
+        between = uniform + self.logarithmic * (near * ratio**fraction - uniform)
+        return jnp.concatenate([near[None], between, far[None]])
+
+    def light(
+        self,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        resolution: Resolution,
+        depths: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
+    ) -> CascadedLight:
+        """`light` with the views of the cascades; see `AbstractLayout.light`.
+
+        The views follow the light's direction, but where the cascades lie has no gradient with respect to it.
+
+        **Raises** `ValueError` for a light that is not directional, a map too small for the margin, a shadow distance
+        beyond the camera's far plane, or distances outside of the camera's range; and for logarithmic slices of a
+        camera whose near distance is not positive.
+        """
+        self._check_for(light, camera, resolution)
+        if depths is None and self.needs_surface:
+            raise ValueError("the cascades split the depths of the surface, and none was given; expected depths")
+        return _cascaded_light(self, light, camera, resolution, depths if self.needs_surface else None)
+
+    def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
+        if not light.is_directional:
+            raise ValueError(
+                f"the light is a {type(light).__name__}, which cascades cannot be fitted to; expected a directional "
+                "light: use a single map for this one"
+            )
+        if not min(resolution) > 2 * self.margin + 1:
+            raise ValueError(
+                f"the cascades have a margin of {self.margin:g} texels on each side, and maps of {resolution} texels, "
+                f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the maps, or lower margin"
+            )
+        near, far = concrete(camera.near), concrete(camera.far)
+        ends = self.distances if self.shadow_distance is None else (self.shadow_distance,)
+        known = [float(end) for end in map(concrete, ends or ()) if end is not None]
+        if near is None or far is None:
+            return
+        if known and not (near < min(known) and max(known) <= far):
+            given = "distances are" if self.shadow_distance is None else "shadow_distance is"
+            raise ValueError(
+                f"the cascades' {given} {', '.join(f'{end:g}' for end in known)}; expected depths from the camera's "
+                f"near, {float(near):g}, to its far, {float(far):g}: lower what lies beyond, or raise the camera's far"
+            )
+        share = concrete(self.logarithmic)
+        if self.distances is None and self.depths == "camera" and not near > 0 and share is not None and share > 0:
+            raise ValueError(
+                f"the cascades' logarithmic is {float(share):g}, and the camera's near is {float(near):g}; expected a "
+                "positive near for logarithmic slices: set logarithmic to 0, or move the camera's near"
+            )
+
+    def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
+        assert isinstance(light, CascadedLight)
+        layer, depth = light.layer(points), light.depth(points)
+        strength = self._strength(light, depth)
+        if self.max_blend == 0 or self.count == 1:
+            return Choice(layer, strength=strength)
+        other, last = jnp.minimum(layer + 1, self.count - 1), layer == self.count - 1
+        if self.select == "interval":
+            begins = jnp.concatenate([light.begins[:1], light.ends[:-1]])
+            from_end = (light.ends[layer] - depth) / (light.ends - begins)[layer]
+        else:
+            last = last | (light.to_border(points, other) < 0)
+            from_end = light.to_border(points, layer)
+        weight = jnp.clip(from_end / jnp.maximum(self.blend, _LEAST_BLEND), 0, 1)
+        return Choice(layer, other, jnp.where(last, 1, weight), strength)
+
+    def _strength(self, light: CascadedLight, depth: Float[Array, "h w"]) -> Float[Array, "h w"] | None:
+        if self.shadow_distance is None and self.distances is None:
+            return None
+        begin = light.begins[0] if self.count == 1 else light.ends[-2]
+        from_end = (light.ends[-1] - depth) / (light.ends[-1] - begin)
+        return jnp.where(from_end < 0, 0.0, 1.0) if self.fade == 0 else jnp.clip(from_end / self.fade, 0, 1)
+
+
+class _Frustum(NamedTuple):
+    """What a camera sees.
+
+    - `eye`, `forward`: (3,), its position, and the unit direction of its axis, in world space.
+    - `sides`: (4, 3), the vectors from its axis to the corners of its image, in world space, at depth 1 if
+        `is_perspective`.
+    """
+
+    eye: Vec3
+    forward: Vec3
+    sides: Float[Array, "4 3"]
+    is_perspective: bool
+
+    @classmethod
+    def of(cls, view: View) -> "_Frustum":
+        turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
+        # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
+        across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
+        x, y = jnp.meshgrid(across(0), across(1))
+        sides = x.reshape(-1, 1) * turn[0] + y.reshape(-1, 1) * turn[1]
+        return cls(-jnp.sum(turn * shift[:, None], axis=0), -turn[2], sides, view.is_perspective)
+
+    def corners(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
+        """The corners of what it sees at each `depth`."""
+        scale = depth[:, None, None] if self.is_perspective else 1.0
+        return self.eye + depth[:, None, None] * self.forward + scale * self.sides
+
+    def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
+        """The centres (l, 3) and radii (l,) of the least spheres about what it sees between depths.
+
+        They depend on the camera's field of view, not on its pose: in arithmetic too, so that a camera that turns does
+        not change their size.
+        """
+        k2 = jnp.max(jnp.sum(self.sides**2, axis=-1))
+        half = (end - begin) / 2
+        if not self.is_perspective:
+            middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
+        else:
+            # The sphere touches the corners of both ends; or only those of the far end, whose disk is then its middle.
+            both = (begin + end) * (1 + k2) / 2
+            radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
+            middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)
+        return self.eye + middle[:, None] * self.forward, radius
+
+
+@eqx.filter_jit
+def _cascaded_light(
+    layout: Cascades,
+    light: AbstractLight,
+    camera: AbstractCamera,
+    resolution: Resolution,
+    depths: tuple[Float[Array, ""], Float[Array, ""]] | None,
+) -> CascadedLight:
+    # A map's texels have no derivative by where it lies.
+    from_camera, from_light = camera.view(), lax.stop_gradient(light.view())
+    near, far = (from_camera.near, from_camera.far) if depths is None else depths
+    if layout.shadow_distance is not None:
+        far = jnp.minimum(far, layout.shadow_distance)
+    splits = layout.splits(near, far)
+    lengths = splits[1:] - splits[:-1]
+    ends = splits[1:]
+    begins = jnp.concatenate([splits[:1], ends[:-1] - layout.max_blend * lengths[:-1]])
+    texels, frustum = np.array(resolution[::-1], float), _Frustum.of(from_camera)
+    firsts = jnp.broadcast_to(splits[0], ends.shape) if layout.fit == "scene" else begins
+    if layout.stabilize:
+        scale, offset = _around_spheres(from_light, *frustum.spheres(firsts, ends), texels, layout.margin)
+        steps = as_float(texels * (SUBPIXELS / 2))
+    else:
+        corners = jnp.concatenate([frustum.corners(firsts), frustum.corners(ends)], axis=1)
+        scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
+    margin = as_float(2 * layout.margin / texels)
+    return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps)
+
+
+def _around_spheres(
+    light: View, centre: Float[Array, "l 3"], radius: Float[Array, " l"], texels: Vec2 | Any, margin: float
+) -> tuple[Float[Array, "l 2"], Float[Array, "l 2"]]:
+    """Scale and offset of windows around spheres, which move by whole texels."""
+    per_unit = jnp.stack([light.eye_to_clip[0, 0], light.eye_to_clip[1, 1]])
+    # One texel more than the sphere, since its centre may lie half a texel from the window's.
+    width = 2 * radius[:, None] * per_unit * (texels / (texels - 1 - 2 * margin))
+    moved = jnp.round(light.clip(centre)[:, :2] * texels / width)
+    return 2 / width, -2 * moved / texels
+
+
+def _around_points(
+    light: View, points: Float[Array, "l k 3"], texels: Vec2 | Any, margin: float
+) -> tuple[Float[Array, "l 2"], Float[Array, "l 2"]]:
+    """Scale and offset of windows around points, within the light's own window."""
+    at = light.clip(points)[..., :2]
+    low, high = at.min(axis=1), at.max(axis=1)
+    beyond = (high - low) * (margin / (texels - 2 * margin))
+    low, high = jnp.clip(low - beyond, -1, 1), jnp.clip(high + beyond, -1, 1)
+    half = jnp.maximum((high - low) / 2, _LEAST_SIZE)
+    return 1 / half, -(low + high) / 2 / half
