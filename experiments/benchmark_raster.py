@@ -30,8 +30,18 @@ from _opengl_passes import OpenGL, Triangles
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import keep_freed_memory, raster, use_all_cores
-from diffshadow.geometry import DirectionalLight, Mesh, library_mesh, merge, rotation, scaling, translation
+from diffshadow import keep_freed_memory, raster, shadow, use_all_cores
+from diffshadow.geometry import (
+    DirectionalLight,
+    MatrixLight,
+    Mesh,
+    PinholeCamera,
+    library_mesh,
+    merge,
+    rotation,
+    scaling,
+    translation,
+)
 
 # At import, since benchmarks make arrays when they are imported.
 use_all_cores()
@@ -40,6 +50,9 @@ keep_freed_memory()
 CULL = "back"
 LIGHT_DIRECTION = (0.1, -1.0, 0.5)
 """Nearly along a side of the ground, so that the ground fills most of the map."""
+CASCADES = shadow.Cascades(4, shadow_distance=12.0)
+CAMERA = PinholeCamera((0, 1.5, 4), (0, 0, 0), near=0.1, far=20.0)
+"""Sees the whole ground."""
 GROUND_SIZE = 6.0
 """World units; the objects on it are about one unit each."""
 AGREEMENT = 1e-4
@@ -54,8 +67,11 @@ MEASURES = {
     "surface": "surface",
     "forward": "value + forward gradient",
     "reverse": "value + reverse gradient",
+    "cascades": "four cascades",
+    "maps": "four maps",
 }
-"""What is timed, and its name in the table. The surface has face, depth, position and normal."""
+"""What is timed, and its name in the table. The surface has face, depth, position and normal. The four maps show what
+the cascades do, and each is drawn on its own."""
 
 
 class Comparison(NamedTuple):
@@ -77,6 +93,7 @@ COMPARISONS = {
     "interpolation": Comparison("interpolation, ns a texel", "attributes", None, 35.0),
     "forward": Comparison("forward / depth", "forward", "depth", {1024: 8.0}),
     "reverse": Comparison("reverse / depth", "reverse", "depth", {1024: 12.0}),
+    "cascades": Comparison("cascades / four maps", "cascades", "maps", {1024: 1.1}),
 }
 GROWTH_LIMIT = 1.05
 """Of slopes of time over triangles or texels, in logarithms: 1 is linear."""
@@ -111,7 +128,11 @@ class Case:
 
     def __init__(self, mesh: Mesh, resolution: tuple[int, int]):
         self.mesh, self.resolution = mesh, resolution
-        view = DirectionalLight.around(jnp.array(LIGHT_DIRECTION), mesh.vertices).view()
+        light = DirectionalLight.around(jnp.array(LIGHT_DIRECTION), mesh.vertices)
+        view = light.view()
+        cascaded = CASCADES.light(light, CAMERA, resolution)
+        of_cascades = cascaded.view()
+        alone = [MatrixLight(of_cascades.world_to_eye, eye_to_clip) for eye_to_clip in of_cascades.eye_to_clip]
         self.clip = jax.block_until_ready(jax.jit(lambda vertices: view.clip(vertices))(mesh.vertices))
         # What is drawn is needed to set up the rest, so the first call is timed here.
         draw_time, self.fragments = timed(lambda: raster.rasterize(self.clip, mesh.faces, resolution, cull=CULL))
@@ -153,6 +174,8 @@ class Case:
             "surface": lambda: surface(*given),
             "forward": lambda: forward(mesh.vertices, mesh.faces, offset),
             "reverse": lambda: reverse(mesh.vertices, mesh.faces),
+            "cascades": lambda: shadow.draw_shadow_map(mesh, cascaded, resolution),
+            "maps": lambda: [shadow.draw_shadow_map(mesh, light, resolution) for light in alone],
         }
         self.first_call = {"rasterize": draw_time}
         for name, work in self.measures.items():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).parent.parent / "experiments" / "benchmark_raster.py"
-MEASURES = {"depth", "rasterize", "attributes", "surface", "forward", "reverse"}
+MEASURES = {"depth", "rasterize", "attributes", "surface", "forward", "reverse", "cascades", "maps"}
 
 
 @pytest.mark.exhaustive
@@ -34,7 +34,7 @@ def test_benchmark_reports_times_and_memory_without_opengl(tmp_path):
     assert "agreement" not in row
     assert 0.5 < row["seen"] <= 1, "the ground fills more than half of the light's view"
 
-    assert row["comparisons"].keys() == {"face", "interpolation", "forward", "reverse"}
+    assert row["comparisons"].keys() == {"face", "interpolation", "forward", "reverse", "cascades"}
     assert row["comparisons"]["interpolation"]["limit"] == 35
     assert row["comparisons"]["forward"]["limit"] is None, "it has one at 1024 x 1024 alone"
     # From 64 x 64 to 128 x 128 pixels, time grows with the power that the two medians say.

@@ -1,11 +1,14 @@
 """Which pixel centres a triangle covers, and how deep it is there."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import safe_divide
+from .._misc import dot, safe_divide
+from .._types import Resolution
 from ._bins import Corners
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
@@ -15,13 +18,20 @@ from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_a
 _OVERSHOOT = 0.02
 
 
+class DepthPlane(NamedTuple):
+    """Planes of window depth: depth at the centre of pixel (0, 0), and its change a pixel along x and y; (n,) each."""
+
+    origin: Float[Array, " n"]
+    slope_x: Float[Array, " n"]
+    slope_y: Float[Array, " n"]
+
+
 class EdgeForm(eqx.Module):
     """Triangles as three edge functions about a pixel (`x`, `y`) of each one's own, and a depth plane.
 
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
-    where the centre is inside. Depth at the centre of pixel (x, y) is `origin + x · slope_x + y · slope_y`, kept
-    between `least` and `greatest`; `offset` is added by polygon offset. `turn` is 1 for front faces, which are
-    anticlockwise, and -1 for others.
+    where the centre is inside. Depth at the centre of a pixel is that of `plane`, kept between `least` and `greatest`;
+    `offset` is added by polygon offset. `turn` is 1 for front faces, which are anticlockwise, and -1 for others.
     """
 
     x: Int[Array, " n"]
@@ -29,9 +39,7 @@ class EdgeForm(eqx.Module):
     edge: list[Int[Array, " n"]]
     a: list[Int[Array, " n"]]
     b: list[Int[Array, " n"]]
-    origin: Float[Array, " n"]
-    slope_x: Float[Array, " n"]
-    slope_y: Float[Array, " n"]
+    plane: DepthPlane
     least: Float[Array, " n"]
     greatest: Float[Array, " n"]
     offset: Float[Array, " n"]
@@ -40,15 +48,17 @@ class EdgeForm(eqx.Module):
 
 def edge_form(
     corners: Corners,
+    plane: DepthPlane,
     x: Int[Array, " n"],
     y: Int[Array, " n"],
     test: DepthTest,
     polygon_offset: Float[Array, "2"] | None,
 ) -> EdgeForm:
-    """Edge functions and depth planes of triangles, either winding, about the pixels (`x`, `y`).
+    """Edge functions of triangles, either winding, about the pixels (`x`, `y`).
 
     **Arguments:**
 
+    - `plane`: the planes they lie in.
     - `polygon_offset`: (2,), OpenGL's factor and units.
     """
     corner_x, corner_y = lax.optimization_barrier(corners.snapped())
@@ -60,7 +70,6 @@ def edge_form(
         edges.append((edge_at_pixel(a, b, centre_x - corner_x[k], centre_y - corner_y[k], owns_edge(a, b)), a, b))
     edge, a, b = (list(values) for values in zip(*edges, strict=True))
 
-    origin, slope_x, slope_y = _depth_plane(corners, turn < 0)
     least = jnp.minimum(jnp.minimum(corners.z[0], corners.z[1]), corners.z[2])
     greatest = jnp.maximum(jnp.maximum(corners.z[0], corners.z[1]), corners.z[2])
     slack = _OVERSHOOT * (greatest - least)
@@ -68,17 +77,18 @@ def edge_form(
     if polygon_offset is not None:
         factor, units = polygon_offset
         # OpenGL 4.6, section 14.6.5: o = m · factor + r · units.
-        steepness = jnp.maximum(jnp.abs(slope_x), jnp.abs(slope_y))
+        steepness = jnp.maximum(jnp.abs(plane.slope_x), jnp.abs(plane.slope_y))
         shift = steepness * factor + test.resolution_at(greatest) * units
-    return EdgeForm(x, y, edge, a, b, origin, slope_x, slope_y, least - slack, greatest + slack, shift, turn)
+    return EdgeForm(x, y, edge, a, b, plane, least - slack, greatest + slack, shift, turn)
 
 
-def _depth_plane(corners: Corners, clockwise: Bool[Array, " n"]) -> tuple[Array, Array, Array]:
-    """Depth at the centre of pixel (0, 0), and its change a pixel along x and y.
+def plane_of_corners(corners: Corners) -> DepthPlane:
+    """The planes of triangles, either winding.
 
     From corners that are not snapped, with the order of operations of Mesa's rasterizer, so that two surfaces that
     nearly touch are told apart as it tells them.
     """
+    clockwise = signed_area(*lax.optimization_barrier(corners.snapped())) < 0
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = (
         [jnp.where(clockwise, c[one], c[other]) for c in corners] for one, other in ((0, 1), (1, 0), (2, 2))
     )
@@ -88,7 +98,29 @@ def _depth_plane(corners: Corners, clockwise: Bool[Array, " n"]) -> tuple[Array,
     inverse = safe_divide(jnp.ones_like(area), area)
     slope_x = dz01 * (dy20 * inverse) - dz20 * (dy01 * inverse)
     slope_y = dz20 * (dx01 * inverse) - dz01 * (dx20 * inverse)
-    return z0 - (slope_x * (x0 - 0.5) + slope_y * (y0 - 0.5)), slope_x, slope_y
+    return DepthPlane(z0 - (slope_x * (x0 - 0.5) + slope_y * (y0 - 0.5)), slope_x, slope_y)
+
+
+def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Resolution) -> DepthPlane:
+    """The planes of triangles in clip coordinates, which may reach behind the eye.
+
+    The parts that clipping leaves of a triangle may be slivers thousands of pixels long, whose own planes would be lost
+    in rounding. They all lie in this one. Let M have the corners' (x, y, w) as columns, and let z be the row of their
+    z: the depth at a point (x, y) of the view is z M⁻¹ (x, y, 1).
+    """
+    # A corner may have any scale. Without it, products of three large numbers could overflow.
+    size = jnp.max(jnp.abs(corners), axis=-1, keepdims=True)
+    x, y, z, w = jnp.moveaxis(corners / jnp.where(size > 0, size, 1), -1, 0)
+    pairs = ((1, 2), (2, 0), (0, 1))
+    adjugate = [
+        jnp.stack([first[:, i] * second[:, j] - first[:, j] * second[:, i] for i, j in pairs], axis=-1)
+        for first, second in ((y, w), (w, x), (x, y))
+    ]
+    determinant = dot(adjugate[2], w)
+    along_x, along_y, middle = (safe_divide(dot(column, z), determinant) / 2 for column in adjugate)
+    height, width = resolution
+    slope_x, slope_y = along_x * (2 / width), along_y * (2 / height)
+    return DepthPlane(middle + 0.5 + slope_x * (0.5 - width / 2) + slope_y * (0.5 - height / 2), slope_x, slope_y)
 
 
 def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: DepthTest) -> Float[Array, "n side side"]:
@@ -103,7 +135,7 @@ def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: Depth
     first, second, third = (each(form.edge[k]) + each(form.a[k]) * i + each(form.b[k]) * j for k in range(3))
     inside = each(used) & ((first | second | third) >= 0)
     x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + j).astype(jnp.float32)
-    z = each(form.origin) + each(form.slope_x) * x + each(form.slope_y) * y
+    z = each(form.plane.origin) + each(form.plane.slope_x) * x + each(form.plane.slope_y) * y
     z = jnp.clip(z, each(form.least), each(form.greatest))
     inside = inside & (z >= 0) & (z <= 1)
     # Never -0, whose bits would order it otherwise.

@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -14,7 +13,7 @@ from .._misc import as_float, filled, shared_mesh_size
 from .._types import Faces, Resolution
 from ._bins import Cull, bin_triangles
 from ._depth_test import DepthTest
-from ._windows import VIEWS, DrawPass, least_depth, least_depth_and_face
+from ._windows import DrawPass, least_depth, least_depth_and_face
 
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
@@ -26,7 +25,7 @@ class Fragments(eqx.Module):
     - `face`: (h, w), index of the nearest face, `NO_FACE` where there is none.
     - `depth`: (h, w), its window depth as the depth buffer holds it, the clear value where there is none.
 
-    Of several views drawn at once, (b, h, w).
+    Of several views, (b, h, w).
     """
 
     face: Int[Array, "*b h w"]
@@ -63,7 +62,7 @@ def rasterize(
     **Arguments:**
 
     - `clip`: (v, 4), vertices in OpenGL clip space; `w` may have either sign. With a leading axis, (b, v, 4), several
-        views are drawn at once, and every result has that axis too.
+        views are drawn one after the other, and every result has that axis too.
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `resolution`: (height, width) in pixels, each at most 8192.
     - `cull`: which faces are left out.
@@ -110,11 +109,11 @@ def _rasterize(
 
     def view(clip: Array, behind: Array | None) -> Fragments | Array:
         triangles = bin_triangles(clip, faces, resolution, cull)
-        drawing = DrawPass(triangles, resolution, cull, test, polygon_offset, many_views)
+        drawing = DrawPass(triangles, resolution, cull, test, polygon_offset)
         if not with_face:
             return decoded(least_depth(drawing))
         depth, face = least_depth_and_face(drawing, behind)
         return Fragments(jnp.where(face < 0, NO_FACE, face), decoded(depth))
 
-    many_views = clip.ndim > 2
-    return jax.vmap(view, axis_name=VIEWS)(clip, behind) if many_views else view(clip, behind)
+    # One view after the other, since each has its own number of triangles to draw.
+    return lax.map(lambda each: view(*each), (clip, behind)) if clip.ndim > 2 else view(clip, behind)

@@ -24,7 +24,7 @@ from .._misc import take
 from .._types import FaceMap, Resolution
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Corners, Cull, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
-from ._coverage import EdgeForm, edge_form, window_depth
+from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
 
 PADDING = max(*WINDOWS, BLOCK)
@@ -33,8 +33,6 @@ SCATTER = lax.ScatterDimensionNumbers(
 )
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
-VIEWS = "views"
-"""Name of the mapped axis where several views are drawn at once."""
 _FACE_BITS = 32
 # How many are drawn, clipped and tested at once: triangles of a size class, faces to clip, and blocks.
 _SMALL = 1 << 9
@@ -51,8 +49,6 @@ class DrawPass:
     **Arguments:**
 
     - `triangles`: see `bin_triangles`; `cull`: as given there.
-    - `many_views`: whether this is mapped over views. Loops then run as often as the view with the most to draw needs,
-        since a loop with a length for each view would copy all buffers at every step.
     """
 
     def __init__(
@@ -62,11 +58,10 @@ class DrawPass:
         cull: Cull,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
-        many_views: bool = False,
     ):
         self.triangles, self.resolution = triangles, resolution
         self.cull: Cull = cull
-        self.test, self.polygon_offset, self.many_views = test, polygon_offset, many_views
+        self.test, self.polygon_offset = test, polygon_offset
 
     def draw(self, buffer: Int[Array, "H W"] | Float[Array, "H W"], write: Write) -> Array:
         """`buffer` after all triangles are written into it."""
@@ -75,20 +70,16 @@ class DrawPass:
         return self._large(self._small(buffer, write), write)
 
     def _loop(self, steps: Int[Array, ""], body: Callable[[Array, Array], Array], buffer: Array) -> Array:
-        return lax.fori_loop(jnp.int32(0), self._most(steps).astype(jnp.int32), body, buffer)
+        return lax.fori_loop(jnp.int32(0), steps.astype(jnp.int32), body, buffer)
 
-    def _most(self, number: Int[Array, "..."]) -> Int[Array, "..."]:
-        """The greatest number among the views."""
-        return lax.pmax(number, VIEWS) if self.many_views else number
-
-    def _form(self, corners: Corners, x: Array, y: Array) -> EdgeForm:
-        return edge_form(lax.optimization_barrier(corners), x, y, self.test, self.polygon_offset)
+    def _form(self, corners: Corners, plane: DepthPlane, x: Array, y: Array) -> EdgeForm:
+        return edge_form(lax.optimization_barrier(corners), plane, x, y, self.test, self.polygon_offset)
 
     def _small(self, buffer: Array, write: Write) -> Array:
         """Writes the triangles of all size classes."""
         groups = self.triangles.groups
         length = min(_SMALL, groups.elements.shape[0])
-        chunks = self._most((groups.counts[:LARGE] + length - 1) // length)
+        chunks = (groups.counts[:LARGE] + length - 1) // length
         ends = jnp.cumsum(chunks, dtype=jnp.int32)
 
         def chunk(number: Array, buffer: Array) -> Array:
@@ -97,7 +88,7 @@ class DrawPass:
             corners = self.triangles.corners(face)
             box = pixel_box(*corners.snapped(), self.resolution)
             x, y = (jnp.where(used, low, 0) for low in (box.left, box.bottom))
-            form, source = self._form(corners, x, y), jnp.where(used, face, -1)
+            form, source = self._form(corners, plane_of_corners(corners), x, y), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
 
@@ -107,27 +98,32 @@ class DrawPass:
         """Writes large triangles, and then what clipping leaves of others, block by block."""
         groups = self.triangles.groups
         at_once = min(_CLIPPED, groups.elements.shape[0])
-        large = self._most(groups.chunks(LARGE, FAN * at_once))
+        large = groups.chunks(LARGE, FAN * at_once)
 
-        def whole(number: Array) -> tuple[Corners, Array]:
+        def whole(number: Array) -> tuple[Corners, DepthPlane, Array]:
             face, used = groups.chunk(LARGE, number, FAN * at_once)
-            return self.triangles.corners(face), jnp.where(used, face, -1)
+            corners = self.triangles.corners(face)
+            return corners, plane_of_corners(corners), jnp.where(used, face, -1)
 
-        def clipped(number: Array) -> tuple[Corners, Array]:
+        def clipped(number: Array) -> tuple[Corners, DepthPlane, Array]:
             face, used = groups.chunk(CLIPPED, number - large, at_once)
             vertices = [take(self.triangles.faces[:, k], face) for k in range(3)]
             corners = jnp.stack([take(self.triangles.clip, vertex) for vertex in vertices], axis=1)
             parts = clip_triangles(corners, self.resolution)
             window = to_window(parts.reshape(-1, 4), self.resolution)
-            corners = Corners(*([*values.reshape(-1, 3).T] for values in window))
-            return corners, jnp.repeat(jnp.where(used, face, -1), FAN)
+            each = lambda values: jnp.repeat(values, FAN)
+            plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
+            parts = Corners(*([*values.reshape(-1, 3).T] for values in window))
+            return parts, plane, each(jnp.where(used, face, -1))
 
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
 
-        return self._loop(large + self._most(groups.chunks(CLIPPED, at_once)), batch, buffer)
+        return self._loop(large + groups.chunks(CLIPPED, at_once), batch, buffer)
 
-    def _blocks(self, buffer: Array, write: Write, corners: Corners, source: Int[Array, " n"]) -> Array:
+    def _blocks(
+        self, buffer: Array, write: Write, corners: Corners, plane: DepthPlane, source: Int[Array, " n"]
+    ) -> Array:
         """Writes triangles block by block."""
         fixed = corners.snapped()
         box = pixel_box(*fixed, self.resolution)
@@ -145,7 +141,8 @@ class DrawPass:
             within, across = block - take(ends - lengths, owner), take(columns, owner)
             x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
             x, y = (jnp.where(exists, tile * BLOCK, 0) for tile in (x, y))
-            form = self._form(jax.tree.map(lambda values: take(values, owner), corners), x, y)
+            own, own_plane = jax.tree.map(lambda values: take(values, owner), (corners, plane))
+            form = self._form(own, own_plane, x, y)
             return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)
 
         return self._loop((ends[-1] + _BLOCKS - 1) // _BLOCKS, candidates, buffer)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rasterizer_oracle import acceptable, rasterize_exact
 from triangle_soups import from_window, soup
@@ -65,6 +65,8 @@ def assert_explained(face, exact, what):
 # Soups
 
 
+# Clipping leaves a sliver of thousands of pixels by a tenth of one.
+@example(seed=12543)
 @settings(deadline=None, max_examples=20)
 @given(seed=seeds)
 def test_soups_of_every_kind_see_the_nearest_face(seed):
