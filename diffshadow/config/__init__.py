@@ -68,8 +68,10 @@ from .sections._sweep import PlotConfig as PlotConfig
 from .sections._sweep import QuasiRandomAxisConfig as QuasiRandomAxisConfig
 from .sections._sweep import QuasiRandomConfig as QuasiRandomConfig
 from .sections._sweep import SweepConfig as SweepConfig
+from .sections._technique import CascadesConfig as CascadesConfig
 from .sections._technique import CompareConfig as CompareConfig
 from .sections._technique import HardCompareConfig as HardCompareConfig
+from .sections._technique import MappedConfig as MappedConfig
 from .sections._technique import ProjectiveTextureConfig as ProjectiveTextureConfig
 from .sections._technique import ShadowMapConfig as ShadowMapConfig
 from .sections._technique import ShadowMappingConfig as ShadowMappingConfig

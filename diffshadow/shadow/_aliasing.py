@@ -75,17 +75,12 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
 
     def pixel(points: VectorMap) -> TexelMap:
         clip = view.clip(points)
-        window = safe_divide(clip[..., :2], clip[..., 3:]) * 0.5 + 0.5
+        inverse = safe_divide(jnp.ones_like(clip[..., 3]), clip[..., 3])
+        window = clip[..., :2] * inverse[..., None] * 0.5 + 0.5
         return window * jnp.array(resolution[::-1], window.dtype)
 
     def texel(points: VectorMap) -> TexelMap:
         return project(shadow_map, points, choice.layer)[0]
-
-    def across(normal: VectorMap) -> Jacobian:
-        right = _orthogonal(normal)
-        tangents = right, jnp.cross(normal, right)
-        moved = lambda project: jnp.stack([jax.jvp(project, (points,), (t,))[1] for t in tangents], axis=-1)
-        return _divided(moved(pixel), moved(texel))
 
     # Pixels without a surface have no place on the screen.
     points = jnp.where(surface.mask[..., None], surface.position, camera.target)
@@ -98,10 +93,17 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= width) & (at[..., 1] <= height)
     mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
     mask = mask if choice.strength is None else mask & (choice.strength > 0)
-    return Aliasing(across(surface.normal), across(half_way), mask)
+    normals = jnp.stack([surface.normal, half_way])
+    right = _orthogonal(normals)
+    tangents = jnp.stack([right, jnp.cross(normals, right)])
+    moved = lambda project: jax.vmap(jax.vmap(lambda t: jax.jvp(project, (points,), (t,))[1]))(tangents)
+    # Axes: the tangent, the normal, then (h, w, 2).
+    pixels, texels = (jnp.moveaxis(moved(project), 0, -1) for project in (pixel, texel))
+    whole, perspective = _divided(pixels, texels)
+    return Aliasing(whole, perspective, mask)
 
 
-def _orthogonal(normal: VectorMap) -> VectorMap:
+def _orthogonal(normal: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """A unit vector orthogonal to each unit `normal`."""
     x, y, z = jnp.moveaxis(normal, -1, 0)
     is_steep, zero = jnp.abs(y) > 0.7, jnp.zeros_like(x)
@@ -109,15 +111,16 @@ def _orthogonal(normal: VectorMap) -> VectorMap:
     return normalize(jnp.where(is_steep[..., None], first, second))
 
 
-def _divided(numerator: Jacobian, denominator: Jacobian) -> Jacobian:
+def _divided(numerator: Float[Array, "*n 2 2"], denominator: Float[Array, "*n 2 2"]) -> Float[Array, "*n 2 2"]:
     """B A⁻¹; 0 where A is singular."""
     a, b, c, d = (denominator[..., i, j] for i in range(2) for j in range(2))
     adjugate = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-c, a], axis=-1)], axis=-2)
     product = jnp.sum(numerator[..., :, :, None] * adjugate[..., None, :, :], axis=-2)
-    return safe_divide(product, _determinant(denominator)[..., None, None])
+    determinant = _determinant(denominator)
+    return product * safe_divide(jnp.ones_like(determinant), determinant)[..., None, None]
 
 
-def _determinant(matrix: Jacobian) -> Float[Array, "h w"]:
+def _determinant(matrix: Float[Array, "*n 2 2"]) -> Float[Array, "*n"]:
     return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
 
 

@@ -7,8 +7,8 @@ from jax import lax
 from jaxtyping import Array, Int
 
 from .._misc import in_unit_range
-from .._types import Mask, Scalar, Visibility
-from ..geometry import AbstractCamera, Edges, Scene, transform_points
+from .._types import Mask, Visibility
+from ..geometry import AbstractCamera, Edges, Scene
 from ..raster import Surface, draw_surface
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
@@ -47,11 +47,11 @@ class ShadowMapping(AbstractTechnique):
 
         **Raises** what `draw_shadow_map` and the layout raise. For use inside `jax.jit`, call `draw_shadow_map`.
         """
-        casters, camera, depths = scene.casters, scene.camera, None
+        casters, camera = scene.casters, scene.camera
         edges = Edges.of(casters) if self.map.silhouettes else None
-        if self.layout.needs_surface:
-            depths = _depths(draw_surface(scene.mesh, camera) if surface is None else surface, camera)
-        light = self.layout.light(scene.light, camera, self.map.resolution, depths)
+        if self.layout.needs_surface and surface is None:
+            surface = draw_surface(scene.mesh, camera)
+        light = self.layout.light(scene.light, camera, self.map.resolution, surface)
         return self.map.draw(casters, light, edges=edges)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
@@ -74,15 +74,6 @@ class ShadowMapping(AbstractTechnique):
 @eqx.filter_jit
 def _aliasing(layout: AbstractLayout, shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
     return aliasing(shadow_map, surface, camera, layout.choose(shadow_map.light, surface.position))
-
-
-@eqx.filter_jit
-def _depths(surface: Surface, camera: AbstractCamera) -> tuple[Scalar, Scalar]:
-    """The least and greatest depth of a surface along the camera's axis, world units."""
-    depth = -transform_points(camera.view().world_to_eye, surface.position)[..., 2]
-    near, far = camera.near, camera.far
-    least = jnp.min(jnp.where(surface.mask, depth, far))
-    return jnp.clip(least, near, far), jnp.clip(jnp.max(jnp.where(surface.mask, depth, near)), near, far)
 
 
 # These take no map settings: the compiled programs do not depend on them.

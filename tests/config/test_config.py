@@ -246,7 +246,7 @@ BROKEN = {
     "number for a section": (
         "bias: 3\n",
         "2: bias: is 3; expected a section with the keys constant, slope, slope_profile, slope_least, slope_most, "
-        "unit, normal_offset, normal_offset_profile, plane; write its keys below it, indented",
+        "unit, normal_offset, normal_offset_profile, factors, plane; write its keys below it, indented",
     ),
     "misspelt pattern": (
         "filter:\n  pattern: sobbol\n",
@@ -279,7 +279,7 @@ BROKEN = {
     ),
     "misspelt technique": (
         "technique: {type: shadow_volume}\n",
-        "2: technique.type: is 'shadow_volume'; expected shadow_map, shadow_volumes or projective_texture; "
+        "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, shadow_volumes or projective_texture; "
         "did you mean 'shadow_volumes'?",
     ),
     "method of another technique": (
@@ -358,6 +358,40 @@ BROKEN = {
         "filter: {type: nearest}\nfit: {parameters: {filter.radius: {lower: 0, upper: 9}}}\n",
         "3: fit.parameters.filter.radius: cannot be fitted with filter type 'nearest'; expected bias.constant, "
         "bias.slope, bias.slope_least, bias.slope_most or bias.normal_offset; name one of these",
+    ),
+    "factor of a map that there is none": (
+        "technique: {type: cascades, count: 2}\nbias: {factors: [1, 1]}\n"
+        "fit: {parameters: {bias.factors.2: {lower: 0, upper: 9}}}\n",
+        "4: fit.parameters.bias.factors.2: cannot be fitted with filter type 'random_disk'; expected bias.constant, "
+        "bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset, bias.factors.0, bias.factors.1, "
+        "filter.radius or technique.blend; did you mean 'bias.factors.1'?",
+    ),
+    "factors of another number of maps": (
+        "technique: {type: cascades, count: 2}\nbias: {factors: [1, 1, 1]}\n",
+        "3: bias.factors: has 3 factors, for a light with 2 maps; expected as many; give one for each map",
+    ),
+    "factors of one map": (
+        "bias: {factors: [1]}\n",
+        "2: bias.factors: has 1 factors, for a light with one map; expected a light with several maps; remove it, or "
+        "use cascades",
+    ),
+    "distances that do not increase": (
+        "technique: {type: cascades, distances: [2, 5, 4]}\n",
+        "2: technique.distances.2: is 4, after 5; expected increasing depths; sort them, without repetitions",
+    ),
+    "distances and their number": (
+        "technique: {type: cascades, distances: [2, 5], count: 3}\n",
+        "2: technique.count: is given together with distances; expected one or the other; remove count or distances, "
+        "or set it to null",
+    ),
+    "distances within what is seen": (
+        "technique: {type: cascades, distances: [2, 5], depths: surface}\n",
+        "2: technique.depths: is surface, and distances are given; expected camera; remove depths, or distances",
+    ),
+    "too many cascades": (
+        "technique: {type: cascades, count: 9}\n",
+        "2: technique.count: is 9; expected a whole number at least 1 and at most 8; give such a value (the default is "
+        "4)",
     ),
     "nothing to fit": (
         "fit: {parameters: {}}\n",

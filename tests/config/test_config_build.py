@@ -433,3 +433,22 @@ def test_shading_is_that_of_the_config():
     assert np.allclose(modulated.lit.intensity, 0.35)
     coloured = build_shading(parse_config(TINY, ["shading.intensity=[1, 0.5, 0]"]))
     assert np.allclose(coloured.intensity, [1, 0.5, 0])
+
+
+def test_cascades_extend_as_far_as_the_filter_may_read():
+    text = TINY + "technique: {type: cascades, count: 3, blend: 0.2}\nbias: {factors: [1, 2, 3], normal_offset: 1}\n"
+    built = build_technique(parse_config(text), fitting=False)
+    assert (built.layout.count, built.layout.margin, built.layout.max_blend) == (3, 2 + 0.5 + 1 + 1, 0.2)
+    assert [float(factor) for factor in built.bias.factors] == [1, 2, 3]
+    parameters = "filter.radius: {lower: 0, upper: 6}, technique.blend: {lower: 0, upper: 0.5}"
+    fitted = parse_config(f"{text}fit: {{parameters: {{{parameters}, bias.factors.2: {{lower: 0, upper: 4}}}}}}\n")
+    built = build_technique(fitted)
+    assert (built.layout.margin, built.layout.max_blend) == (6 + 0.5 + 1 + 1, 0.5)
+    paths = {parameter.name: parameter.where for parameter in build_fit(fitted).parameters}
+    assert paths["technique.blend"] == "layout.blend"
+    assert [float(resolve(built, path)) for path in paths.values()] == [2.0, np.float32(0.2), 3.0]
+
+
+def test_cascades_need_a_directional_light():
+    with pytest.raises(ConfigError, match=r"scene\.light\.type: is spot under cascades"):
+        parse_config(TINY + "technique: {type: cascades}\n", ["scene.light={type: spot}"])

@@ -425,6 +425,7 @@ def test_render_of_several_lights_tells_them_apart():
         "reference",
         "difference",
         "shadow_map",
+        "debug_aliasing",
         "debug_depth",
         "debug_silhouettes",
         "debug_pattern",
@@ -454,16 +455,21 @@ def test_render_of_several_lights_tells_them_apart():
         ),
         pytest.param(
             ("filter={type: pcss, samples: 4, pattern_size: 2, pattern: vogel, rotated: false}",),
-            {"shadow_map.png", "debug_depth.png", "debug_blockers.png", "debug_pattern.png"},
+            {"shadow_map.png", "debug_aliasing.png", "debug_depth.png", "debug_blockers.png", "debug_pattern.png"},
             marks=pytest.mark.exhaustive,
         ),
         pytest.param(
             ("filter={type: nearest}", "shadow_map.depth_layer=midpoint"),
-            {"shadow_map.png", "debug_depth.png"},
+            {"shadow_map.png", "debug_aliasing.png", "debug_depth.png"},
+            marks=pytest.mark.exhaustive,
+        ),
+        pytest.param(
+            ("technique={type: cascades, count: 4, depths: surface}", "filter={type: nearest}"),
+            {"shadow_map.png", "debug_aliasing.png", "debug_cascades.png", "debug_depth.png"},
             marks=pytest.mark.exhaustive,
         ),
     ],
-    ids=["volumes", "projective", "pcss", "midpoint"],
+    ids=["volumes", "projective", "pcss", "midpoint", "cascades"],
 )
 def test_every_technique_renders_with_its_debug_views(overrides, more):
     folder, _ = render(*overrides, debug=True)
@@ -523,25 +529,30 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
     ("technique", "parameters"),
     [
         pytest.param(
-            "filter={type: pcss, light_size: 1, samples: 8, pattern_size: 2}",
+            ("filter={type: pcss, light_size: 1, samples: 8, pattern_size: 2}",),
             "{filter.light_size: {lower: 0, upper: 4}}",
             marks=pytest.mark.exhaustive,
         ),
         pytest.param(
-            "filter={type: evsm, radius: 1}",
+            ("filter={type: evsm, radius: 1}",),
             "{filter.radius: {lower: 0, upper: 4}, filter.positive_exponent: {lower: 5, upper: 42}}",
             marks=pytest.mark.exhaustive,
         ),
         pytest.param(
-            "bias={slope: 1, slope_most: 3}",
+            ("bias={slope: 1, slope_most: 3}",),
             "{bias.slope: {lower: 0, upper: 4}, bias.slope_most: {lower: 0.1, upper: 9}}",
             marks=pytest.mark.exhaustive,
         ),
-        ("bias={plane: {type: receiver_plane}}", "{bias.plane.fudge: {lower: 0, upper: 4}}"),
+        pytest.param(
+            ("technique={type: cascades, count: 2, depths: surface}", "bias.factors=[1, 1]"),
+            "{technique.blend: {lower: 0, upper: 0.5}, bias.factors.1: {lower: 0.1, upper: 9}}",
+            marks=pytest.mark.exhaustive,
+        ),
+        (("bias={plane: {type: receiver_plane}}",), "{bias.plane.fudge: {lower: 0, upper: 4}}"),
     ],
 )
 def test_parameters_of_any_technique_can_be_fitted(technique, parameters):
-    made, _ = run(*SMALL, technique, f"fit.parameters={parameters}", "fit.solver.max_steps=2", "fit.anneal.phases=1")
+    made, _ = run(*SMALL, *technique, f"fit.parameters={parameters}", "fit.solver.max_steps=2", "fit.anneal.phases=1")
     result = result_of(made)
     assert result["solver"]["flat"] == []
     assert result["metrics"]["after"]["rmse"] <= result["metrics"]["before"]["rmse"]

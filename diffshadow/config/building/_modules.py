@@ -12,10 +12,10 @@ from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
 from ..sections._poses import is_pose, pose_of
 from ..sections._shading import ModulatedConfig
-from ..sections._technique import ProjectiveTextureConfig, ShadowVolumesConfig
+from ..sections._technique import MappedConfig, ProjectiveTextureConfig, ShadowVolumesConfig
 from ..whole._schema import Config
 from ._scene import build_camera, build_light, build_mesh, stage_of
-from ._technique import build_bias, build_compare, build_filter
+from ._technique import build_bias, build_compare, build_filter, build_layout
 
 # 120 bytes per triangle, with normals, colours and indices.
 _MOST_TRIANGLES = 1 << 25
@@ -114,7 +114,9 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
         compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
         kernel = build_filter(config, fitting=fitting)
-    return shadow.ShadowMapping(kernel, bias, compare, shadow.MapSettings(**config.shadow_map.model_dump()))
+    settings = shadow.MapSettings(**config.shadow_map.model_dump())
+    with _blame(config, ("technique",)):
+        return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
@@ -146,7 +148,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
     """
-    if config.technique.type != "shadow_map":
+    if not isinstance(config.technique, MappedConfig):
         raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
     if mistakes := mistakes_at(config.fit_faults(), config.origin):
         raise ConfigError(mistakes)
@@ -238,7 +240,7 @@ def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
 
 def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
     """**Raises** `ConfigError` for every open mesh that casts, if only back faces cast."""
-    if config.technique.type != "shadow_map" or config.shadow_map.cull != "front":
+    if not isinstance(config.technique, MappedConfig) or config.shadow_map.cull != "front":
         return
     what = (
         "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "

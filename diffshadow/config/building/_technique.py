@@ -4,9 +4,11 @@ from typing import Any
 
 from ... import shadow
 from ..sections._filters import PatternedConfig
-from ..sections._technique import CompareConfig, SoftCompareConfig
+from ..sections._technique import CascadesConfig, CompareConfig, SoftCompareConfig
 from ..whole._schema import Config
 
+# Texels of a cascade's margin beyond the filter's reach: for what is within half a texel of the border.
+_SPARE = 1.0
 # Patterns whose function has another name.
 _PATTERNS = {"poisson": "poisson_disk"}
 
@@ -44,6 +46,7 @@ def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
         ),
         normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
         plane=_plane(config, fitting=fitting),
+        factors=given["factors"],
     )
 
 
@@ -52,6 +55,20 @@ def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
     if isinstance(config, SoftCompareConfig):
         return shadow.SoftCompare(width=config.width, kernel=config.kernel)
     return shadow.HardCompare(operator=config.operator)
+
+
+def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
+    """How the map of `config` is laid out; `fitting` as for `build_filter`."""
+    section = config.technique
+    if not isinstance(section, CascadesConfig):
+        return shadow.SingleMap()
+    arguments = _arguments(config, "technique", fitting=fitting)
+    bounds = config.fit.parameters.get("technique.blend") if fitting else None
+    arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
+    if section.margin is None:
+        reach, _ = config.reach(config.fit.parameters if fitting else {})
+        arguments["margin"] = reach + _SPARE
+    return shadow.Cascades(**arguments)
 
 
 def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:

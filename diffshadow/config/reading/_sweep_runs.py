@@ -19,7 +19,7 @@ from .._errors import ConfigError, Mistake, Origin, Place, show
 from ..sections._filters import MOST_TAPS, RandomDiskConfig
 from ..sections._reference import ImageReferenceConfig
 from ..sections._sweep import LABEL, SweepConfig
-from ..sections._technique import ShadowMappingConfig
+from ..sections._technique import MappedConfig
 from ..whole._schema import Config
 from ._load import Draft, checked, load_draft
 from ._mistakes import mistakes_of
@@ -272,7 +272,7 @@ def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
     if settings.limit_samples is None:
         return
-    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, ShadowMappingConfig):
+    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, MappedConfig):
         message = (
             f"is given, but there are runs of technique {config.technique.type} with filter {config.filter.type}; "
             "expected shadow_map with random_disk, which has a limit; remove it, or these runs"

@@ -5,8 +5,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from ._section import MOST_TEXELS, Conflict, Fitted, Section, Texels, by_type, look, ordered
+from ._section import MOST_TEXELS, Conflict, Fitted, Form, Section, Texels, as_list, by_type, look, ordered
 
+MOST_LAYERS = 8
+"""The most maps of a light: as many cascades, or the six faces of a point light."""
+# Beyond it the bias of a cascade is another bias.
+_Factor = Annotated[float, Field(ge=0, le=1000)]
 _TEXELS = 0.5
 """Default of the constant and the slope bias."""
 
@@ -80,6 +84,12 @@ class BiasConfig(Section):
     )
     normal_offset_profile: Literal["sine", "constant", "one_minus_cosine"] = Field(
         default="sine", description="how the normal offset grows with the angle to the light"
+    )
+    factors: Annotated[tuple[_Factor, ...] | None, as_list, Form("a list of factors"), Fitted()] = Field(
+        default=None,
+        min_length=1,
+        max_length=MOST_LAYERS,
+        description="factors of these biases, one for each map of the light, such as its cascades; default: all 1",
     )
     plane: PlaneConfig = Field(default_factory=NoPlaneConfig, description="bias from the receiver's plane")
 

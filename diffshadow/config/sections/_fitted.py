@@ -1,20 +1,23 @@
 """Which numbers of a configuration can be fitted: those marked as `Fitted` in their sections."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args, get_origin
 
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from .._errors import did_you_mean, listing
 from ._biases import BiasConfig, PlaneConfig
 from ._filters import FilterConfig
-from ._marks import Limits, marked
+from ._marks import Limits, bare, marked
 from ._poses import could_be_pose, is_pose, pose_faults, pose_of
-from ._section import Conflict, Fitted, Section, fault, is_number, look, variants_of
+from ._section import Conflict, Fitted, Section, fault, is_index, is_number, look, variants_of
+from ._technique import ShadowMappingConfig, TechniqueConfig
 
 FILTERS = variants_of(FilterConfig)
 """Each filter's section by its `type`."""
 _PLANES = variants_of(PlaneConfig)
+_TECHNIQUES = variants_of(TechniqueConfig)
 DEFAULT_FILTER = "random_disk"
 
 
@@ -29,19 +32,36 @@ def fit_paths(data: Any) -> dict[str, str]:
     sets it; for example, `"bias.slope"` maps to `"bias.slope.value"`.
     """
     return {
-        f"{holder}.{key}": f"{holder}.{mark.path or key}"
+        f"{holder}.{key}{entry}": f"{_FIELDS.get(holder, holder)}.{mark.path or key}{entry}"
         for holder, section in _holders(data).items()
         for key, mark in _fitted_keys(section).items()
+        for entry in _entries(section.model_fields[key], look(data, *holder.split("."), key))
     }
+
+
+def _entries(field: FieldInfo, value: Any) -> list[str]:
+    """What follows the key of a field in the names of its numbers: their indices if it is a list."""
+    if get_origin(marked(field)[0]) is not tuple:
+        return [""]
+    return [f".{i}" for i in range(len(value))] if isinstance(value, list | tuple) else []
+
+
+def key_of(name: str) -> tuple[str, str, int | None]:
+    """The section that holds the number `name`, its key there, and its index if the key holds a list."""
+    holder, _, key = name.rpartition(".")
+    if not is_index(key):
+        return holder, key, None
+    return *key_of(holder)[:2], int(key)
 
 
 def start_of(data: Any, name: str) -> Any:
     """The value of the key `name` in `data`, or its default."""
-    holder, _, key = name.rpartition(".")
+    holder, key, index = key_of(name)
     section, given = _holders(data)[holder], look(data, *holder.split("."), default={})
     if isinstance(given, Mapping):
         given = section.completed(given)
-    return look(given, key, default=section.model_fields[key].default)
+    value = look(given, key, default=section.model_fields[key].default)
+    return value if index is None else value[index]
 
 
 def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -51,7 +71,7 @@ def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
         path = ("fit", "parameters", name)
         if is_pose(name) and not could_be_pose(name):
             yield from ((path, what) for what in pose_faults(data, name))
-        elif not is_pose(name) and name not in everywhere:
+        elif not is_pose(name) and ".".join(key_of(name)[:2]) not in everywhere:
             yield path, _no_such_parameter(data, name)
 
 
@@ -97,7 +117,14 @@ def outside(
 
 
 # All sections with numbers that can be fitted, by their keys.
-_HOLDERS = {"bias": [BiasConfig], "bias.plane": [*_PLANES.values()], "filter": [*FILTERS.values()]}
+_HOLDERS = {
+    "bias": [BiasConfig],
+    "bias.plane": [*_PLANES.values()],
+    "filter": [*FILTERS.values()],
+    "technique": [*_TECHNIQUES.values()],
+}
+# The fields of `ShadowMapping` that are called otherwise than the sections that build them.
+_FIELDS = {"technique": "layout"}
 
 
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
@@ -109,7 +136,8 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
     plane = _PLANES.get(str(look(data, "bias", "plane", "type", default="none")), _PLANES["none"])
-    return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)]}
+    technique = _TECHNIQUES.get(str(look(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
+    return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)], "technique": technique}
 
 
 def _filter_type(data: Any) -> str:
@@ -135,5 +163,6 @@ def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Confli
 
 def _limits_of(data: Any, name: str) -> Limits:
     """The limits of the key `name`."""
-    holder, _, key = name.rpartition(".")
-    return Limits.of(marked(_holders(data)[holder].model_fields[key])[1])
+    holder, key, index = key_of(name)
+    kind, marks = marked(_holders(data)[holder].model_fields[key])
+    return Limits.of(marks if index is None else bare(get_args(kind)[0])[1])

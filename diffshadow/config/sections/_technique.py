@@ -1,10 +1,28 @@
 """Sections of the shadow technique, the shadow map and the compare."""
 
-from typing import Annotated, Literal
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from ._section import Pair, Section, Size, Texels, Unit, by_type
+from ._biases import MOST_LAYERS
+from ._section import (
+    Conflict,
+    Fitted,
+    Form,
+    Fraction,
+    Pair,
+    Section,
+    Size,
+    Texels,
+    Unit,
+    WorldUnits,
+    as_list,
+    by_type,
+    exclusive,
+    fault,
+)
 
 LEAST_WIDTH = 1e-6
 """The least width of a soft compare, in texels: far below the resolution of float32 depth, and 1 / width is finite."""
@@ -13,10 +31,82 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 """Shape of a soft compare's step."""
 
 
-class ShadowMappingConfig(Section):
+class MappedConfig(Section):
+    """Shadow maps, set up by the sections shadow_map, bias, compare and filter."""
+
+    @property
+    def layers(self) -> int:
+        """The number of maps of a light that has one view."""
+        return 1
+
+
+class ShadowMappingConfig(MappedConfig):
     """Shadow maps, set up by the sections shadow_map, bias, compare and filter."""
 
     type: Literal["shadow_map"] = "shadow_map"
+
+
+class CascadesConfig(MappedConfig):
+    """Cascaded shadow maps: a map for each of several ranges of the camera's depth, under directional lights."""
+
+    type: Literal["cascades"] = "cascades"
+    count: int = Field(default=4, ge=1, le=MOST_LAYERS, description="number of cascades")
+    logarithmic: Fraction = Field(
+        default=0.5,
+        description="spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
+    )
+    distances: (
+        Annotated[
+            tuple[Annotated[WorldUnits, Field(gt=0)], ...], as_list, Form("a list of depths"), Unit("world units")
+        ]
+        | None
+    ) = Field(
+        default=None,
+        min_length=1,
+        max_length=MOST_LAYERS,
+        description="end of each slice along the camera's axis, in world units; instead of count and logarithmic",
+    )
+    depths: Literal["camera", "surface"] = Field(
+        default="camera", description="what is sliced: from the camera's near to its far, or the depths that it sees"
+    )
+    shadow_distance: Annotated[WorldUnits | None, Field(gt=0)] = Field(
+        default=None, description="depth beyond which nothing is shadowed, in world units; default: the camera's far"
+    )
+    fit: Literal["cascade", "scene"] = Field(
+        default="cascade", description="what a cascade contains: its slice, or all that lies before its slice's end"
+    )
+    stabilize: bool = Field(
+        default=True, description="whether texels stay where they are on surfaces as the camera moves and turns"
+    )
+    select: Literal["interval", "map"] = Field(
+        default="interval", description="a receiver's cascade: that of its depth, or the first whose map contains it"
+    )
+    blend: Annotated[Fraction, Fitted("blend")] = Field(
+        default=0.1, description="part of each slice over which its cascade fades into the next"
+    )
+    fade: Fraction = Field(
+        default=0.0, description="part of the last slice over which shadows fade out before the shadow distance"
+    )
+    margin: Annotated[Texels | None, Field(ge=0)] = Field(
+        default=None, description="how far maps extend beyond their slices, in texels; default: the filter's reach"
+    )
+
+    @property
+    def layers(self) -> int:
+        return self.count if self.distances is None else len(self.distances)
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        yield from exclusive(data, "distances", "count", "logarithmic", "shadow_distance")
+        if data.get("distances") is not None and data.get("depths", "camera") != "camera":
+            yield ("depths",), fault("is surface, and distances are given", "camera", "remove depths, or distances")
+
+    def faults(self) -> Iterator[Conflict]:
+        given = self.distances or ()
+        for i, (before, after) in enumerate(itertools.pairwise(given)):
+            if after <= before:
+                message = f"is {after:g}, after {before:g}"
+                yield ("distances", i + 1), fault(message, "increasing depths", "sort them, without repetitions")
 
 
 class ShadowVolumesConfig(Section):
@@ -41,6 +131,7 @@ class ProjectiveTextureConfig(Section):
 
 TechniqueConfig = Annotated[
     Annotated[ShadowMappingConfig, Tag("shadow_map")]
+    | Annotated[CascadesConfig, Tag("cascades")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
     | Annotated[ProjectiveTextureConfig, Tag("projective_texture")],
     by_type("shadow_map"),

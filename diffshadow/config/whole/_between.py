@@ -9,18 +9,26 @@ from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
 from ..sections._section import Conflict, fault, look
-from ..sections._technique import ProjectiveTextureConfig, ShadowMappingConfig
-from ._costs import cost_faults, fit_cost_faults
+from ..sections._technique import CascadesConfig, MappedConfig, ProjectiveTextureConfig
+from ._costs import FACES_OF_A_CUBE, cost_faults, fit_cost_faults
 from ._parts import Parts
 
 
 def run_faults(config: Parts) -> Iterator[Conflict]:
     """Faults of any run of `config`."""
     yield from cost_faults(config)
-    if isinstance(config.technique, ShadowMappingConfig):
+    if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
+    if isinstance(config.technique, MappedConfig) and config.bias.factors is not None:
+        yield from _wrong_factors(config, config.technique)
+    if isinstance(config.technique, CascadesConfig):
+        for key, light in config.scene.each_light.items():
+            if not isinstance(light, DirectionalLightConfig):
+                message = f"is {light.type} under cascades, which slice the camera's view along a directional light"
+                mend = "change it, or set technique.type to shadow_map"
+                yield ("scene", *key, "type"), fault(message, "directional", mend)
     if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
@@ -29,15 +37,28 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")
 
 
+def _wrong_factors(config: Parts, technique: MappedConfig) -> Iterator[Conflict]:
+    """A fault unless there are as many factors of the bias as maps of each light."""
+    given = len(config.bias.factors or ())
+    for light in config.scene.each_light.values():
+        layers = FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else technique.layers
+        if layers == 1:
+            message, mend = f"has {given} factors, for a light with one map", "remove it, or use cascades"
+            yield ("bias", "factors"), fault(message, "a light with several maps", mend)
+        elif layers != given:
+            message = f"has {given} factors, for a light with {layers} maps"
+            yield ("bias", "factors"), fault(message, "as many", "give one for each map")
+
+
 def fit_faults(config: Parts) -> Iterator[Conflict]:
     """Faults that only a fit of `config` has, in addition to those of `data_faults_of_fit`."""
     yield from fit_cost_faults(config)
     yield from _beyond_the_greatest_radius(config)
-    if isinstance(config.technique, ShadowMappingConfig):
+    if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, config.fit.parameters)
     if not config.moves:
         return
-    if isinstance(config.technique, ShadowMappingConfig) and config.shadow_map.silhouettes is None:
+    if isinstance(config.technique, MappedConfig) and config.shadow_map.silhouettes is None:
         yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
     yield from _uneven_levels(config)
     for key, light in config.scene.each_light.items():
@@ -85,16 +106,11 @@ def _uneven_levels(config: Parts) -> Iterator[Conflict]:
 
 def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
     """Faults of filters that read beyond the faces of a point light's map, with fitted numbers at their `bounds`."""
-    section = config.filter
-    offset, radius = config.bias.normal_offset, getattr(section, section.radius_key, None)
-    reach, path = section.reach + offset, _key_of_reach(config)
-    for name, now in (("bias.normal_offset", offset), (f"filter.{section.radius_key}", radius)):
-        if name in bounds and now is not None and bounds[name].upper > now:
-            path: KeyPath = ("fit", "parameters", name, "upper")
-            reach += bounds[name].upper - now
-    if bounds and path[0] != "fit":
+    reach, name = config.reach(bounds)
+    if bounds and name is None:
         # `run_faults` reports a reach that does not depend on the bounds.
         return
+    path: KeyPath = _key_of_reach(config) if name is None else ("fit", "parameters", name, "upper")
     half = min(config.shadow_map.resolution) / 2
     for key, light in config.scene.each_light.items():
         if not isinstance(light, PointLightConfig) or reach <= light.guard / (1 + light.guard) * half:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from ..sections._lights import LightConfig, PointLightConfig
 from ..sections._section import Conflict, fault
-from ..sections._technique import ProjectiveTextureConfig, ShadowMappingConfig
+from ..sections._technique import MappedConfig, ProjectiveTextureConfig
 from ._parts import Parts
 
 # About 300 bytes each while an image is processed: 5 GB.
@@ -17,7 +17,7 @@ _MOST_CAMERA_RAYS = 1 << 26
 _MOST_SHADOW_RAYS = 1 << 36
 # Float32 entries of the Jacobian, one per pixel and parameter: 1 GB.
 _MOST_DERIVATIVES = 1 << 28
-_FACES_OF_A_CUBE = 6
+FACES_OF_A_CUBE = 6
 
 
 def cost_faults(config: Parts) -> Iterator[Conflict]:
@@ -53,17 +53,20 @@ def _too_many_pixels(config: Parts) -> Iterator[Conflict]:
 
 def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:
     match config.technique:
-        case ShadowMappingConfig():
+        case MappedConfig(layers=layers):
             path, (height, width) = ("shadow_map", "resolution"), config.shadow_map.resolution
         case ProjectiveTextureConfig(resolution=(height, width)):
-            path = ("technique", "resolution")
+            path, layers = ("technique", "resolution"), 1
         case _:
             return
-    maps = sum(_FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else 1 for light in lights)
+    maps = sum(FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else layers for light in lights)
     if maps * height * width > _MOST_TEXELS:
         message = f"is [{height}, {width}], and {maps} such maps hold {maps * height * width:,} texels"
         expected = f"at most {_MOST_TEXELS:,}, which take 4 GB while they are blurred"
-        yield path, fault(message, expected, "make it smaller, or use fewer lights; a point light has six maps")
+        yield (
+            path,
+            fault(message, expected, "make it smaller, or use fewer lights or cascades; a point light has six maps"),
+        )
 
 
 def _too_many_rays(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:

@@ -1,5 +1,6 @@
 """All sections of a configuration."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from .._errors import Origin, show
 from ..sections._biases import BiasConfig
 from ..sections._filters import FilterConfig, RandomDiskConfig
-from ..sections._fit import FitConfig
+from ..sections._fit import FitConfig, FitParameterConfig
 from ..sections._fitted import start_of
 from ..sections._paths import path_of
 from ..sections._poses import is_pose
@@ -88,6 +89,23 @@ class Parts(Section):
     def has_silhouettes(self) -> bool:
         """Whether the maps of the fit store silhouettes."""
         return self.moves if self.shadow_map.silhouettes is None else self.shadow_map.silhouettes
+
+    def reach(self, bounds: Mapping[str, FitParameterConfig]) -> tuple[float, str | None]:
+        """How far from a receiver the filter reads texels, in texels, with the normal offset.
+
+        **Arguments:**
+
+        - `bounds`: by name, of fitted numbers, which may have any value within them.
+
+        **Returns** it, and the last of the names whose bounds made it larger.
+        """
+        section, offset, name = self.filter, self.bias.normal_offset, None
+        reach, radius_key = section.reach + offset, f"filter.{section.radius_key}"
+        radius = getattr(section, section.radius_key, None)
+        for key, now in (("bias.normal_offset", offset), (radius_key, radius)):
+            if key in bounds and now is not None and bounds[key].upper > now:
+                reach, name = reach + bounds[key].upper - now, key
+        return reach, name
 
     @property
     def output_folder(self) -> Path:

@@ -40,6 +40,11 @@ class BiasTerms(eqx.Module):
             _either(jnp.minimum, self.deepening, other.deepening),
         )
 
+    def scaled(self, factor: Float[Array, "h w"]) -> "BiasTerms":
+        """`factor` (h, w) times the bias in depth and the displacement."""
+        moved = None if self.displacement is None else factor[..., None] * self.displacement
+        return BiasTerms(factor * self.depth, moved, self.follows_plane, self.deepening)
+
 
 class AbstractBias(eqx.Module):
     """A way to keep receivers clear of their own depth."""

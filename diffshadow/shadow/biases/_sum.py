@@ -1,9 +1,14 @@
 """The sum of several biases."""
 
+from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
+
+from ..._misc import as_float
+from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms
+from ._abstract import AbstractBias, BiasTerms, check_not_negative
 from ._constant import ConstantBias
 from ._normal_offset import NormalOffset
 from ._slope import SlopeBias
@@ -14,23 +19,44 @@ class Bias(AbstractBias):
 
     - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
+    - `factors`: for a map with layers, such as cascades: by what constant bias, slope bias and normal offset are
+        multiplied in each layer. They are in texels of each layer without it, too.
 
-    **Raises** `ValueError` if a number is negative or not finite.
+    **Raises** `ValueError` if a number is negative or not finite; and when called with `factors` for a map without
+    layers.
     """
 
     constant: AbstractBias
     slope: AbstractBias
     normal_offset: AbstractBias
     plane: AbstractBias | None
+    factors: tuple[Scalar, ...] | None
 
     def __init__(
-        self, constant: Any = 0.0, slope: Any = 0.0, normal_offset: Any = 0.0, plane: AbstractBias | None = None
+        self,
+        constant: Any = 0.0,
+        slope: Any = 0.0,
+        normal_offset: Any = 0.0,
+        plane: AbstractBias | None = None,
+        factors: Sequence[float | Scalar] | None = None,
     ):
         self.constant = constant if isinstance(constant, AbstractBias) else ConstantBias(constant)
         self.slope = slope if isinstance(slope, AbstractBias) else SlopeBias(slope)
         self.normal_offset = normal_offset if isinstance(normal_offset, AbstractBias) else NormalOffset(normal_offset)
         self.plane = plane
+        self.factors = None if factors is None else tuple(as_float(factor) for factor in factors)
+
+    def __check_init__(self):
+        for factor in self.factors or ():
+            check_not_negative("a factor of the bias", factor, "times the bias")
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         terms = self.constant(receiver) + self.slope(receiver) + self.normal_offset(receiver)
+        if self.factors is not None:
+            if receiver.layer is None:
+                raise ValueError(
+                    f"the bias has {len(self.factors)} factors, one for each layer, and the map has no layers; "
+                    "expected a map of cascades or of a point light: leave factors out"
+                )
+            terms = terms.scaled(jnp.stack(self.factors)[receiver.layer])
         return terms if self.plane is None else terms + self.plane(receiver)

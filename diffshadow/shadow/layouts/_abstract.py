@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._types import Resolution
 from ...geometry import AbstractCamera, AbstractLight
+from ...raster import Surface
 
 
 class Choice(NamedTuple):
@@ -35,7 +36,7 @@ class AbstractLayout(eqx.Module):
         light: AbstractLight,
         camera: AbstractCamera,
         resolution: Resolution,
-        depths: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
+        surface: Surface | None = None,
     ) -> AbstractLight:
         """`light` with the views of this layout: the light that the map is drawn from.
 
@@ -43,15 +44,14 @@ class AbstractLayout(eqx.Module):
 
         - `camera`: where the image is drawn from.
         - `resolution`: (height, width) of each layer, in texels.
-        - `depths`: the least and greatest depth of the surface that the camera sees, along its axis, in world units.
-            Required if `needs_surface`.
+        - `surface`: what the camera sees; required if `needs_surface`, and otherwise ignored.
 
         **Raises** `ValueError` if the layout does not suit the light or the camera.
         """
 
     @property
     def needs_surface(self) -> bool:
-        """Whether `light` needs `depths`."""
+        """Whether `light` needs `surface`."""
         return False
 
     @abc.abstractmethod

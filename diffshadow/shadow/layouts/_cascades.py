@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete
 from ..._types import Resolution, Scalar, Vec2, Vec3
-from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
-from ...raster import SUBPIXELS
+from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View, transform_points
+from ...raster import SUBPIXELS, Surface
 from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout, Choice
 
@@ -131,8 +131,8 @@ class Cascades(AbstractLayout):
     def needs_surface(self) -> bool:
         return self.depths == "surface"
 
-    def splits(self, near: Scalar, far: Scalar) -> Float[Array, " N+1"]:
-        """Where the slices of depths from `near` to `far` begin and end, in world units."""
+    def splits(self, near: Scalar, far: Scalar) -> Float[Array, " k"]:
+        """Where the slices of depths from `near` to `far` begin and end, (count + 1,), in world units."""
         if self.distances is not None:
             return jnp.stack([near, *self.distances])
         fraction = np.arange(1, self.count) / self.count
@@ -147,7 +147,7 @@ class Cascades(AbstractLayout):
         light: AbstractLight,
         camera: AbstractCamera,
         resolution: Resolution,
-        depths: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
+        surface: Surface | None = None,
     ) -> CascadedLight:
         """`light` with the views of the cascades; see `AbstractLayout.light`.
 
@@ -158,9 +158,9 @@ class Cascades(AbstractLayout):
         camera whose near distance is not positive.
         """
         self._check_for(light, camera, resolution)
-        if depths is None and self.needs_surface:
-            raise ValueError("the cascades split the depths of the surface, and none was given; expected depths")
-        return _cascaded_light(self, light, camera, resolution, depths if self.needs_surface else None)
+        if surface is None and self.needs_surface:
+            raise ValueError("the cascades split the depths of the surface, and none was given; expected a surface")
+        return _cascaded_light(self, light, camera, resolution, surface if self.needs_surface else None)
 
     def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
         if not light.is_directional:
@@ -218,14 +218,13 @@ class Cascades(AbstractLayout):
 class _Frustum(NamedTuple):
     """What a camera sees.
 
-    - `eye`, `forward`: (3,), its position, and the unit direction of its axis, in world space.
-    - `sides`: (4, 3), the vectors from its axis to the corners of its image, in world space, at depth 1 if
-        `is_perspective`.
+    - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
+    - `corners`: (4, 2), how far right and up of its axis the corners of its image are, at depth 1 if `is_perspective`.
     """
 
     eye: Vec3
-    forward: Vec3
-    sides: Float[Array, "4 3"]
+    axes: Float[Array, "3 3"]
+    corners: Float[Array, "4 2"]
     is_perspective: bool
 
     @classmethod
@@ -233,14 +232,16 @@ class _Frustum(NamedTuple):
         turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
         # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
         across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
-        x, y = jnp.meshgrid(across(0), across(1))
-        sides = x.reshape(-1, 1) * turn[0] + y.reshape(-1, 1) * turn[1]
-        return cls(-jnp.sum(turn * shift[:, None], axis=0), -turn[2], sides, view.is_perspective)
+        corners = jnp.stack(jnp.meshgrid(across(0), across(1)), axis=-1).reshape(4, 2)
+        backward = jnp.array([1.0, 1.0, -1.0])[:, None]
+        return cls(-jnp.sum(turn * shift[:, None], axis=0), turn * backward, corners, view.is_perspective)
 
-    def corners(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
-        """The corners of what it sees at each `depth`."""
-        scale = depth[:, None, None] if self.is_perspective else 1.0
-        return self.eye + depth[:, None, None] * self.forward + scale * self.sides
+    def corners_at(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
+        """The corners of what it sees at each `depth`, in world space."""
+        depth = depth[:, None, None]
+        x, y = self.corners[:, :1], self.corners[:, 1:]
+        sides = x * self.axes[0] + y * self.axes[1]
+        return self.eye + depth * self.axes[2] + (depth * sides if self.is_perspective else sides)
 
     def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
         """The centres (l, 3) and radii (l,) of the least spheres about what it sees between depths.
@@ -248,7 +249,7 @@ class _Frustum(NamedTuple):
         They depend on the camera's field of view, not on its pose: in arithmetic too, so that a camera that turns does
         not change their size.
         """
-        k2 = jnp.max(jnp.sum(self.sides**2, axis=-1))
+        k2 = jnp.max(jnp.sum(self.corners**2, axis=-1))
         half = (end - begin) / 2
         if not self.is_perspective:
             middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
@@ -257,7 +258,7 @@ class _Frustum(NamedTuple):
             both = (begin + end) * (1 + k2) / 2
             radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
             middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)
-        return self.eye + middle[:, None] * self.forward, radius
+        return self.eye + middle[:, None] * self.axes[2], radius
 
 
 @eqx.filter_jit
@@ -266,11 +267,13 @@ def _cascaded_light(
     light: AbstractLight,
     camera: AbstractCamera,
     resolution: Resolution,
-    depths: tuple[Float[Array, ""], Float[Array, ""]] | None,
+    surface: Surface | None,
 ) -> CascadedLight:
     # A map's texels have no derivative by where it lies.
     from_camera, from_light = camera.view(), lax.stop_gradient(light.view())
-    near, far = (from_camera.near, from_camera.far) if depths is None else depths
+    near, far = from_camera.near, from_camera.far
+    if surface is not None:
+        near, far = _depths(from_camera, surface)
     if layout.shadow_distance is not None:
         far = jnp.minimum(far, layout.shadow_distance)
     splits = layout.splits(near, far)
@@ -283,10 +286,19 @@ def _cascaded_light(
         scale, offset = _around_spheres(from_light, *frustum.spheres(firsts, ends), texels, layout.margin)
         steps = as_float(texels * (SUBPIXELS / 2))
     else:
-        corners = jnp.concatenate([frustum.corners(firsts), frustum.corners(ends)], axis=1)
+        corners = jnp.concatenate([frustum.corners_at(firsts), frustum.corners_at(ends)], axis=1)
         scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
     margin = as_float(2 * layout.margin / texels)
     return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps)
+
+
+def _depths(camera: View, surface: Surface) -> tuple[Scalar, Scalar]:
+    """The least and greatest depth of a surface along the camera's axis, world units; near and far if there is none."""
+    depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
+    least = jnp.min(jnp.where(surface.mask, depth, camera.far))
+    most = jnp.max(jnp.where(surface.mask, depth, camera.near))
+    seen = most > least
+    return jnp.where(seen, least, camera.near), jnp.where(seen, most, camera.far)
 
 
 def _around_spheres(

@@ -7,7 +7,7 @@ from ._abstract import AbstractLayout, Choice
 class SingleMap(AbstractLayout):
     """The light's own map, over all that the light's frustum contains; for a point light, one layer for each face."""
 
-    def light(self, light, camera, resolution, depths=None) -> AbstractLight:
+    def light(self, light, camera, resolution, surface=None) -> AbstractLight:
         return light
 
     def choose(self, light, points) -> Choice:

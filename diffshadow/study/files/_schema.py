@@ -69,9 +69,24 @@ class _LightErrors(_Part):
     false_light_rate: Fraction | None
 
 
+class _Extents(_Part):
+    """Figures of the extents of texels, in pixels."""
+
+    worst: Annotated[float, Field(ge=0)]
+    percentile_99: Annotated[float, Field(ge=0)]
+    mean_log2: Single
+    undersampled: Fraction
+
+
+class _Aliasing(_Part):
+    extent: _Extents
+    perspective: _Extents
+
+
 class _RenderedLight(_Part):
     light: str
     errors: _LightErrors
+    aliasing: _Aliasing | None = None
 
 
 class _FittedLight(_Part):

@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ... import shadow
+from ... import geometry, shadow
 from ..._types import HostArray
 from .. import style
 from ..files._stored import LightImages, StoredRun
 
 Image = Float[HostArray, "h w"]
 Pixels = Bool[HostArray, "h w"]
-# The directions of a point light's six views.
+# The directions of a point light's six views, in the order of its layers.
 _FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
 # The colour scale of differences ends at the least of these limits that is exceeded by at most `_CLIPPED` of pixels.
 _LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
@@ -135,10 +135,13 @@ def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
     view, depth = shadow_map.view, np.asarray(shadow_map.depth)
     distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)
     near, far = float(view.near), float(view.far)
-    label = "distance along the light's axis [world units]"
-    write_map(
-        path, f"Shadow map, near {near:.3g}, far {far:.3g}", distance, label, cmap=style.DISTANCE, vmin=near, vmax=far
-    )
+    title, label = f"Shadow map, near {near:.3g}, far {far:.3g}", "distance along the light's axis [world units]"
+    limits = {"cmap": style.DISTANCE, "vmin": near, "vmax": far}
+    if isinstance(shadow_map.light, geometry.CascadedLight):
+        names = [f"up to {float(end):.3g} deep" for end in shadow_map.light.ends]
+        write_map(path, "Cascades", distance, label, names, **limits)
+    else:
+        write_map(path, title, distance, label, **limits)
 
 
 def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
@@ -148,11 +151,21 @@ def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
     write_map(path, "Projective texture", 1 - inside, "light let through (0 none, 1 all)", vmin=0.0, vmax=1.0)
 
 
-def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: str = "gray", **limits: float) -> None:
-    """Writes a light's map (h, w), or the maps of several views side by side, (l, h, w), with axes in texels."""
+def write_map(
+    path: Path,
+    title: str,
+    values: HostArray,
+    label: str,
+    names: Sequence[str] = _FACES,
+    *,
+    cmap: str = "gray",
+    **limits: float,
+) -> None:
+    """Writes a light's map (h, w), or the maps of several views side by side, (l, h, w), with axes in texels. The maps
+    of several views have `names`."""
     layers = values if values.ndim > 2 else values[None]
     height, width = values.shape[-2:]
-    columns = min(len(layers), 3)
+    columns = 2 if len(layers) == 4 else min(len(layers), 3)
     rows = -(-len(layers) // columns)
     if len(layers) == 1:
         figure, one = single(layers[0], ticks=True)
@@ -161,15 +174,17 @@ def write_map(path: Path, title: str, values: HostArray, label: str, *, cmap: st
         size = (3.1 * columns + 0.9, 3.1 * rows * height / width + 0.6)
         figure, axes = style.figure(*size, rows, columns, sharex=True, sharey=True)
     shown = None
-    for i, (each, layer) in enumerate(zip(axes, layers, strict=True)):
+    for each in axes[len(layers) :]:
+        each.set_visible(False)
+    for i, (each, layer) in enumerate(zip(axes, layers, strict=False)):
         shown = style.picture(each, layer, cmap=cmap, extent=(0, width, 0, height), **limits)
-        style.chart(each, "x [texels]" if i // columns == rows - 1 else "", "y [texels]" if i % columns == 0 else "")
+        style.chart(each, "x [texels]" if i + columns >= len(layers) else "", "y [texels]" if i % columns == 0 else "")
         each.set_facecolor(style.NO_SURFACE)
         style.frame(each)
         each.grid(False)
         each.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         each.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        style.title(each, title if len(layers) == 1 else f"{title if i == 0 else ''} {_FACES[i]}".strip())
+        style.title(each, title if len(layers) == 1 else f"{title if i == 0 else ''} {names[i]}".strip())
     style.colour_bar(figure, shown, axes, label)
     style.save(figure, path)
 

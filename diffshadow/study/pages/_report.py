@@ -44,6 +44,7 @@ def write_report(run: StoredRun) -> Path:
         by_light=[
             {"key": each.key, "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS]} for each in run.lights
         ],
+        aliasing=_aliasing(run),
         slides=[p.name for p in lights[0]["visibility"][-2:]],
         lights=lights,
         scale=difference_scale(limit, extend == "both"),
@@ -78,7 +79,9 @@ def _render_summary(run: StoredRun) -> str:
     (_, errors) = run.errors[-1]
     settings = {row.key: row.value for row in run.settings}
     technique = settings["technique.type"]
-    name = f"{technique} with filter {settings['filter.type']}" if technique == "shadow_map" else technique
+    name = (
+        f"{technique} with filter {settings['filter.type']}" if technique in ("shadow_map", "cascades") else technique
+    )
     return f"{name.replace('_', ' ').capitalize()}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
 
 
@@ -112,6 +115,25 @@ def _errors(run: StoredRun) -> list[dict[str, Any]]:
             "unit": UNITS[name],
         }
         for name, label in ERRORS.items()
+    ]
+
+
+def _aliasing(run: StoredRun) -> list[dict[str, Any]]:
+    """Figures of how large texels are on the screen, for each light that has any."""
+    measured = [(light["light"], light.get("aliasing")) for light in run.result["metrics"]["lights"]]
+    return [
+        {
+            "key": key,
+            "name": {"extent": "longest extent", "perspective": "due to perspective"}[part],
+            "numbers": [
+                f"{extents['worst']:.3g}",
+                f"{extents['percentile_99']:.3g}",
+                f"{2 ** extents['mean_log2']:.3g}",
+                f"{extents['undersampled']:.1%}",
+            ],
+        }
+        for key, parts in measured
+        for part, extents in (parts or {}).items()
     ]
 
 

@@ -2,7 +2,7 @@
 
 from rich.console import Console
 
-from ...config import Config, build_fit, build_technique
+from ...config import Config, MappedConfig, build_fit, build_technique
 from ..files._run_folder import folder_of
 from ..pages import _table as table
 from ._progress import Stages
@@ -20,7 +20,7 @@ def check(config: Config, *, console: Console) -> int:
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """
-    fits = config.technique.type == "shadow_map"
+    fits = isinstance(config.technique, MappedConfig)
     for suffix in (SUFFIX, "") if fits else (SUFFIX,):
         folder_of(config, suffix)
     with Stages(console) as stages:

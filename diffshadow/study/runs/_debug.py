@@ -7,10 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm
+from matplotlib.colors import BoundaryNorm, to_rgb
 from matplotlib.ticker import MaxNLocator
 
-from ... import geometry, raster, shadow
+from ... import geometry, metrics, raster, shadow
 from ..._types import HostArray
 from ...config import Config
 from .. import style
@@ -20,6 +20,8 @@ from ._shade import shade
 
 # Number of neighbouring pixels whose patterns are shown separately.
 _FEW = 3
+# The colours of extents end at 2 to this power, and its reciprocal.
+_MOST_LOG = 4
 # Higher counts of volumes all have the last colour.
 _MOST_COLOURS = 12
 
@@ -33,6 +35,9 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
     if not isinstance(technique, shadow.ShadowMapping):
         return
     _write_depths(folder / f"debug_depth{end}.png", drawn.state)
+    _write_aliasing(folder / f"debug_aliasing{end}.png", technique, drawn)
+    if isinstance(drawn.state.light, geometry.CascadedLight):
+        _write_cascades(folder / f"debug_cascades{end}.png", image, technique, drawn)
     if isinstance(technique.filter, shadow.PercentageCloserSoft):
         _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.state, drawn)
     pattern = getattr(technique.filter, "pattern", None)
@@ -47,6 +52,54 @@ def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
     high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
     figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", vmin=low, vmax=high)
+
+
+def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -> None:
+    """How large texels are on the screen, and which part of it is due to perspective."""
+    found = technique.aliasing(drawn.state, drawn.surface, drawn.scene.camera)
+    mask = np.asarray(found.mask)
+    height, width = mask.shape
+    panel = 4.0
+    figure, axes = style.figure(2 * panel + 1.6, panel * height / width + 0.6, 1, 2)
+    images = (
+        ("Longest extent of a texel", found.extent),
+        ("The same, due to perspective", found.perspective_extent),
+    )
+    picture = None
+    for one, (title, extent) in zip(axes, images, strict=True):
+        one.set_facecolor(style.NO_SURFACE)
+        shown = np.where(mask, np.log2(np.maximum(np.asarray(extent), 1e-6)), np.nan)
+        picture = style.picture(one, shown, cmap="RdBu_r", vmin=-_MOST_LOG, vmax=_MOST_LOG)
+        figures_of = metrics.measure_aliasing(extent, mask) if mask.any() else None
+        below = "" if figures_of is None else f"99 % at most {figures_of.percentile_99:.3g} pixels"
+        style.title(one, title, below)
+    label = "pixels to a texel: 1 is matched, more is undersampled"
+    bar = style.colour_bar(figure, picture, axes, label, extend="both")
+    ticks = range(-_MOST_LOG, _MOST_LOG + 1)
+    bar.set_ticks(list(ticks), labels=[f"{2.0**tick:g}" for tick in ticks])
+    style.save(figure, path)
+
+
+def _write_cascades(
+    path: Path, image: Float[HostArray, "h w 3"], technique: shadow.ShadowMapping, drawn: Drawn
+) -> None:
+    """The cascades that the camera's image is looked up in, in colours that fade where cascades do."""
+    light = drawn.state.light
+    layer, other, weight, strength = technique.layout.choose(light, drawn.surface.position)
+    colours = np.array([to_rgb(style.CYCLE[i % len(style.CYCLE)]) for i in range(light.count)])
+    tint = colours[np.asarray(layer)]
+    if other is not None and weight is not None:
+        share = np.asarray(weight)[..., None]
+        tint = share * tint + (1 - share) * colours[np.asarray(other)]
+    shown = np.asarray(drawn.surface.mask) & (True if strength is None else np.asarray(strength) > 0)
+    height, width = image.shape[:2]
+    figure, axes = figures.single(image[..., 0])
+    style.picture(axes, np.where(shown[..., None], image * (0.35 + 0.65 * tint), image), extent=(0, width, 0, height))
+    for i, end in enumerate(light.ends):
+        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i + 1}: up to {float(end):.3g} deep")
+    style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    style.title(axes, "Cascades", "depths along the camera's axis, in world units")
+    style.save(figure, path)
 
 
 def _write_silhouettes(path: Path, image: Float[HostArray, "h w 3"], drawn: Drawn) -> None:

@@ -66,6 +66,18 @@ def combined(errors: Sequence[Mapping[str, float]], drawn: Sequence[Drawn]) -> d
     }
 
 
+def aliasing(technique: shadow.AbstractTechnique, drawn: Drawn) -> dict[str, dict[str, float]] | None:
+    """Figures of how large the technique's texels are on the screen, and of the part due to perspective; none without
+    a shadow map, or if no surface lies in it and faces the light."""
+    if not isinstance(technique, shadow.ShadowMapping):
+        return None
+    found = technique.aliasing(drawn.state, drawn.surface, drawn.scene.camera)
+    if not np.asarray(found.mask).any():
+        return None
+    extents = {"extent": found.extent, "perspective": found.perspective_extent}
+    return {name: metrics.measure_aliasing(extent, found.mask).as_dict() for name, extent in extents.items()}
+
+
 def _mean(values: Sequence[float], weights: np.ndarray) -> float:
     # A light without pixels that count has weight 0, and its errors are NaN.
     return float(sum(value * weight for value, weight in zip(values, weights, strict=True) if weight > 0))

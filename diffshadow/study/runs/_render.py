@@ -23,13 +23,15 @@ SUFFIX = "-render"
 
 
 class Rendered(NamedTuple):
-    """A finished render: the scene as drawn, visibility and errors for each light, and remarks on the scene."""
+    """A finished render: the scene as drawn; visibility, errors and figures of aliasing for each light; and remarks on
+    the scene."""
 
     config: Config
     technique: shadow.AbstractTechnique
     drawn: list[Drawn]
     visibility: list[Float32[HostArray, "h w"]]
     errors: list[dict[str, float]]
+    aliasing: list[dict[str, dict[str, float]] | None]
     remarks: list[str]
 
 
@@ -62,8 +64,9 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
     with stages.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
+        aliasing = [record.aliasing(technique, each) for each in drawn]
     remarks = [*drawn[0].remarks, *scene_remarks(config, [each.scene for each in drawn], drawn[0].surface)]
-    return Rendered(config, technique, drawn, visibility, errors, remarks)
+    return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
 
 
 def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
@@ -116,10 +119,11 @@ def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict
                 {
                     "light": each.key,
                     "errors": e,
+                    "aliasing": extents,
                     "reference_noise_floor": each.noise_floor,
                     "pixels": each.pixels,
                 }
-                for each, e in zip(drawn, errors, strict=True)
+                for each, e, extents in zip(drawn, errors, rendered.aliasing, strict=True)
             ],
         },
         "warnings": rendered.remarks,

@@ -87,7 +87,7 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
     with stages.stage("drawing"):
         surface = raster.draw_surface(scene.mesh, scene.camera)
-        states = [technique.prepare(each, surface) for each in lit]
+        states = [_prepared(config, technique, each, surface) for each in lit]
         covered = [np.asarray(technique.covered(state, surface)) for state in states]
     blind = blind_camera(config, scene, surface)
     if blind is not None:
@@ -112,6 +112,19 @@ def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, st
         Drawn(".".join(map(str, key)), each, state, seen.surface, truth, pixels & truth.mask, loaded.remarks)
         for key, each, state, truth, pixels in zip(seen.keys, seen.lit, seen.states, truths, seen.covered, strict=True)
     ]
+
+
+def _prepared(
+    config: Config, technique: shadow.AbstractTechnique, scene: geometry.Scene, surface: raster.Surface
+) -> Any:
+    """What the technique draws for the scene's only light.
+
+    **Raises** `ConfigError` if the technique does not suit the light or the camera.
+    """
+    try:
+        return technique.prepare(scene, surface)
+    except ValueError as error:
+        raise _error(config, ("technique",), str(error)) from error
 
 
 def load(config: Config, stages: Stages) -> Loaded:

@@ -1,0 +1,132 @@
+"""The extent of texels on the screen: closed forms, and figures of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import LIGHTS, floor_and_card, quad, side_camera
+
+from diffshadow.geometry import DirectionalLight, MatrixLight, OrthographicCamera, PinholeCamera
+from diffshadow.metrics import measure_aliasing
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import Aliasing, aliasing, draw_shadow_map
+
+SIZE = (64, 64)
+
+
+def test_texels_on_a_plane_under_light_from_above_have_their_closed_form():
+    # Of a level camera at height h with a focal length of F pixels: t F / z across, and t F h / z² along the view.
+    height, texels, width = 1.7, 256, 120.0
+    floor = quad((0, 0, -50), (60, 0, 0), (0, 0, -60))
+    camera = PinholeCamera((0, height, 0), (0, height, -10), fov_y=60.0, near=0.1, far=100.0, resolution=SIZE)
+    # The map's x lies along the view.
+    light = DirectionalLight((0, -1, 0), (0, 0, 0), (width, width), -5, 5)
+    surface = draw_surface(floor, camera)
+    found = aliasing(draw_shadow_map(floor, light, (texels, texels)), surface, camera)
+    focal, texel = SIZE[0] / 2 / np.tan(np.deg2rad(30)), width / texels
+    mask = np.asarray(found.mask)
+    assert mask.mean() > 0.3
+    depth = -np.asarray(surface.position, np.float64)[mask, 2]
+    across, along = texel * focal / depth, texel * focal * height / depth**2
+    # Beside the middle of the image, a step along the view moves a point sideways, too.
+    sideways = texel * focal * np.asarray(surface.position)[mask, 0] / depth**2
+    expected = np.stack([sideways, across, along, np.zeros_like(along)], axis=-1).reshape(-1, 2, 2)
+    jacobian = np.asarray(found.jacobian)[mask]
+    np.testing.assert_allclose(np.abs(jacobian), np.abs(expected), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(np.asarray(found.area)[mask], across * along, rtol=1e-4)
+    np.testing.assert_allclose(
+        np.asarray(found.extent)[mask], np.linalg.svd(expected, compute_uv=False)[:, 0], rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize("light", ["directional", "spot"])
+def test_a_map_drawn_from_the_cameras_own_view_matches_it(light):
+    # With twice as many texels as pixels along each side, a texel is half a pixel wide on any surface.
+    mesh = floor_and_card()
+    if light == "spot":
+        camera = side_camera(SIZE)
+    else:
+        camera = OrthographicCamera((2.2, 2.6, 3.2), (0, 0.3, 0), height=5.0, near=0.1, far=12.0, resolution=SIZE)
+    view = camera.view()
+    shadow_map = draw_shadow_map(mesh, MatrixLight(view.world_to_eye, view.eye_to_clip), (128, 128))
+    found = aliasing(shadow_map, draw_surface(mesh, camera), camera)
+    mask = np.asarray(found.mask)
+    assert mask.mean() > 0.3
+    for jacobian in (found.jacobian, found.perspective):
+        np.testing.assert_allclose(
+            np.asarray(jacobian)[mask], 0.5 * np.eye(2) + np.zeros((mask.sum(), 2, 2)), atol=1e-5
+        )
+
+
+def test_perspective_and_projection_are_factors():
+    # A wall that the light grazes: its texels are long on the screen, but not because of perspective.
+    wall = quad((0, 0, 0), (2, 0, 0), (0, 2, 0))
+    camera = OrthographicCamera((0, 0, 5), (0, 0, 0), height=3.0, near=0.1, far=9.0, resolution=SIZE)
+    steepness = 0.1
+    light = DirectionalLight((1, 0, -steepness), (0, 0, 0), (6.0, 6.0), -5, 5)
+    found = aliasing(draw_shadow_map(wall, light, (64, 64)), draw_surface(wall, camera), camera)
+    mask, texel = np.asarray(found.mask), 6.0 / 64 * 64 / 3.0
+    assert mask.mean() > 0.9
+    sine = steepness / np.hypot(1, steepness)
+    np.testing.assert_allclose(np.asarray(found.extent)[mask], texel / sine, rtol=1e-4)
+    np.testing.assert_allclose(np.asarray(found.least_extent)[mask], texel, rtol=1e-4)
+    np.testing.assert_allclose(np.asarray(found.perspective_extent)[mask], texel, rtol=1e-4)
+    np.testing.assert_allclose(np.asarray(found.projection_extent)[mask], 1 / sine, rtol=1e-4)
+
+
+def test_only_surfaces_in_the_map_that_face_the_light_are_measured():
+    mesh, camera = floor_and_card(), side_camera(SIZE)
+    surface = draw_surface(mesh, camera)
+    half = DirectionalLight((0.0, -1.0, 0.1), (1.5, 0.5, 0), (3.0, 8.0), -4, 4)
+    mask = np.asarray(aliasing(draw_shadow_map(mesh, half, SIZE), surface, camera).mask)
+    x = np.asarray(surface.position)[..., 0]
+    assert mask.any()
+    assert x[mask].min() > 0 - 1e-5
+    from_below = DirectionalLight((0.0, 1.0, 0.1), (0, 0, 0), (8.0, 8.0), -4, 4)
+    assert not np.asarray(aliasing(draw_shadow_map(mesh, from_below, SIZE), surface, camera).mask).any()
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_extents_are_those_of_finite_steps_in_the_map(light):
+    # Moving the camera's pixels by one and finding by how much the texel moves is the inverse.
+    mesh, camera = floor_and_card(), side_camera(SIZE)
+    surface = draw_surface(mesh, camera)
+    shadow_map = draw_shadow_map(mesh, LIGHTS[light](mesh), SIZE)
+    found = aliasing(shadow_map, surface, camera)
+    clip = np.asarray(shadow_map.view.clip(surface.position), np.float64)
+    texel = (clip[..., :2] / clip[..., 3:] * 0.5 + 0.5) * SIZE[0]
+    floor = np.asarray(found.mask) & (np.asarray(surface.face) < 2)
+    inner = floor[1:-1, 1:-1] & floor[2:, 1:-1] & floor[:-2, 1:-1] & floor[1:-1, 2:] & floor[1:-1, :-2]
+    along_x, along_y = (texel[1:-1, 2:] - texel[1:-1, :-2]) / 2, (texel[2:, 1:-1] - texel[:-2, 1:-1]) / 2
+    inverse = np.linalg.inv(np.stack([along_x, along_y], axis=-1)[inner])
+    assert inner.sum() > 1000
+    np.testing.assert_allclose(np.asarray(found.jacobian)[1:-1, 1:-1][inner], inverse, rtol=0.02, atol=0.02)
+
+
+def test_singular_values_are_those_of_numpy():
+    matrices = np.random.default_rng(0).normal(size=(5, 7, 2, 2)).astype(np.float32)
+    matrices[0, 0] = 0
+    found = Aliasing(jnp.asarray(matrices), jnp.asarray(matrices), jnp.ones((5, 7), bool))
+    values = np.linalg.svd(matrices, compute_uv=False)
+    np.testing.assert_allclose(found.extent, values[..., 0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(found.least_extent, values[..., 1], rtol=1e-4, atol=1e-6)
+    gradient = jax.grad(lambda m: jnp.sum(Aliasing(m, m, found.mask).extent))(jnp.asarray(matrices))
+    assert np.isfinite(gradient).all()
+
+
+def test_figures_of_extents():
+    extent, mask = np.full((10, 20), 2.0), np.ones((10, 20), bool)
+    extent[0, :2], extent[5] = 8.0, 0.5
+    mask[9], extent[9] = False, np.inf
+    figures = measure_aliasing(extent, mask)
+    assert figures.worst == 8
+    assert figures.percentile_99 == np.percentile(extent[mask], 99)
+    assert figures.mean_log2 == pytest.approx((2 * 3 + 20 * -1 + 158) / 180)
+    assert figures.undersampled == pytest.approx(160 / 180)
+    for wrong, words in (
+        ((extent, np.zeros_like(mask)), "has no pixels"),
+        ((extent, np.ones_like(mask)), "negative, NaN or infinite"),
+        ((extent, mask[1:]), "expected booleans of the same shape"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            measure_aliasing(*wrong)

@@ -1,0 +1,418 @@
+"""Cascades: their slices, what their maps contain, that they meet without seams, and that texels stay in place."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import floor_and_card, jacfwd_and_value, quad, side_camera, sun, surface_at
+
+from diffshadow.geometry import (
+    DirectionalLight,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    Scene,
+    SpotLight,
+    merge,
+)
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import (
+    Bias,
+    Bilinear,
+    Cascades,
+    Castano,
+    MapSettings,
+    Nearest,
+    PercentageCloser,
+    PercentageCloserSoft,
+    RandomDisk,
+    ReceiverPlane,
+    ShadowMapping,
+    SingleMap,
+    SoftCompare,
+    Tent,
+    VarianceShadowMap,
+    aliasing,
+)
+
+NEAR, FAR = 0.1, 100.0
+SIZE = (64, 64)
+TEXELS = 64
+
+
+def mapping(layout, kernel=None, bias=None, texels=TEXELS, **settings) -> ShadowMapping:
+    settings = MapSettings((texels, texels), **settings)
+    return ShadowMapping(kernel or Nearest(), bias or Bias(0.5, 1.0), map=settings, layout=layout)
+
+
+def along_corridor(resolution=SIZE, near=NEAR, far=FAR) -> PinholeCamera:
+    return PinholeCamera((0, 1.7, 0), (0, 1.2, -10), fov_y=60.0, near=near, far=far, resolution=resolution)
+
+
+def posts(count=8) -> Mesh:
+    """Posts along both sides of a plane, which runs from the eye to the far plane."""
+    ground = quad((0, 0, -55), (60, 0, 0), (0, 0, -60))
+    places = [(x, 1, -1.5 - 90 * (k / count) ** 2) for k in range(count) for x in (-1.5, 1.2)]
+    return merge([ground, *(quad(place, (0.15, 0, 0), (0, 1, 0)) for place in places)])
+
+
+# --- Slices ---
+
+
+def splits(layout, near=NEAR, far=FAR) -> np.ndarray:
+    return np.asarray(layout.splits(jnp.asarray(near), jnp.asarray(far)), np.float64)
+
+
+def test_slices_follow_the_practical_split_scheme():
+    fraction = np.arange(5) / 4
+    uniform, logarithmic = NEAR + (FAR - NEAR) * fraction, NEAR * (FAR / NEAR) ** fraction
+    np.testing.assert_allclose(splits(Cascades(4, 0.0)), uniform, rtol=1e-6)
+    np.testing.assert_allclose(splits(Cascades(4, 1.0)), logarithmic, rtol=1e-5)
+    np.testing.assert_allclose(splits(Cascades(4, 0.3)), 0.3 * logarithmic + 0.7 * uniform, rtol=1e-6)
+    for count in range(1, 9):
+        assert splits(Cascades(count, 0.7))[[0, -1]].tolist() == [np.float32(NEAR), np.float32(FAR)]
+
+
+def test_logarithmic_slices_have_the_same_worst_error():
+    # Of fitted maps under a light across the view, the error along it is the slice's length over its nearest depth.
+    ends = splits(Cascades(4, 1.0))
+    np.testing.assert_allclose(np.diff(ends) / ends[:-1], (FAR / NEAR) ** 0.25 - 1, rtol=1e-5)
+
+
+def test_given_slices_end_where_they_are_said_to():
+    layout = Cascades(distances=(2.0, 5.0, 30.0))
+    light = layout.light(sun(posts()), along_corridor(), (TEXELS, TEXELS))
+    assert light.count == layout.count == 3
+    assert np.asarray(light.ends).tolist() == [2, 5, 30]
+    layers = light.layer(jnp.asarray([[0, 1.7, -1.0], [0, 1.7, -4.0], [0, 1.7, -20.0], [0, 1.7, -99.0]]))
+    assert np.asarray(layers).tolist() == [0, 1, 2, 2]
+
+
+def test_sample_distribution_splits_what_is_seen():
+    mesh, camera = floor_and_card(), side_camera(SIZE)
+    surface = draw_surface(mesh, camera)
+    layout = Cascades(3, 1.0, depths="surface")
+    light = mapping(layout).prepare(Scene(mesh, camera, sun(mesh)), surface).light
+    depth = np.asarray(light.depth(surface.position))[np.asarray(surface.mask)]
+    assert depth.min() > float(camera.near) * 2
+    np.testing.assert_allclose([light.begins[0], light.ends[-1]], [depth.min(), depth.max()], rtol=1e-5)
+    ends = np.concatenate([light.begins[:1], light.ends])
+    np.testing.assert_allclose(ends[1:] / ends[:-1], (depth.max() / depth.min()) ** (1 / 3), rtol=1e-4)
+    # It is drawn if it is not given.
+    again = mapping(layout).prepare(Scene(mesh, camera, sun(mesh))).light
+    np.testing.assert_array_equal(again.ends, light.ends)
+
+
+# --- What the maps contain ---
+
+CAMERAS = 200
+POINTS = 64
+
+
+@eqx.filter_jit
+def _contained(layout, eye, target, fov, direction, fractions):
+    """How far inside the margin of their cascade points of the view lie, and whether each is in the right one."""
+
+    def of_one(eye, target, fov, direction, fractions):
+        camera = PinholeCamera(eye, target, fov_y=fov, near=NEAR, far=FAR, resolution=(48, 64))
+        light = DirectionalLight(direction, jnp.zeros(3), jnp.full(2, 900.0), -500.0, 500.0)
+        cascaded = layout.light(light, camera, (TEXELS, TEXELS))
+        depth = NEAR * (FAR / NEAR) ** fractions[:, 0]
+        view = camera.view()
+        half = jnp.tan(jnp.deg2rad(fov) / 2) * jnp.array([camera.aspect, 1.0])
+        across = depth[:, None] * half * (2 * fractions[:, 1:] - 1)
+        local = jnp.concatenate([across, -depth[:, None]], axis=-1)
+        points = camera.eye + jnp.sum(local[:, :, None] * view.world_to_eye[:3, :3], axis=1)
+        layer = cascaded.layer(points)
+        following = jnp.minimum(layer + 1, layout.count - 1)
+        begins = jnp.concatenate([cascaded.begins[:1], cascaded.ends[:-1]])
+        in_band = (cascaded.ends[layer] - depth) < layout.blend * (cascaded.ends - begins)[layer]
+        return cascaded.to_border(points, layer), cascaded.to_border(points, following), in_band
+
+    return jax.vmap(of_one)(eye, target, fov, direction, fractions)
+
+
+@pytest.mark.parametrize("stabilize", [True, False])
+@pytest.mark.parametrize("select", ["interval", "map"])
+def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, select):
+    rng = np.random.default_rng(1)
+    eye = rng.normal(size=(CAMERAS, 3)) * 20
+    target, direction = eye + rng.normal(size=(CAMERAS, 3)), rng.normal(size=(CAMERAS, 3))
+    fractions = rng.random((CAMERAS, POINTS, 3))
+    # Corners of the view, too, at any depth.
+    fractions[:, ::2, 1:] = rng.integers(0, 2, (CAMERAS, POINTS // 2, 2))
+    layout = Cascades(4, 0.8, stabilize=stabilize, select=select, blend=0.2, margin=6.0)
+    fov = rng.uniform(20, 100, CAMERAS)
+    inside, in_next, in_band = _contained(layout, eye, target, fov, direction, fractions)
+    # Rounding: a window is a few hundred units wide, in float32.
+    assert np.asarray(inside).min() > -1e-4
+    if select == "interval":
+        assert np.asarray(in_band).mean() > 0.05
+        assert np.asarray(in_next)[np.asarray(in_band)].min() > -1e-4
+
+
+def test_one_cascade_over_the_whole_scene_is_the_plain_map_bit_for_bit():
+    # All of the light's map is in the camera's sight.
+    mesh = floor_and_card()
+    camera = PinholeCamera((6, 9, 7), (0, 0, 0), fov_y=60.0, near=0.1, far=40.0, resolution=SIZE)
+    scene, surface = Scene(mesh, camera, sun(mesh)), draw_surface(mesh, camera)
+    disk = RandomDisk(2.0)
+    plain = mapping(SingleMap(), disk)
+    state = plain.prepare(scene, surface)
+    visibility = np.asarray(plain.visibility(state, surface))
+    assert 0.02 < (visibility[np.asarray(surface.mask)] < 0.5).mean() < 0.9
+    for blend in (0.0, 0.3):
+        one = mapping(Cascades(1, stabilize=False, blend=blend), disk)
+        map_of_one = one.prepare(scene, surface)
+        np.testing.assert_array_equal(map_of_one.depth[0], state.depth)
+        np.testing.assert_array_equal(one.visibility(map_of_one, surface), visibility)
+
+
+# --- Stable texels ---
+
+
+def moved_maps(layout, moves, turn=0.0):
+    """The maps, and their lights, of a camera in its place and of cameras moved and turned from there."""
+    mesh = posts()
+    technique, light = mapping(layout), sun(mesh, (0.4, -1.0, 0.3))
+    heading = lambda angle: np.array([np.sin(angle), -0.05, -np.cos(angle)])
+    cameras = [
+        PinholeCamera(eye, eye + 10 * heading(angle), fov_y=60.0, near=NEAR, far=FAR, resolution=SIZE)
+        for eye, angle in [
+            (np.array([0.0, 1.7, 0.0]), 0.0),
+            *((np.array([0.0, 1.7, 0.0]) + move, turn) for move in moves),
+        ]
+    ]
+    return [technique.prepare(Scene(mesh, camera, light)) for camera in cameras]
+
+
+def overlap(first, second, layer):
+    """What both maps show of the scene, if one is the other moved by whole texels; and by how many."""
+    moved = (np.asarray(second.light.offset[layer]) - np.asarray(first.light.offset[layer])) * TEXELS / 2
+    x, y = (int(k) for k in np.round(moved))
+    np.testing.assert_allclose(moved, [x, y], atol=1e-4)
+    span = lambda k: (slice(max(-k, 0), TEXELS - max(k, 0)), slice(max(k, 0), TEXELS - max(-k, 0)))
+    (rows, rows_then), (columns, columns_then) = span(y), span(x)
+    return np.asarray(first.depth[layer])[rows, columns], np.asarray(second.depth[layer])[rows_then, columns_then]
+
+
+MOVES = [np.array(move) for move in ((0.003, 0.0, 0.001), (1.37, 0.2, -2.9), (-7.7, 1.1, 5.3))]
+
+
+def test_texels_stay_in_place_as_the_camera_moves():
+    first, *others = moved_maps(Cascades(3, 0.5), MOVES)
+    for other in others:
+        np.testing.assert_array_equal(other.light.scale, first.light.scale)
+        for layer in range(3):
+            before, after = overlap(first, other, layer)
+            assert before.size > 0.3 * TEXELS**2
+            assert np.ptp(before) > 1e-3
+            np.testing.assert_array_equal(before, after)
+
+
+def test_turning_the_camera_keeps_the_size_of_the_cascades():
+    first, *others = moved_maps(Cascades(3, 0.5), MOVES[:1], turn=0.7)
+    np.testing.assert_array_equal(others[0].light.scale, first.light.scale)
+    for layer in range(3):
+        np.testing.assert_array_equal(*overlap(first, others[0], layer))
+
+
+def test_cascades_that_are_not_stabilized_change_with_the_camera():
+    first, *others = moved_maps(Cascades(3, 0.5, stabilize=False), MOVES[:2])
+    assert any(
+        np.abs(np.asarray(other.light.scale) / np.asarray(first.light.scale) - 1).max() > 1e-5 for other in others
+    )
+
+
+# --- No seams ---
+
+RADIUS = 3.0
+FILTERS = {
+    "nearest": Nearest(),
+    "bilinear": Bilinear(),
+    "box": PercentageCloser(RADIUS),
+    "tent": Tent(RADIUS),
+    "castano": Castano(7),
+    "random_disk": RandomDisk(RADIUS),
+    "soft": PercentageCloserSoft(max_radius=RADIUS),
+    "variance": VarianceShadowMap(RADIUS),
+}
+
+
+def lit_plane(kernel, layout):
+    """A plane and a lid that does not reach over it, from the eye to the far plane."""
+    ground = quad((0, 0, -55), (60, 0, 0), (0, 0, -60))
+    lid = quad((200, 3, -55), (60, 0, 0), (0, 0, -60))
+    mesh, camera = merge([ground, lid]), along_corridor((96, 96))
+    light = DirectionalLight.around((0.1, -1.0, 0.3), mesh.vertices, 0.5)
+    technique = mapping(layout, kernel, Bias(0.5, plane=ReceiverPlane()))
+    surface = draw_surface(mesh, camera)
+    state = technique.prepare(Scene(mesh, camera, light), surface)
+    return np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("nearest", "random_disk") else pytest.param(name, marks=pytest.mark.exhaustive)
+        for name in FILTERS
+    ],
+)
+@pytest.mark.parametrize("select", ["interval", "map"])
+@pytest.mark.parametrize("stabilize", [True, False])
+def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize):
+    layout = Cascades(4, 0.8, select=select, stabilize=stabilize, blend=0.2, margin=RADIUS + 2)
+    visibility, mask = lit_plane(FILTERS[name], layout)
+    assert mask.mean() > 0.3
+    assert visibility[mask].min() > (0.99 if name == "variance" else 1 - 1e-6)
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.3])
+def test_everything_under_a_lid_is_dark(blend):
+    ground, lid = quad((0, 0, -55), (60, 0, 0), (0, 0, -60)), quad((0, 60, -55), (300, 0, 0), (0, 0, -300))
+    mesh, camera = merge([ground, lid]), along_corridor((96, 96))
+    technique = mapping(Cascades(4, 0.8, blend=blend), RandomDisk(RADIUS), Bias(0.5, plane=ReceiverPlane()))
+    surface = draw_surface(mesh, camera)
+    state = technique.prepare(Scene(mesh, camera, DirectionalLight.around((0.1, -1.0, 0.3), mesh.vertices)), surface)
+    assert np.asarray(technique.covered(state, surface))[np.asarray(surface.mask)].all()
+    assert np.asarray(technique.visibility(state, surface))[np.asarray(surface.mask)].max() < 1e-6
+
+
+# --- Blending and fading ---
+
+
+def across_a_split(technique, state, end, length, count=256):
+    """Visibility along the view's axis over the last part of a slice that ends at `end`, and a little beyond."""
+    depth = np.linspace(end - 0.5 * length, end + 0.2 * length, count)
+    points = np.stack([np.zeros(count), np.full(count, 0.0), -depth], axis=-1)[None]
+    return depth, np.asarray(technique.visibility(state, surface_at(points, (0, 1, 0))))[0]
+
+
+@pytest.fixture(scope="module")
+def grid():
+    """A lattice above the ground, whose shadow differs from map to map."""
+    bars = [quad((0, 1, -0.35 * k), (20, 0, 0), (0, 0, -0.1)) for k in range(1, 80)]
+    mesh = merge([quad((0, 0, -55), (60, 0, 0), (0, 0, -60)), *bars])
+    camera = PinholeCamera((0, 0.0, 0), (0, 0.0, -10), fov_y=60.0, near=1.0, far=30.0, resolution=SIZE)
+    return Scene(mesh, camera, sun(mesh, (0.05, -1, 0.2)))
+
+
+def test_a_blend_leads_from_one_map_to_the_next(grid):
+    ends = (8.0, 30.0)
+    of = lambda blend, **more: mapping(Cascades(distances=ends, blend=blend, **more), Bilinear())
+    state = of(0.25, max_blend=0.25).prepare(grid)
+    depth, blended = across_a_split(of(0.25), state, 8.0, 7.0)
+    _, sharp = across_a_split(of(0.0, max_blend=0.25), state, 8.0, 7.0)
+    # The finer map ends where the band does: only there does the next one start without a blend.
+    always_next = Cascades(distances=(1.5, 30.0), blend=0.0)
+    onwards = eqx.tree_at(lambda s: s.light.ends, state, jnp.asarray([1.5, 30.0]))
+    _, following = across_a_split(mapping(always_next, Bilinear()), onwards, 8.0, 7.0)
+    weight = np.clip((8.0 - depth) / 7.0 / 0.25, 0, 1)
+    assert np.abs(sharp - following)[depth < 8].max() > 0.2
+    np.testing.assert_allclose(blended, weight * sharp + (1 - weight) * following, atol=1e-5)
+
+
+def test_shadows_end_or_fade_at_the_shadow_distance(grid):
+    of = lambda fade: mapping(Cascades(2, 0.0, shadow_distance=11.0, fade=fade, blend=0.0), Bilinear())
+    depth, plain = across_a_split(
+        mapping(Cascades(2, 0.0, blend=0.0, shadow_distance=11.0)), of(0.0).prepare(grid), 11, 5
+    )
+    _, faded = across_a_split(of(0.5), of(0.5).prepare(grid), 11.0, 5.0)
+    assert plain[depth > 11].min() == faded[depth > 11].min() == 1
+    assert plain[depth < 11].min() == 0
+    _, unfaded = across_a_split(of(0.0), of(0.0).prepare(grid), 11.0, 5.0)
+    strength = np.clip((11.0 - depth) / 5.0 / 0.5, 0, 1)
+    np.testing.assert_allclose(faded, 1 - strength * (1 - unfaded), atol=1e-5)
+
+
+@eqx.filter_jit
+def _mean(technique, state, surface, values):
+    parts = lambda one: (one.layout.blend, one.bias.constant.value, one.filter.radius)
+    changed = eqx.tree_at(parts, technique, tuple(values))
+    weights = jnp.cos(jnp.arange(surface.mask.size).reshape(surface.mask.shape))
+    return jnp.sum(weights * changed.visibility(state, surface))
+
+
+def test_blend_bias_and_radius_have_the_right_derivatives(grid):
+    with jax.enable_x64(True):
+        to64 = lambda tree: jax.tree.map(
+            lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x, tree
+        )
+        layout = Cascades(distances=(8.0, 30.0), blend=0.2, max_blend=0.5)
+        technique = ShadowMapping(RandomDisk(1.3), Bias(0.7), SoftCompare(2.0), MapSettings((TEXELS, TEXELS)), layout)
+        state = to64(technique.prepare(grid))
+        rng = np.random.default_rng(0)
+        points = np.stack([rng.uniform(-2, 2, SIZE), np.zeros(SIZE), -rng.uniform(5, 9, SIZE)], axis=-1)
+        surface, technique = surface_at(points, (0, 1, 0)), to64(technique)
+        values = jnp.asarray([0.2, 0.7, 1.3])
+        gradient, _ = jacfwd_and_value(lambda v: _mean(technique, state, surface, v))(values)
+        step = 1e-6
+        differences = [
+            float(_mean(technique, state, surface, values + d) - _mean(technique, state, surface, values - d))
+            / (2 * step)
+            for d in step * np.eye(3)
+        ]
+        assert min(np.abs(differences)) > 1e-2
+        np.testing.assert_allclose(gradient, differences, rtol=1e-3)
+
+
+# --- Against rays ---
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("silhouettes", [False, True])
+def test_four_small_cascades_beat_one_large_map(silhouettes):
+    mesh = posts(16)
+    scene = Scene(mesh, along_corridor((192, 192)), sun(mesh, (0.5, -1.0, -0.4)))
+    surface, truth = draw_surface(scene.mesh, scene.camera), trace_visibility(scene, 1, "sobol", 0)
+    error = {}
+    for name, layout, texels in (("plain", SingleMap(), 1024), ("cascades", Cascades(4, 0.9, blend=0.1), 512)):
+        technique = mapping(layout, Nearest(), Bias(0.5, 1.0), texels, silhouettes=silhouettes)
+        visibility = np.asarray(technique.visibility(technique.prepare(scene, surface), surface))
+        counted = np.asarray(surface.mask) & truth.mask
+        error[name] = np.sqrt(np.mean((visibility - truth.visibility)[counted] ** 2))
+    assert error["cascades"] < 0.6 * error["plain"]
+
+
+def test_cascades_lower_the_aliasing():
+    mesh = posts()
+    scene = Scene(mesh, along_corridor(), sun(mesh, (0.5, -1.0, -0.4)))
+    surface = draw_surface(scene.mesh, scene.camera)
+    plain, four = mapping(SingleMap()), mapping(Cascades(4, 0.9))
+    of = lambda one: one.aliasing(one.prepare(scene, surface), surface, scene.camera)
+    extents = [np.asarray(found.extent)[np.asarray(found.mask)] for found in (of(plain), of(four))]
+    assert extents[1].max() < 0.3 * extents[0].max()
+    # Without a technique, the layers are the light's.
+    again = aliasing(four.prepare(scene, surface), surface, scene.camera)
+    np.testing.assert_allclose(np.asarray(again.extent)[np.asarray(again.mask)], extents[1], rtol=1e-5)
+
+
+# --- Mistakes ---
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda: Cascades(9), "count is 9; expected 1 to 8"),
+        (lambda: Cascades(4, 1.5), "logarithmic is 1.5; expected 0 to 1"),
+        (lambda: Cascades(distances=(5.0, 2.0)), r"\[5.0, 2.0\]; expected each to be greater"),
+        (lambda: Cascades(distances=(5.0,), shadow_distance=3.0), "remove the others"),
+        (lambda: Cascades(blend=0.3, max_blend=0.2), "blend is .*; expected 0 to 0.2"),
+        (lambda: Cascades(margin=-1.0), "margin is -1.0; expected 0 or more"),
+        (lambda: fitted(Cascades(shadow_distance=200.0)), "shadow_distance is 200; .* to its far, 100"),
+        (lambda: fitted(Cascades(distances=(1.0, 200.0))), "distances are 1, 200; .* to its far, 100"),
+        (lambda: fitted(Cascades(margin=40.0)), "margin of 40 texels .* expected more than 81"),
+        (lambda: fitted(Cascades(), SpotLight((0, 3, 0), (0, -1, 0), 40.0, 0.1, 9.0)), "light is a SpotLight"),
+        (lambda: fitted(Cascades(), camera=OrthographicCamera((0, 1, 0), (0, 0, 0), (0, 0, 1), near=-1)), "near is -1"),
+        (lambda: fitted(Cascades(depths="surface")), "expected a surface"),
+    ],
+)
+def test_mistakes_are_named(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        wrong()
+
+
+def fitted(layout, light=None, camera=None):
+    return layout.light(light or sun(floor_and_card()), camera or along_corridor(), (TEXELS, TEXELS))
