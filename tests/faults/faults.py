@@ -334,6 +334,27 @@ _GEOMETRY = (
         "(self.position, points, self.up, self.direction)",
         "test_lights.py",
     ),
+    _fault(
+        "cascaded light: selected by map without its margin",
+        "geometry/lights/_cascaded.py",
+        "1 - self.margin - jnp.abs(at)",
+        "1 - jnp.abs(at)",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascaded light: rows shifted by the other axis",
+        "geometry/lights/_cascaded.py",
+        "self.offset[..., None] * own.eye_to_clip[3]",
+        "self.offset[..., ::-1, None] * own.eye_to_clip[3]",
+        "test_cascades.py",
+    ),
+    _fault(
+        "view: vertices at steps from the window's border",
+        "geometry/_view.py",
+        "jnp.round(from_axis * self.steps) + jnp.round(offset * self.steps)",
+        "(from_axis + offset) * self.steps",
+        "test_cascades.py",
+    ),
 )
 
 _RASTER = (
@@ -1084,6 +1105,97 @@ _SHADOW = (
         "height - self.margin, width - self.margin",
         "test_projective.py",
     ),
+    _fault(
+        "cascades: logarithmic and uniform slices exchanged",
+        "shadow/layouts/_cascades.py",
+        "uniform + self.logarithmic * (near * ratio**fraction - uniform)",
+        "uniform + (1 - self.logarithmic) * (near * ratio**fraction - uniform)",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: no texel for the snapped centre",
+        "shadow/layouts/_cascades.py",
+        "(texels / (texels - 1 - 2 * margin))",
+        "(texels / (texels + 1 - 2 * margin))",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: windows move by fractions of a texel",
+        "shadow/layouts/_cascades.py",
+        "moved = jnp.round(light.clip(centre)[:, :2] * texels / width)",
+        "moved = light.clip(centre)[:, :2] * texels / width",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: a sphere that its slice's corners leave",
+        "shadow/layouts/_cascades.py",
+        "(begin**2 + end**2) * k2 / 2",
+        "(begin**2 + begin**2) * k2 / 2",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: the next map does not cover the blend",
+        "shadow/layouts/_cascades.py",
+        "ends[:-1] - layout.max_blend * lengths[:-1]",
+        "ends[:-1] - 0 * lengths[:-1]",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: blend over a part of the next slice",
+        "shadow/layouts/_cascades.py",
+        "/ (light.ends - begins)[layer]",
+        "/ (light.ends - begins)[other]",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: shadows end at once instead of fading",
+        "shadow/layouts/_cascades.py",
+        "jnp.clip(from_end / self.fade, 0, 1)",
+        "jnp.where(from_end < 0, 0.0, 1.0)",
+        "test_cascades.py",
+    ),
+    _fault(
+        "cascades: a margin on one side only",
+        "shadow/layouts/_cascades.py",
+        "low, high = jnp.clip(low - beyond, -1, 1)",
+        "low, high = jnp.clip(low, -1, 1)",
+        "test_cascades.py",
+    ),
+    _fault(
+        "blended layers: their weights exchanged",
+        "shadow/_shadow_mapping.py",
+        "both[1] + weight * (both[0] - both[1])",
+        "both[0] + weight * (both[1] - both[0])",
+        "test_cascades.py",
+    ),
+    _fault(
+        "factors of the bias: that of the first layer for all",
+        "shadow/biases/_sum.py",
+        "jnp.stack(self.factors)[receiver.layer]",
+        "jnp.stack(self.factors)[0 * receiver.layer]",
+        "test_cascades.py",
+    ),
+    _fault(
+        "aliasing: texels to a pixel",
+        "shadow/_aliasing.py",
+        "_divided(pixels, texels)",
+        "_divided(texels, pixels)",
+        "test_aliasing.py",
+    ),
+    _fault(
+        "aliasing: perspective of a surface that faces the light",
+        "shadow/_aliasing.py",
+        "normalize(to_light + to_camera)",
+        "normalize(to_light + 0 * to_camera)",
+        "test_aliasing.py",
+    ),
+    _fault(
+        "aliasing: surfaces that face away count",
+        "shadow/_aliasing.py",
+        "inside & (dot(surface.normal, to_light) > 0)",
+        "inside",
+        "test_aliasing.py",
+    ),
 )
 
 _SHADING = (
@@ -1418,6 +1530,13 @@ _METRICS = (
         "false_shadow_rate(visibility, reference, mask, band)",
         "false_shadow_rate(visibility, reference, mask)",
         "test_metrics.py",
+    ),
+    _fault(
+        "aliasing's figures: matched texels count as undersampled",
+        "metrics/_aliasing.py",
+        "(values > 1).mean()",
+        "(values > 0.4).mean()",
+        "test_aliasing.py",
     ),
 )
 

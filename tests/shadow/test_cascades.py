@@ -35,6 +35,7 @@ from diffshadow.shadow import (
     Tent,
     VarianceShadowMap,
     aliasing,
+    receiver,
 )
 
 NEAR, FAR = 0.1, 100.0
@@ -356,6 +357,26 @@ def test_blend_bias_and_radius_have_the_right_derivatives(grid):
         ]
         assert min(np.abs(differences)) > 1e-2
         np.testing.assert_allclose(gradient, differences, rtol=1e-3)
+
+
+def test_factors_scale_the_bias_of_each_cascade(grid):
+    layout = Cascades(distances=(8.0, 30.0), blend=0.0)
+    factors = (2.0, 0.5)
+    state = mapping(layout).prepare(grid)
+    depth = np.linspace(5, 11, 64)
+    points = np.stack([np.zeros(64), np.zeros(64), -depth], axis=-1)[None]
+    at = receiver(state, surface_at(points, (0, 1, 0)))
+    plain, scaled = (Bias(0.5, 1.0, 0.25, factors=given)(at) for given in (None, factors))
+    factor = np.where(depth <= 8, *factors)
+    np.testing.assert_allclose(scaled.depth[0], factor * np.asarray(plain.depth[0]), rtol=1e-6)
+    np.testing.assert_allclose(scaled.displacement[0], factor[:, None] * np.asarray(plain.displacement[0]), rtol=1e-6)
+    # What follows from rounding is not scaled.
+    plane = Bias(plane=ReceiverPlane(), factors=factors)(at)
+    np.testing.assert_array_equal(plane.depth, ReceiverPlane()(at).depth)
+    with pytest.raises(ValueError, match="2 factors, one for each layer, and the map has no layers"):
+        Bias(0.5, factors=factors)(receiver(mapping(SingleMap()).prepare(grid), surface_at(points, (0, 1, 0))))
+    with pytest.raises(ValueError, match=r"a factor of the bias is -1\.0"):
+        Bias(0.5, factors=(1.0, -1.0))
 
 
 # --- Against rays ---
