@@ -15,6 +15,7 @@ from ..raster import (
     Cull,
     DepthTest,
     barycentrics,
+    by_bands,
     interpolate_depth,
     rasterize,
     rasterize_depth,
@@ -260,9 +261,11 @@ def _unwarped_depth(
 ) -> Float[Array, "h w"]:
     """Depth without the warp that the faces were drawn with, as the buffer stores it.
 
-    At a texel, it is `1 + w τ` times the depth that was drawn. Interpolating it afresh multiplies no rounding.
+    It is the depth that was drawn, times the warp's divisor at the texel. Interpolated afresh, it has the rounding of
+    other maps.
     """
-    return _rounded(interpolate_depth(barycentrics(face, clip, faces), unwarped, faces), test)
+    part = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), unwarped, faces)
+    return _rounded(by_bands(part, face), test)
 
 
 @eqx.filter_jit

@@ -37,8 +37,8 @@ class WarpedLight(AbstractFittedLight):
         own = self.light.view()
         (x, y), (first, second) = self.up, own.world_to_eye[:2]
         world_to_eye = own.world_to_eye.at[:2].set(jnp.stack([y * first - x * second, x * first + y * second]))
-        window = jnp.zeros_like(own.eye_to_clip[:2]).at[jnp.arange(2), jnp.arange(2)].set(self.scale)
-        eye_to_clip = own.eye_to_clip.at[:2].set(window.at[:, 3].set(self.offset))
+        window = jnp.concatenate([jnp.diag(self.scale), jnp.zeros((2, 1)), self.offset[:, None]], axis=1)
+        eye_to_clip = own.eye_to_clip.at[:2].set(window)
         return View(world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, warp=self.warp)
 
     def layer(self, points: Float[Array, "*n 3"]) -> None:

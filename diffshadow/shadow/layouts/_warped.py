@@ -36,7 +36,7 @@ _LOWEST = 1e-6
 # The part of a trapezoidal map that shows the focus (Martin & Tan 2004).
 _FOCUS_SHARE = 0.8
 # Corners k of a box are numbered by bits, and an edge joins two that differ in one.
-_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
+_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit], np.int32)
 
 WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 
@@ -63,7 +63,7 @@ class PerspectiveWarp(AbstractLayout):
     view, where no warp helps. They are 0 for a parallel camera, whose images have no perspective aliasing.
 
     A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
-    needs a `fudge` of about `w r² / h`, h being the map's height in texels.
+    needs a `fudge` of up to `w (r + 1)² / h`, h being the map's height in texels.
 
     - `method`: how the strength is found.
     - `strength`: w itself, 0 or more, instead of what `method` finds; 0 for a map without a warp.
@@ -203,7 +203,7 @@ def _warped_light(
     strength = layout.strength
     if strength is None:
         depth = jnp.where(valid, depth, far)
-        nearest = jnp.min(jnp.where(depth <= _NEARLY * jnp.min(depth), y, high))
+        nearest = jnp.max(jnp.where(depth <= _NEARLY * jnp.min(depth), y, low))
         growth = _growth(from_camera, jnp.min(depth), (high - low) * axes.sine)
         strength = _strength(layout, growth, (nearest - low) / (high - low))
     # Margins in texels, as fractions of what is within them.
@@ -228,9 +228,9 @@ def _warped_light(
     )
 
 
-def _growth(camera: View, least: Scalar, range: Scalar) -> Scalar:
-    """By how much the camera's image shrinks over a `range` of depth from `least` on: z₁ / z₀ - 1."""
-    return range / jnp.maximum(least, camera.near) if camera.is_perspective else jnp.zeros_like(range)
+def _growth(camera: View, least: Scalar, length: Scalar) -> Scalar:
+    """By how much the camera's image shrinks over a `length` of depth from `least` on: z₁ / z₀ - 1."""
+    return length / jnp.maximum(least, camera.near) if camera.is_perspective else jnp.zeros_like(length)
 
 
 def _strength(layout: PerspectiveWarp, growth: Scalar, nearest: Scalar) -> Scalar:
