@@ -44,7 +44,7 @@ def safe_norm(x: Float[Array, "*n d"]) -> Float[Array, "*n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 
 
-def safe_divide(a: Float[Array, "*n"], b: Float[Array, "*n"], otherwise: float = 0.0) -> Float[Array, "*n"]:
+def safe_divide(a: Float[Array, "*#n"], b: Float[Array, "*#n"], otherwise: float = 0.0) -> Float[Array, "..."]:
     """`a / b`, and `otherwise` where `b` is 0; no NaN in value or gradient."""
     zero = b == 0
     return jnp.where(zero, otherwise, a / jnp.where(zero, 1, b))

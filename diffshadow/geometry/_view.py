@@ -1,5 +1,7 @@
 """Views: the pose and projection of a camera or a light."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -7,6 +9,7 @@ from jaxtyping import Array, Float, Int
 from .._misc import with_gradient_of
 from .._types import Scalar, Vec2
 from ._transforms import transform_points, transform_vectors
+from ._warp import Warp
 
 
 class View(eqx.Module):
@@ -21,6 +24,8 @@ class View(eqx.Module):
     - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
         are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
         whole steps then sees the same triangles to the bit. None if vertices are drawn where they are.
+    - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
+        while depths stay those of the parallel view. None for no warp.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -29,6 +34,7 @@ class View(eqx.Module):
     far: Scalar
     is_perspective: bool = eqx.field(static=True)
     steps: Vec2 | None = None
+    warp: Warp | None = None
 
     def facing(self, layer: Int[Array, "*n"]) -> "View":
         """For a light with several views, the view of `layer` for each point."""
@@ -37,14 +43,20 @@ class View(eqx.Module):
 
     @property
     def matrix(self) -> Float[Array, "*l 4 4"]:
-        """World space to clip space, (4, 4)."""
+        """World space to clip space, (4, 4), without the warp."""
         return jnp.matmul(self.eye_to_clip, self.world_to_eye, precision="highest")
+
+    @property
+    def unwarped(self) -> "View":
+        """The same view without its warp."""
+        return dataclasses.replace(self, warp=None)
 
     def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
         """Clip coordinates of world `points`; for a light with several views, with one view for each point."""
         # Two steps keep precision for small scenes far from the world's origin.
         eye = transform_points(self.world_to_eye, points)[..., :3]
-        return transform_points(self.eye_to_clip, eye)
+        clip = transform_points(self.eye_to_clip, eye)
+        return clip if self.warp is None else self.warp(clip)
 
     def clip_vertices(self, vertices: Float[Array, "v 3"]) -> Float[Array, "*l v 4"]:
         """Clip coordinates of a mesh's `vertices` in each view, at whole steps if the view has any."""
@@ -78,15 +90,45 @@ class View(eqx.Module):
             return self.far * self.near / (span * distance * distance)
         return jnp.broadcast_to(1 / span, jnp.shape(distance))
 
-    def texel_extent(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n 2"]:
+    def texel_extent(
+        self,
+        distance: Float[Array, "*n"],
+        resolution: tuple[int, int],
+        texel: Float[Array, "*n 2"] | None = None,
+    ) -> Float[Array, "*n 2"]:
         """Width and height of one texel (or pixel) of a map of `resolution`, in world units, at `distance` along the
-        view axis."""
+        view axis.
+
+        **Arguments:**
+
+        - `texel`: where in the map, x and y in texels. Only texels of a warped view differ by it; without it, they are
+            those without the warp.
+        """
         height, width = resolution
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
         across, up = self.eye_to_clip[..., 0, 0], self.eye_to_clip[..., 1, 1]
         at_unit = 2 / jnp.stack([across * width, up * height], axis=-1)
-        return at_unit * (distance if self.is_perspective else jnp.ones_like(distance))[..., None]
+        extent = at_unit * (distance if self.is_perspective else jnp.ones_like(distance))[..., None]
+        if self.warp is None or texel is None:
+            return extent
+        return self.warp.texel_extent(extent, texel[..., 1] / height)
 
-    def texel_size(self, distance: Float[Array, "*n"], resolution: tuple[int, int]) -> Float[Array, "*n"]:
-        """The geometric mean of a texel's width and height, in world units, at `distance` along the view axis."""
-        return jnp.sqrt(jnp.prod(self.texel_extent(distance, resolution), axis=-1))
+    def texel_size(
+        self,
+        distance: Float[Array, "*n"],
+        resolution: tuple[int, int],
+        texel: Float[Array, "*n 2"] | None = None,
+    ) -> Float[Array, "*n"]:
+        """The geometric mean of a texel's width and height, in world units; arguments as for `texel_extent`."""
+        return jnp.sqrt(jnp.prod(self.texel_extent(distance, resolution, texel), axis=-1))
+
+    def along_axes(
+        self, gradient: Float[Array, "*n 2"], texel: Float[Array, "*n 2"], resolution: tuple[int, int]
+    ) -> Float[Array, "*n 2"]:
+        """Changes along the rows and columns of a map of `resolution` at `texel`, per unit of x and y, of something
+        with this `gradient` along x and y in eye space. They are the same, unless a warp makes the columns lean."""
+        if self.warp is None:
+            return gradient
+        in_clip = self.warp.lean(texel[..., 0] * (2 / resolution[1]) - 1)
+        lean = in_clip * self.eye_to_clip[..., 1, 1] / self.eye_to_clip[..., 0, 0]
+        return jnp.stack([gradient[..., 0], gradient[..., 1] + lean * gradient[..., 0]], axis=-1)

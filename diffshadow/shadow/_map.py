@@ -11,7 +11,16 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, View
-from ..raster import Cull, DepthTest, rasterize, rasterize_depth, visible_depth
+from ..raster import (
+    Cull,
+    DepthTest,
+    barycentrics,
+    by_bands,
+    interpolate_depth,
+    rasterize,
+    rasterize_depth,
+    visible_depth,
+)
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
@@ -92,8 +101,8 @@ def draw_shadow_map(
         throw it away and draw again.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
-    `cull`, or without `crossings` under a trace, and what `rasterize` raises; and a runtime error if the silhouettes
-    have more `crossings`.
+    `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, and what
+    `rasterize` raises; and a runtime error if the silhouettes have more `crossings`.
     """
     if depth_layer not in ("nearest", "midpoint", "second"):
         raise ValueError(
@@ -108,7 +117,12 @@ def draw_shadow_map(
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
     edges = None if edges is None else edges.padded(mesh.faces.shape[0])
-    clip = clip_vertices(mesh, light)
+    clip, unwarped = _drawn_vertices(mesh, light)
+    if unwarped is not None and (edges is not None or polygon_offset is not None):
+        raise ValueError(
+            f"the shadow map is warped, and {'polygon_offset' if edges is None else 'edges'} was given; expected "
+            "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
+        )
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -118,10 +132,12 @@ def draw_shadow_map(
             mesh.faces,
             resolution,
             cull=cull,
-            depth_test=test,
+            depth_test=test if unwarped is None else DepthTest(),
             polygon_offset=polygon_offset,
             behind=behind,
         )
+        if unwarped is not None:
+            return seen.face, _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
         depth = _depth(seen.face, clip, mesh.faces)
         return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
 
@@ -214,13 +230,42 @@ def _silhouettes(
 def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: DepthTest) -> Float[Array, "*n"]:
     """The mean of two depths, rounded as the buffer stores it; empty texels stay empty."""
     middle = (nearest + second) / 2
-    return with_gradient_of(middle, test.decode(test.encode(middle)))
+    return _rounded(middle, test)
+
+
+def _rounded(depth: Float[Array, "*n"], test: DepthTest) -> Float[Array, "*n"]:
+    return with_gradient_of(depth, test.decode(test.encode(depth)))
 
 
 @eqx.filter_jit
 def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
     """Clip coordinates of a mesh's vertices in each of the light's views."""
     return light.view().clip_vertices(mesh.vertices)
+
+
+@eqx.filter_jit
+def _drawn_vertices(mesh: Mesh, light: AbstractLight) -> tuple[Float[Array, "*l v 4"], Float[Array, "*l v 4"] | None]:
+    """`clip_vertices`, and the same without the warp of the light's view; none for a view without."""
+    view = light.view()
+    unwarped = None if view.warp is None else view.unwarped.clip_vertices(mesh.vertices)
+    return view.clip_vertices(mesh.vertices), unwarped
+
+
+@eqx.filter_jit
+def _unwarped_depth(
+    face: Int[Array, "h w"],
+    clip: Float[Array, "v 4"],
+    unwarped: Float[Array, "v 4"],
+    faces: Faces,
+    test: DepthTest,
+) -> Float[Array, "h w"]:
+    """Depth without the warp that the faces were drawn with, as the buffer stores it.
+
+    It is the depth that was drawn, times the warp's divisor at the texel. Interpolated afresh, it has the rounding of
+    other maps.
+    """
+    part = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), unwarped, faces)
+    return _rounded(by_bands(part, face), test)
 
 
 @eqx.filter_jit

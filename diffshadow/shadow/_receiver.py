@@ -61,11 +61,11 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
     # Behind a spot light the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
     distance = jnp.where(surface.mask, ahead, view.far)
-    extent = view.texel_extent(distance, shadow_map.resolution)
-    texel_size = view.texel_size(distance, shadow_map.resolution)
     texel, depth, in_front = project(shadow_map, surface.position, layer)
+    extent = view.texel_extent(distance, shadow_map.resolution, texel)
+    texel_size = view.texel_size(distance, shadow_map.resolution, texel)
     depth_per_texel = texel_size * view.depth_slope(distance)
-    slope = _slope(view, eye, distance, surface.normal, extent, texel_size)
+    slope = _slope(shadow_map, view, eye, distance, surface.normal, texel, extent, texel_size)
     return Receiver(
         position=surface.position,
         normal=surface.normal,
@@ -76,7 +76,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
         texel_size=texel_size,
         depth_per_texel=depth_per_texel,
         slope=slope,
-        rounding=_rounding(shadow_map, view, eye, distance, surface.position, slope),
+        rounding=_rounding(shadow_map, view, eye, distance, surface.position, texel_size, slope),
         layer=layer,
     )
 
@@ -92,15 +92,18 @@ def project(
     in_front = w > (_BESIDE * view.near if view.is_perspective else 0)
     window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = shadow_map.resolution
+    depth = window(2) if view.warp is None else view.unwarped.clip(position)[..., 2] * 0.5 + 0.5
     # One coordinate at a time: XLA elides a stack that is taken apart again.
-    return jnp.stack([window(0) * width, window(1) * height], axis=-1), window(2), in_front
+    return jnp.stack([window(0) * width, window(1) * height], axis=-1), depth, in_front
 
 
 def _slope(
+    shadow_map: ShadowMap,
     view: View,
     eye: VectorMap,
     distance: Float[Array, "h w"],
     normal: VectorMap,
+    texel: TexelMap,
     extent: Float[Array, "h w 2"],
     texel_size: Float[Array, "h w"],
 ) -> TexelMap:
@@ -108,7 +111,7 @@ def _slope(
 
     It is `n_xy / -(n · r)`, with `n` the plane's normal and `r` the ray through the point per unit of distance along
     the axis, both in eye space. This holds for perspective and parallel rays alike, since window depth is linear in the
-    window over a plane.
+    window over a plane. In a warped map it is linear to first order.
     """
     n = transform_vectors(view.world_to_eye, normal)
     along = eye / distance[..., None] if view.is_perspective else jnp.array([0.0, 0.0, -1.0])
@@ -116,6 +119,7 @@ def _slope(
     across = n[..., :2]
     least = jnp.maximum(safe_norm(across) / _MAX_SLOPE, 1e-12)
     facing = jnp.where(jnp.abs(facing) > least, facing, jnp.where(facing < 0, -least, least))
+    across = view.along_axes(across, texel, shadow_map.resolution)
     return jnp.stack([-across[..., i] / facing * extent[..., i] / texel_size for i in range(2)], axis=-1)
 
 
@@ -125,6 +129,7 @@ def _rounding(
     eye: VectorMap,
     distance: Float[Array, "h w"],
     position: VectorMap,
+    texel_size: Float[Array, "h w"],
     slope: TexelMap,
 ) -> Float[Array, "h w"]:
     """Bound on the rounding error of the receiver plane's depth, under a kernel as wide as the map.
@@ -132,9 +137,9 @@ def _rounding(
     Coordinates have a relative error, and so have points of the plane. An error across the plane becomes an error of
     depth that grows with the plane's slope. A fixed-point map adds half a step.
     """
-    position, eye, distance, slope = lax.stop_gradient((position, eye, distance, slope))
+    position, eye, distance, texel_size, slope = lax.stop_gradient((position, eye, distance, texel_size, slope))
     size = lambda x: jnp.max(jnp.abs(x), axis=-1)
-    reach = size(position) + size(eye) + max(shadow_map.resolution) * view.texel_size(distance, shadow_map.resolution)
+    reach = size(position) + size(eye) + max(shadow_map.resolution) * texel_size
     steepness = jnp.sqrt(1 + jnp.sum(slope * slope, axis=-1))
     unit = jnp.finfo(jnp.float32).eps
     half_step = (

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._types import Scalar, Vec2
-from .._transforms import transform_points
+from ..._types import Vec2
 from .._view import View
-from ._abstract import AbstractLight, Domain
+from ._abstract import AbstractLight
+from ._fitted import AbstractFittedLight
 
 CascadeSelection = Literal["interval", "map"]
 """Which cascade a point falls in: that of its depth, or the first whose map contains it."""
 
 
-class CascadedLight(AbstractLight):
+class CascadedLight(AbstractFittedLight):
     """A directional light whose shadow map has a layer, called a cascade, for each of several ranges of a camera's
     depth. Each cascade is a part of the light's own map, drawn at full resolution.
 
@@ -58,10 +58,6 @@ class CascadedLight(AbstractLight):
         eye_to_clip = jnp.concatenate([cropped, others], axis=-2)
         return View(own.world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, self.steps)
 
-    def depth(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """The depth of `points` (..., 3) along the camera's axis, in world units."""
-        return -transform_points(self.camera.world_to_eye, points)[..., 2]
-
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
         points = lax.stop_gradient(points)
         if self.select == "interval":
@@ -85,26 +81,3 @@ class CascadedLight(AbstractLight):
     def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
         """Which of `points` are no deeper than the last cascade's end."""
         return self.depth(points) <= self.ends[-1]
-
-    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        return self.light.cone_fraction(points)
-
-    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
-        return self.light.towards(points, sample)
-
-    @property
-    def angular_radius(self) -> Scalar | None:
-        """Half the light's angular diameter, in degrees; none for a light without."""
-        return getattr(self.light, "angular_radius", None)
-
-    @property
-    def domain(self) -> Domain:
-        return self.light.domain
-
-    @property
-    def is_directional(self) -> bool:
-        return self.light.is_directional
-
-    @property
-    def has_size(self) -> bool:
-        return self.light.has_size

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete
-from ..._types import DepthMap, Mask, Resolution, Scalar, Visibility
+from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -146,12 +146,14 @@ class _Penumbra(eqx.Module):
 
     - `view`: it converts window depth to distance.
     - `resolution`: of the map.
+    - `texel`: (h, w, 2), where receivers fall in the map.
     - `distance`: (h, w), of receivers along the light's axis, world units.
     - `light_size`: half the light's width in world units; of a directional light, at distance 1.
     """
 
     view: View
     resolution: Resolution = eqx.field(static=True)
+    texel: TexelMap
     distance: Float[Array, "h w"]
     light_size: Scalar
 
@@ -159,7 +161,8 @@ class _Penumbra(eqx.Module):
     def of(cls, shadow_map: ShadowMap, lookup: Lookup, light_size: Scalar | None) -> "_Penumbra":
         view = shadow_map.view_of(lookup.layer)
         distance = view.eye_depth(jnp.clip(lookup.depth, 0, 1))
-        return cls(view, shadow_map.resolution, distance, half_width_of(shadow_map.light, light_size))
+        light_size = half_width_of(shadow_map.light, light_size)
+        return cls(view, shadow_map.resolution, lookup.texel, distance, light_size)
 
     @property
     def reach(self) -> Float[Array, "h w"]:
@@ -174,7 +177,7 @@ class _Penumbra(eqx.Module):
         width = jnp.maximum(self.distance - blocker, 0) * self.light_size
         if self.view.is_perspective:
             width = width / blocker
-        return width / self.view.texel_size(self.distance, self.resolution)
+        return width / self.view.texel_size(self.distance, self.resolution, self.texel)
 
 
 def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:

@@ -215,7 +215,7 @@ class Cascades(AbstractLayout):
         return jnp.where(from_end < 0, 0.0, 1.0) if self.fade == 0 else jnp.clip(from_end / self.fade, 0, 1)
 
 
-class _Frustum(NamedTuple):
+class Frustum(NamedTuple):
     """What a camera sees.
 
     - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
@@ -228,7 +228,7 @@ class _Frustum(NamedTuple):
     is_perspective: bool
 
     @classmethod
-    def of(cls, view: View) -> "_Frustum":
+    def of(cls, view: View) -> "Frustum":
         turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
         # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
         across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
@@ -280,7 +280,7 @@ def _cascaded_light(
     lengths = splits[1:] - splits[:-1]
     ends = splits[1:]
     begins = jnp.concatenate([splits[:1], ends[:-1] - layout.max_blend * lengths[:-1]])
-    texels, frustum = np.array(resolution[::-1], float), _Frustum.of(from_camera)
+    texels, frustum = np.array(resolution[::-1], float), Frustum.of(from_camera)
     firsts = jnp.broadcast_to(splits[0], ends.shape) if layout.fit == "scene" else begins
     if layout.stabilize:
         scale, offset = _around_spheres(from_light, *frustum.spheres(firsts, ends), texels, layout.margin)

@@ -1,0 +1,47 @@
+"""Directional lights whose shadow maps are fitted to what a camera sees."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from ..._types import Scalar
+from .._transforms import transform_points
+from .._view import View
+from ._abstract import AbstractLight, Domain
+
+
+class AbstractFittedLight(AbstractLight):
+    """A directional light whose shadow map is fitted to what a camera sees. Its light is that of another one.
+
+    - `light`: the directional light.
+    - `camera`: the view of the camera.
+    """
+
+    light: eqx.AbstractVar[AbstractLight]
+    camera: eqx.AbstractVar[View]
+
+    def depth(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """The depth of `points` (..., 3) along the camera's axis, in world units."""
+        return -transform_points(self.camera.world_to_eye, points)[..., 2]
+
+    def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        return self.light.cone_fraction(points)
+
+    def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
+        return self.light.towards(points, sample)
+
+    @property
+    def angular_radius(self) -> Scalar | None:
+        """Half the light's angular diameter, in degrees; none for a light without."""
+        return getattr(self.light, "angular_radius", None)
+
+    @property
+    def domain(self) -> Domain:
+        return self.light.domain
+
+    @property
+    def is_directional(self) -> bool:
+        return self.light.is_directional
+
+    @property
+    def has_size(self) -> bool:
+        return self.light.has_size

@@ -1,0 +1,49 @@
+"""A directional light whose shadow map is warped by a perspective."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..._types import Scalar, Vec2
+from .._view import View
+from .._warp import Warp
+from ._abstract import AbstractLight
+from ._fitted import AbstractFittedLight
+
+
+class WarpedLight(AbstractFittedLight):
+    """A directional light whose shadow map is a part of the light's own, turned about the light's axis and warped by a
+    perspective. Depths are those of the light's own map.
+
+    `shadow.PerspectiveWarp` makes one for a light and a camera.
+
+    - `light`: the directional light.
+    - `camera`: the view of the camera.
+    - `end`: the depth along the camera's axis at which the map ends, in world units.
+    - `up`: (2,), the direction of the map's y axis in the light's own eye space; a unit vector.
+    - `scale`, `offset`: (2,), the window in the turned eye space: before the warp, a point's clip coordinates x and y
+        are `scale · xy + offset`, with `scale` per world unit.
+    - `warp`: the perspective.
+    """
+
+    light: AbstractLight
+    camera: View
+    end: Scalar
+    up: Vec2
+    scale: Vec2
+    offset: Vec2
+    warp: Warp
+
+    def view(self) -> View:
+        own = self.light.view()
+        (x, y), (first, second) = self.up, own.world_to_eye[:2]
+        world_to_eye = own.world_to_eye.at[:2].set(jnp.stack([y * first - x * second, x * first + y * second]))
+        window = jnp.concatenate([jnp.diag(self.scale), jnp.zeros((2, 1)), self.offset[:, None]], axis=1)
+        eye_to_clip = own.eye_to_clip.at[:2].set(window)
+        return View(world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, warp=self.warp)
+
+    def layer(self, points: Float[Array, "*n 3"]) -> None:
+        return None
+
+    def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
+        """Which of `points` are no deeper than the map's end."""
+        return self.depth(points) <= self.end

@@ -1,0 +1,326 @@
+"""Light space perspective shadow maps (Wimmer, Scherzer & Purgathofer, "Light Space Perspective Shadow Maps", EGSR
+2004), and other warps of the same family."""
+
+import math
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from ..._misc import as_float, concrete, safe_divide, safe_norm
+from ..._types import Resolution, Scalar, Vec2
+from ...geometry import (
+    AbstractCamera,
+    AbstractLight,
+    View,
+    Warp,
+    WarpedLight,
+    transform_points,
+    transform_vectors,
+)
+from ...raster import Surface
+from ..biases._abstract import check_choice
+from ._abstract import AbstractLayout, Choice
+from ._cascades import Frustum
+
+# The least sine of the angle between light and view at which the map is turned towards the view.
+_LEAST_SINE = 1e-3
+# The least size of the map, as a fraction of the light's own, for cameras that see nothing of what that shows.
+_LEAST_SIZE = 1e-3
+# Points count as nearest up to this multiple of the least depth: corners of the near plane differ by rounding.
+_NEARLY = 1.001
+# The least height of the nearest point, as a fraction of the map's: 1 / τ has to be finite.
+_LOWEST = 1e-6
+# The part of a trapezoidal map that shows the focus (Martin & Tan 2004).
+_FOCUS_SHARE = 0.8
+# Corners k of a box are numbered by bits, and an edge joins two that differ in one.
+_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit], np.int32)
+
+WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
+
+
+class PerspectiveWarp(AbstractLayout):
+    """One map for a directional light, warped by a perspective so that what is close to the camera gets more texels.
+
+    The map shows what the camera sees of what the light's own map shows. Its y axis follows the camera's view, and a
+    perspective along it enlarges its lower end, at the camera (`geometry.Warp`). Depth remains linear, so biases mean
+    the same as in other maps, in texels of the size that they have at the receiver. Radii of filters are in texels too.
+
+    With z₀ the least depth that the map shows, γ the angle between light and view, and d what the map shows along its y
+    axis in world units, z₁ is `z₀ + d sin γ`. The strength w of the warp is
+
+    - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and the
+        greatest as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
+    - `"perspective"`: `z₁ / z₀ - 1`, the strength of perspective shadow maps (Stamminger & Drettakis 2002). They warp
+        space as the camera does. Here the perspective runs along the map, so there are no singular cases;
+    - `"trapezoidal"`: such that what lies within the `focus` takes up 80 % of the map (trapezoidal shadow maps, Martin
+        & Tan 2004), at most that of `"perspective"`.
+
+    None is more than `max(1 / τ - 2, 0)`, with τ in [0, 1] the height of the nearest point in a map without a warp: a
+    stronger warp would enlarge the texels there again. So all of them tend to 0 as the light turns parallel to the
+    view, where no warp helps. They are 0 for a parallel camera, whose images have no perspective aliasing.
+
+    A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
+    needs a `fudge` of up to `w (r + 1)² / h`, h being the map's height in texels.
+
+    - `method`: how the strength is found.
+    - `strength`: w itself, 0 or more, instead of what `method` finds; 0 for a map without a warp.
+    - `focus`: for `"trapezoidal"`, the part of d at the camera's end that 80 % of the map shows, in (0, 1].
+    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
+        camera's far if left out.
+    - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
+        the border: at least the greatest radius of the filter, plus any normal offset. At the far end, a strong warp
+        has less of it: no more than `1 / (2 w)` of the map.
+
+    **Raises** `ValueError` for a number out of range.
+    """
+
+    strength: Scalar | None
+    focus: Scalar
+    shadow_distance: Scalar | None
+    method: WarpMethod = eqx.field(static=True)
+    margin: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        method: WarpMethod = "lispsm",
+        *,
+        strength: float | Scalar | None = None,
+        focus: float | Scalar = 0.3,
+        shadow_distance: float | Scalar | None = None,
+        margin: float = 8.0,
+    ):
+        self.method = method
+        self.strength = None if strength is None else as_float(strength)
+        self.focus = as_float(focus)
+        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
+        self.margin = float(margin)
+
+    def __check_init__(self):
+        check_choice("the warp's method", self.method, WarpMethod.__args__)
+        strength, focus = None if self.strength is None else concrete(self.strength), concrete(self.focus)
+        if strength is not None and not (strength >= 0 and np.isfinite(strength)):
+            raise ValueError(f"the warp's strength is {strength}; expected 0 or more")
+        if focus is not None and not 0 < focus <= 1:
+            raise ValueError(f"the warp's focus is {focus}; expected more than 0, and at most 1")
+        if not (self.margin >= 0 and math.isfinite(self.margin)):
+            raise ValueError(f"the warp's margin is {self.margin}; expected 0 or more texels")
+
+    def light(
+        self,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        resolution: Resolution,
+        surface: Surface | None = None,
+    ) -> WarpedLight:
+        """`light` with the warped view; see `AbstractLayout.light`.
+
+        The view follows the light's direction, but where the map lies has no gradient with respect to it. It has one
+        with respect to `strength` and `focus`.
+
+        **Raises** `ValueError` for a light that is not directional, a map too small for the margin, or a shadow
+        distance outside of the camera's depths; and for a `strength` above 0 if the light shines along the camera's
+        axis.
+        """
+        self._check_for(light, camera, resolution)
+        return _warped_light(self, light, camera, resolution)
+
+    def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
+        if not light.is_directional:
+            raise ValueError(
+                f"the light is a {type(light).__name__}, whose map cannot be warped; expected a directional light: use "
+                "a single map for this one"
+            )
+        if not min(resolution) > 2 * self.margin + 1:
+            raise ValueError(
+                f"the warp has a margin of {self.margin:g} texels on each side, and a map of {resolution} texels, "
+                f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the map, or lower margin"
+            )
+        near, far = concrete(camera.near), concrete(camera.far)
+        end = None if self.shadow_distance is None else concrete(self.shadow_distance)
+        if near is not None and far is not None and end is not None and not near < end <= far:
+            raise ValueError(
+                f"the warp's shadow_distance is {end:g}; expected a depth from the camera's near, {float(near):g}, to "
+                f"its far, {float(far):g}: lower it, or raise the camera's far"
+            )
+        strength = None if self.strength is None else concrete(self.strength)
+        sine = concrete(_Axes.of(light.view(), camera.view()).sine)
+        if strength is not None and strength > 0 and sine is not None and sine < _LEAST_SINE:
+            raise ValueError(
+                f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where no "
+                'warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
+            )
+
+    def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
+        assert isinstance(light, WarpedLight)
+        if self.shadow_distance is None:
+            return Choice(None)
+        return Choice(None, strength=jnp.where(light.reaches(points), 1.0, 0.0))
+
+
+class _Axes(NamedTuple):
+    """How the map lies to the view.
+
+    - `up`: (2,), the direction of the camera's axis in the plane across the light, in the light's eye space; a unit
+        vector.
+    - `sine`: of the angle between light and view.
+    """
+
+    up: Vec2
+    sine: Scalar
+
+    @classmethod
+    def of(cls, light: View, camera: View) -> "_Axes":
+        across = transform_vectors(light.world_to_eye, -camera.world_to_eye[2, :3])[:2]
+        sine = safe_norm(across)
+        # There is no such direction if the light shines along the view, and no warp either.
+        turns = sine >= _LEAST_SINE
+        return cls(jnp.where(turns, across / jnp.where(turns, sine, 1), jnp.array([0.0, 1.0])), sine)
+
+    def __call__(self, view: View, points: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+        """x and y of `points` along the map's axes, in world units."""
+        eye = transform_points(view.world_to_eye, points)
+        (x, y), along = (eye[..., 0], eye[..., 1]), self.up
+        return along[1] * x - along[0] * y, along[0] * x + along[1] * y
+
+
+@eqx.filter_jit
+def _warped_light(
+    layout: PerspectiveWarp, light: AbstractLight, camera: AbstractCamera, resolution: Resolution
+) -> WarpedLight:
+    # A map's texels have no derivative by where it lies.
+    from_camera, from_light = lax.stop_gradient((camera.view(), light.view()))
+    far = from_camera.far
+    end = far if layout.shadow_distance is None else jnp.minimum(far, layout.shadow_distance)
+    axes, frustum = _Axes.of(from_light, from_camera), Frustum.of(from_camera)
+    points, valid = _common_points(from_light, from_camera, frustum, lax.stop_gradient(end))
+    x, y = axes(from_light, points)
+    depth = -transform_points(from_camera.world_to_eye, points)[..., 2]
+    smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
+    low, high = _range(y, valid, smallest)
+    strength = layout.strength
+    if strength is None:
+        depth = jnp.where(valid, depth, far)
+        nearest = jnp.max(jnp.where(depth <= _NEARLY * jnp.min(depth), y, low))
+        growth = _growth(from_camera, jnp.min(depth), (high - low) * axes.sine)
+        strength = _strength(layout, growth, (nearest - low) / (high - low))
+    # Margins in texels, as fractions of what is within them.
+    across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
+    low, high, strength = _with_margin(low, high, strength, float(along))
+    scale_y, offset_y = _window(low, high)
+
+    center, _ = axes(from_light, frustum.eye)
+    away = strength * (y - low) / (high - low)
+    # As in `Warp`: x' = (x + w τ center) / (1 + w τ)
+    least, most = _range((x + away * center) / (1 + away), valid, smallest)
+    beyond = (most - least) * float(across)
+    scale_x, offset_x = _window(least - beyond, most + beyond)
+    return WarpedLight(
+        light,
+        camera.view(),
+        end,
+        axes.up,
+        jnp.stack([scale_x, scale_y]),
+        jnp.stack([offset_x, offset_y]),
+        Warp(strength, scale_x * center + offset_x),
+    )
+
+
+def _growth(camera: View, least: Scalar, length: Scalar) -> Scalar:
+    """By how much the camera's image shrinks over a `length` of depth from `least` on: z₁ / z₀ - 1."""
+    return length / jnp.maximum(least, camera.near) if camera.is_perspective else jnp.zeros_like(length)
+
+
+def _strength(layout: PerspectiveWarp, growth: Scalar, nearest: Scalar) -> Scalar:
+    """The strength w that the layout's method finds, with `nearest` the height of the nearest point."""
+    match layout.method:
+        case "lispsm":
+            strength = jnp.sqrt(1 + growth) - 1
+        case "perspective":
+            strength = growth
+        case "trapezoidal":
+            # The share s = (1 + w) τ / (1 + w τ) at τ = focus.
+            strength = (_FOCUS_SHARE - layout.focus) / ((1 - _FOCUS_SHARE) * layout.focus)
+            strength = jnp.clip(strength, 0, growth)
+    # A texel's height (1 + w τ)² / (1 + w) is least at w = 1 / τ - 2.
+    is_below = nearest < 0.5
+    most = jnp.where(is_below, 1 / jnp.where(is_below, jnp.maximum(nearest, _LOWEST), 1) - 2, 0)
+    return jnp.minimum(strength, most)
+
+
+def _with_margin(low: Scalar, high: Scalar, strength: Scalar, margin: float) -> tuple[Scalar, Scalar, Scalar]:
+    """The range from `low` to `high` and the strength of its warp, with a margin at each end.
+
+    **Arguments:**
+
+    - `margin`: as a fraction of the height that the range has in the map.
+    """
+    length = high - low
+    # Where s is -margin and 1 + margin. The map would end in infinity at s = 1 + 1 / w.
+    before = length * margin / (1 + strength * (1 + margin))
+    is_strong = strength * margin > 0.5
+    margin_after = jnp.where(is_strong, 0.5 / jnp.where(is_strong, strength, 1), margin)
+    after = length * margin_after * (1 + strength) / (1 - strength * margin_after)
+    whole = length + before + after
+    # The centre of projection, length / strength below the range, stays where it is.
+    return low - before, high + after, strength * (whole / length) / (1 - strength * before / length)
+
+
+def _window(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
+    """Scale and offset that map `low` to -1 and `high` to 1."""
+    half = (high - low) / 2
+    return 1 / half, -(low + high) / 2 / half
+
+
+def _range(values: Float[Array, " k"], valid: Bool[Array, " k"], least: Scalar) -> tuple[Scalar, Scalar]:
+    """The least and greatest of the valid values, at least `least` on each side of their middle."""
+    low, high = jnp.min(jnp.where(valid, values, jnp.inf)), jnp.max(jnp.where(valid, values, -jnp.inf))
+    middle, half = (low + high) / 2, (high - low) / 2
+    narrow = half < least
+    return jnp.where(narrow, middle - least, low), jnp.where(narrow, middle + least, high)
+
+
+def _common_points(
+    light: View, camera: View, frustum: Frustum, end: Scalar
+) -> tuple[Float[Array, "k 3"], Bool[Array, " k"]]:
+    """The corners of what the camera sees, up to depth `end`, within the light's frustum. All points count if there are
+    none.
+
+    A corner of the intersection of two convex bodies is an end of an edge of one, cut off where it leaves the other.
+    """
+    of_camera = frustum.corners(jnp.stack([camera.near, end])).reshape(8, 3)[_EDGES]
+    of_light = Frustum.of(light).corners(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
+    parts = (
+        _cut(of_camera, _to_planes(light, of_camera, light.near, light.far)),
+        _cut(of_light, _to_planes(camera, of_light, camera.near, end)),
+    )
+    points, valid = (jnp.concatenate(each) for each in zip(*parts, strict=True))
+    return points.reshape(-1, 3), jnp.repeat(valid | ~jnp.any(valid), 2)
+
+
+def _to_planes(view: View, points: Float[Array, "*n 3"], near: Scalar, far: Scalar) -> Float[Array, "*n 6"]:
+    """How far inside the planes of a view's frustum the `points` lie; linear along lines."""
+    clip, depth = view.clip(points), -transform_points(view.world_to_eye, points)[..., 2]
+    x, y, w = clip[..., 0], clip[..., 1], clip[..., 3]
+    return jnp.stack([w + x, w - x, w + y, w - y, depth - near, far - depth], axis=-1)
+
+
+def _cut(
+    edges: Float[Array, "e 2 3"], inside: Float[Array, "e 2 p"]
+) -> tuple[Float[Array, "e 2 3"], Bool[Array, " e"]]:
+    """The parts of `edges` within planes (Cyrus & Beck 1978), and for each edge whether there is any.
+
+    **Arguments:**
+
+    - `inside`: how far inside each plane the two ends lie, negative outside.
+    """
+    first, second = inside[:, 0], inside[:, 1]
+    crossing = safe_divide(first, first - second)
+    begin = jnp.max(jnp.where(first < 0, crossing, 0), axis=-1)
+    end = jnp.min(jnp.where(second < 0, crossing, 1), axis=-1)
+    valid = (begin <= end) & jnp.all((first >= 0) | (second >= 0), axis=-1)
+    share = jnp.clip(jnp.stack([begin, end], axis=-1), 0, 1)[..., None]
+    return edges[:, :1] + share * (edges[:, 1:] - edges[:, :1]), valid

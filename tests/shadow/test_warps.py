@@ -1,0 +1,452 @@
+"""Warped maps: what the warp is, where it puts texels, that depths and biases stay linear, and what is refused."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import covered, drawn, floor_and_card, lamp, quad, shadows, side_camera, slopes_of_loss, sun, surface_at
+
+from diffshadow.fit import TechniqueProblem
+from diffshadow.geometry import (
+    DirectionalLight,
+    Edges,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    Scene,
+    Warp,
+    library_mesh,
+    merge,
+)
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import (
+    Bias,
+    Bilinear,
+    Lookup,
+    MapSettings,
+    Nearest,
+    PercentageCloser,
+    PercentageCloserSoft,
+    PerspectiveWarp,
+    ShadowMap,
+    ShadowMapping,
+    SoftCompare,
+    aliasing,
+    draw_shadow_map,
+    receiver,
+)
+
+SIZE = (64, 64)
+FAR = 100.0
+CORRIDOR = PinholeCamera((0, 1, 0), (0, 1, -1), fov_y=60.0, near=1.0, far=FAR, resolution=(32, 32))
+"""Looks along -z, from depth 1 to 100."""
+NOON = DirectionalLight((0, -1, 0), (0, 0, -50), (400, 400), -200, 200)
+"""Straight down on all that the camera sees."""
+METHODS = ("lispsm", "perspective", "trapezoidal")
+
+
+def at_angle(degrees, sideways=0.0):
+    """A light at this angle to the corridor, and `sideways` to its vertical plane."""
+    angle, turn = np.radians([degrees, sideways])
+    across = np.array([np.sin(turn), -np.cos(turn), 0])
+    direction = np.cos(angle) * np.array([0, 0, -1.0]) + np.sin(angle) * across
+    return DirectionalLight(direction, (0, 0, -50), (400, 400), -200, 200)
+
+
+def warped(layout, light=NOON, camera=CORRIDOR, size=SIZE):
+    return layout.light(light, camera, size)
+
+
+def double(tree):
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x, tree)
+
+
+@eqx.filter_jit
+def seen(shadow_map, surface):
+    return receiver(shadow_map, surface)
+
+
+def test_the_warp_is_a_perspective_that_starts_as_nothing():
+    tau = np.linspace(0, 1, 11)
+    clip = jnp.asarray(np.stack([0.5 + 0 * tau, 2 * tau - 1, 0 * tau, 1 + 0 * tau], axis=-1), jnp.float32)
+    warp = lambda w: Warp(jnp.float32(w), jnp.float32(0.2))(clip)
+    np.testing.assert_array_equal(warp(0.0), clip)
+    for w in (0.01, 3.0):
+        x, y, _, divisor = np.asarray(warp(w)).T
+        height = (y / divisor + 1) / 2
+        np.testing.assert_allclose(height, (1 + w) * tau / (1 + w * tau), atol=1e-6)
+        np.testing.assert_allclose(x / divisor - 0.2, (0.5 - 0.2) / (1 + w * tau), atol=1e-6)
+        found = Warp(jnp.float32(w), jnp.float32(0.2)).divisor(jnp.asarray(height))
+        np.testing.assert_allclose(found, divisor, rtol=1e-5)
+        assert (height - tau).max() <= w / 4
+    _, slope = jax.jvp(lambda w: warp(w)[:, 1] / warp(w)[:, 3] / 2, (jnp.float32(0),), (jnp.float32(1),))
+    np.testing.assert_allclose(slope, tau * (1 - tau), atol=1e-6)
+
+
+def test_without_strength_the_map_is_the_box_around_what_the_camera_sees():
+    layout = PerspectiveWarp(strength=0.0)
+    y = np.tan(np.radians(30)) * np.array([-1, -1, 1, 1])
+    corners = [np.stack([y[[0, 2, 1, 3]], y, -np.ones(4)], axis=-1) * z + [0, 1, 0] for z in (1, FAR)]
+    view = warped(layout, at_angle(70, 20)).view()
+    clip = np.asarray(view.clip(jnp.asarray(np.concatenate(corners), jnp.float32)))[:, :2]
+    # With a margin of 8 texels.
+    np.testing.assert_allclose([clip.min(axis=0), clip.max(axis=0)], [[-0.75] * 2, [0.75] * 2], atol=1e-5)
+    # The camera's axis points up.
+    ahead = np.asarray(view.clip(jnp.array([[0.0, 1.0, -10.0], [0.0, 1.0, -20.0]])))
+    assert ahead[1, 0] == pytest.approx(ahead[0, 0], abs=1e-5)
+    assert ahead[1, 1] > ahead[0, 1] + 0.1
+    # And its map is that of the box, bit for bit.
+    mesh = floor_and_card()
+    light = warped(layout, sun(mesh), side_camera((32, 32)))
+    plain = eqx.tree_at(lambda one: one.warp, light, None)
+    assert plain.view().warp is None
+    surface = draw_surface(mesh, side_camera((32, 32)))
+    technique = ShadowMapping(Bilinear(), Bias(0.5, 0.7, 0.2))
+    maps = [draw_shadow_map(mesh, each, SIZE) for each in (light, plain)]
+    np.testing.assert_array_equal(maps[0].depth, maps[1].depth)
+    assert (np.asarray(maps[0].depth) < 1).mean() > 0.2
+    images = [np.asarray(shadows(technique, each, surface)) for each in maps]
+    np.testing.assert_array_equal(*images)
+    assert 0.02 < (images[0] == 0).mean() < 0.9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_warp_vanishes_as_the_light_turns_parallel_to_the_view(method):
+    angles = np.array([90, 60, 30, 10, 3, 1, 0.1, 0.0])
+    found = np.array([float(warped(PerspectiveWarp(method), at_angle(a, 20)).warp.strength) for a in angles])
+    assert (np.diff(found[2:]) <= 0).all()
+    # From the angle at which the nearest point leaves the lower border on, by its distance from the map's middle.
+    assert found[0] > 3
+    assert found[-2] < 0.02
+    assert found[-1] < 1e-4
+
+
+def test_a_parallel_camera_needs_no_warp():
+    camera = OrthographicCamera((0, 1, 0), (0, 1, -1), height=4.0, near=-1.0, far=FAR, resolution=(32, 32))
+    assert all(float(warped(PerspectiveWarp(method), NOON, camera).warp.strength) == 0 for method in METHODS)
+    assert float(warped(PerspectiveWarp(strength=2.0, margin=0.0), NOON, camera).warp.strength) == 2
+
+
+@eqx.filter_jit
+def jacobians(light, surface):
+    return aliasing(ShadowMap(jnp.zeros(SIZE), light), surface, CORRIDOR).jacobian
+
+
+def errors_along(layout):
+    """Perspective aliasing along the corridor's axis at depths from 1 to 100, for a map as high as one focal length."""
+    depth = np.geomspace(1, FAR, 33)
+    points = np.stack([0 * depth, 1 + 0 * depth, -depth], axis=-1)[None]
+    # A surface that leans as much towards the camera as towards the light.
+    surface = surface_at(points, np.array([0, 1, 1]) / np.sqrt(2))
+    focal_length = 16 / np.tan(np.radians(30))
+    found = np.asarray(jacobians(warped(layout), surface))[0]
+    # The map's y axis follows the view; a step along it changes nothing across.
+    np.testing.assert_allclose(found[:, 0, 1], 0, atol=1e-3)
+    return np.abs(found[:, 1, 1]) * SIZE[0] / focal_length
+
+
+def test_errors_along_the_view_are_those_of_each_method():
+    found = {method: errors_along(PerspectiveWarp(method, margin=0.0)) for method in METHODS}
+    length = FAR - 1
+    for method, ends in (("perspective", (0.99, 99)), ("lispsm", (9.9, 9.9))):
+        np.testing.assert_allclose(found[method][[0, -1]], ends, rtol=2e-3)
+    np.testing.assert_allclose(
+        errors_along(PerspectiveWarp(strength=0.0, margin=0.0))[[0, -1]], (length, 0.99), rtol=2e-3
+    )
+    # The least worst case: any other warp is worse.
+    best = found["lispsm"].max()
+    for factor in (0.25, 0.8, 0.95, 1.05, 1.25, 4):
+        assert errors_along(PerspectiveWarp(strength=9.0 * factor, margin=0.0)).max() > 1.01 * best
+    # The focus, 0.3 of the way, lies at 80 % of the map.
+    light = warped(PerspectiveWarp("trapezoidal", focus=0.3, margin=0.0))
+    clip = np.asarray(light.view().clip(jnp.array([[0.0, 1.0, -1 - 0.3 * length]])))[0]
+    assert clip[1] / clip[3] == pytest.approx(2 * 0.8 - 1, abs=1e-5)
+
+
+def test_aliasing_follows_the_strength():
+    surface, _ = drawn("directional", 64, 64)
+    with jax.enable_x64(True):
+        surface, light, camera = double((surface, sun(floor_and_card()), side_camera((64, 64))))
+        mapped = ShadowMap(jnp.zeros(SIZE), light)
+
+        @jax.jit
+        def extent(strength):
+            layout = eqx.tree_at(lambda layout: layout.strength, PerspectiveWarp(strength=1.0), strength)
+            own = eqx.tree_at(lambda m: m.light, mapped, layout.light(light, camera, SIZE))
+            return aliasing(own, surface, camera).extent
+
+        slope = jax.jit(lambda w: jax.jvp(extent, (w,), (jnp.ones(()),))[1])
+        mask, step = np.asarray(surface.mask), 1e-4
+        for strength in (0.0, 2.0):
+            exact = np.asarray(
+                (extent(jnp.asarray(strength + step)) - extent(jnp.asarray(strength - step))) / (2 * step)
+            )
+            found = np.asarray(slope(jnp.asarray(strength)))
+            assert np.median(np.abs(exact[mask])) > 0.01
+            np.testing.assert_allclose(found[mask], exact[mask], rtol=0.01, atol=1e-4 * np.abs(exact[mask]).max())
+
+
+def plane(slope_x, slope_z):
+    """A quad with y = slope_x x + slope_z (z + 50), which reaches far behind the camera."""
+    return quad((0, 0, -50), (300, 300 * slope_x, 0), (0, -300 * slope_z, -300))
+
+
+def normal_of(slope_x, slope_z):
+    normal = np.array([-slope_x, 1, -slope_z])
+    return normal / np.linalg.norm(normal)
+
+
+def plane_at_texels(light, slope_x, slope_z):
+    """Window depth of the plane, and its points (h, w, 3), at the centres of the texels of a light at noon: found by
+    the formulas of the warp, in double precision."""
+    view = light.view()
+    w, center = float(view.warp.strength), float(view.warp.center)
+    rows, turn = (np.asarray(x, np.float64) for x in (view.eye_to_clip, view.world_to_eye))
+    x, s = np.meshgrid((np.arange(64) + 0.5) / 32 - 1, (np.arange(64) + 0.5) / 64)
+    tau = s / (1 + w - w * s)
+    x, y = x * (1 + w * tau) - w * tau * center, 2 * tau - 1
+    eye = np.stack([(x - rows[0, 3]) / rows[0, 0], (y - rows[1, 3]) / rows[1, 1]], axis=-1)
+    # The light looks along -y, so its rows know nothing of height.
+    ground = (eye - turn[:2, 3]) @ turn[:2, [0, 2]]
+    height = slope_x * ground[..., 0] + slope_z * (ground[..., 1] + 50)
+    points = np.stack([ground[..., 0], height, ground[..., 1]], axis=-1)
+    return (200 - height) / 400, points
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_maps_of_planes_hold_their_depth(method):
+    slopes, light = (0.3, -0.8), warped(PerspectiveWarp(method))
+    expected, _ = plane_at_texels(light, *slopes)
+    depth = np.asarray(draw_shadow_map(plane(*slopes), light, SIZE).depth)
+    inside = (expected > 0) & (expected < 1)
+    assert inside.mean() > 0.8
+    # Where the plane is beyond the near or far plane, there is nothing.
+    assert (depth[(expected < -1e-3) | (expected > 1.001)] == 1).all()
+    np.testing.assert_allclose(depth[inside], expected[inside], atol=3e-6)
+
+
+def test_fixed_point_and_second_depths_are_those_without_the_warp():
+    light = warped(PerspectiveWarp())
+    mesh = merge([plane(0.0, 0.1), plane(0.0, 0.1)])
+    lower = np.asarray(mesh.vertices) - np.array([0, 3.0, 0]) * (np.arange(8) >= 4)[:, None]
+    mesh = Mesh(lower, mesh.faces)
+    expected, _ = plane_at_texels(light, 0.0, 0.1)
+    drawn_with = lambda **how: np.asarray(draw_shadow_map(mesh, light, SIZE, **how).depth)
+    np.testing.assert_allclose(drawn_with(depth_layer="second"), expected + 3 / 400, atol=3e-6)
+    np.testing.assert_allclose(drawn_with(depth_layer="midpoint"), expected + 1.5 / 400, atol=3e-6)
+    steps = drawn_with(depth_format="unorm16") * 65535
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-2)
+    np.testing.assert_allclose(steps, expected * 65535, atol=0.5 + 0.2)
+
+
+@pytest.mark.parametrize("case", [((0.3, -0.8), 90, 0), ((0.6, 0.2), 60, 40)])
+def test_receivers_know_texels_and_slopes_of_a_warped_map(case):
+    """Against the projection itself: steps along the receiver's plane move as far into depth as the slope says, and
+    texels are as large as the projection makes them."""
+    slopes, angle, sideways = case
+    light = warped(PerspectiveWarp(), at_angle(angle, sideways))
+    _, points = plane_at_texels(warped(PerspectiveWarp()), *slopes)
+    # As seen from a light at noon, some of them lie beside the map.
+    with jax.enable_x64(True):
+        shadow_map, normal = double(ShadowMap(jnp.zeros(SIZE), light)), normal_of(*slopes)
+        surface = surface_at(points, normal)
+        at = jax.tree.map(np.asarray, seen(shadow_map, surface))
+        inside = ((at.texel > 0) & (at.texel < 64)).all(axis=-1) & at.in_front
+        assert inside.mean() > 0.3
+        across = np.cross(normal, [0.3, 0.5, -0.8])
+        for way in (across, np.cross(normal, across)):
+            moved = jax.tree.map(np.asarray, seen(shadow_map, surface_at(points + 1e-6 * way, normal)))
+            step = moved.texel - at.texel
+            expected = (at.slope * step).sum(axis=-1) * at.depth_per_texel
+            np.testing.assert_allclose((moved.depth - at.depth)[inside], expected[inside], rtol=1e-3, atol=1e-12)
+        # A square of one texel's area, in the plane across the light, covers a texel.
+        x, y = (np.asarray(light.view().world_to_eye, np.float64)[k, :3] for k in range(2))
+        moved = [seen(shadow_map, surface_at(points + 1e-5 * way, normal)).texel for way in (x, y)]
+        (a, c), (b, d) = (np.moveaxis(np.asarray(m) - at.texel, -1, 0) / 1e-5 for m in moved)
+        np.testing.assert_allclose((np.abs(a * d - b * c) * at.texel_size**2)[inside], 1, rtol=1e-3)
+
+
+def scattered_points(light, slope_x, slope_z):
+    """A surface of points of the plane, at 64 x 64 places of a texel, one in each texel but those at the border."""
+    _, points = plane_at_texels(light, slope_x, slope_z)
+    places = np.linspace(0.01, 0.99, 64)[(np.arange(64) * 27 + 13) % 64]
+    # Bilinear between the points at the centres of texels. Columns are straight, and rows parallel.
+    at = lambda n: (np.clip(np.floor(n - 0.5).astype(int), 0, 62), (n - 0.5) - np.clip(np.floor(n - 0.5), 0, 62))
+    (i, u), (j, v) = at(np.arange(64) + places), at(np.arange(64) + places)
+    u, v = u[:, None, None], v[None, :, None]
+    upper = (1 - v) * points[i + 1][:, j] + v * points[i + 1][:, j + 1]
+    points = (1 - u) * ((1 - v) * points[i][:, j] + v * points[i][:, j + 1]) + u * upper
+    points[..., 1] = slope_x * points[..., 0] + slope_z * (points[..., 2] + 50)
+    surface = surface_at(points, normal_of(slope_x, slope_z))
+    return eqx.tree_at(lambda s: s.mask, surface, jnp.asarray(np.pad(np.ones((60, 60), bool), 2)))
+
+
+@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.5, 0.0), (0.2, -0.6)])
+def test_least_acne_free_constant_bias_of_a_tilted_plane(slopes):
+    light = warped(PerspectiveWarp(strength=4.0))
+    shadow_map, surface = draw_shadow_map(plane(*slopes), light, SIZE), scattered_points(light, *slopes)
+    at, mask = jax.tree.map(np.asarray, seen(shadow_map, surface)), np.asarray(surface.mask)
+    column, row = np.floor(np.moveaxis(at.texel, -1, 0)).astype(int)
+    needed = (at.depth - np.asarray(shadow_map.depth)[row, column]) / at.depth_per_texel
+    exact = np.abs(at.slope).sum(axis=-1) / 2
+    # To first order: over half a texel, the size of texels changes by a few percent.
+    assert (needed <= 1.04 * exact + 2e-3)[mask].all()
+    assert (needed > 0.95 * exact - 2e-3)[mask].any()
+    acne = lambda bias: (np.asarray(shadows(ShadowMapping(Nearest(), Bias(bias)), shadow_map, surface))[mask] < 1).any()
+    assert not acne(needed[mask].max() + 2e-3)
+    assert sum(slopes) == 0 or acne(needed[mask].max() - 2e-3)
+
+
+def random_views():
+    rng = np.random.default_rng(5)
+    for _ in range(24):
+        eye, target = rng.normal(size=3) * 3, rng.normal(size=3) * 3
+        near, far = 10 ** rng.uniform(-2, 0), 10 ** rng.uniform(0.5, 2.5)
+        camera = PinholeCamera(
+            eye, target, rng.normal(size=3), fov_y=rng.uniform(15, 100), near=near, far=far, resolution=(24, 32)
+        )
+        center, extent = rng.normal(size=3), rng.uniform(1, 30, 2)
+        light = DirectionalLight(rng.normal(size=3), center, extent, -rng.uniform(1, 20), rng.uniform(1, 20))
+        yield rng, camera, light
+
+
+@pytest.mark.parametrize("layout", [PerspectiveWarp(), PerspectiveWarp(strength=30.0)])
+def test_nothing_that_the_camera_sees_lies_beside_the_map(layout):
+    used = []
+    for rng, camera, light in random_views():
+        view, own = warped(layout, light, camera).view(), light.view()
+        # Points of the camera's frustum, as many at each scale of depth, that the light's own map shows.
+        depth = np.geomspace(float(camera.near), float(camera.far), 4000)
+        at = np.stack([*rng.uniform(-1, 1, (2, 4000)), np.ones(4000)])
+        half = np.tan(np.radians(float(camera.fov_y)) / 2)
+        eye = np.stack([at[0] * half * depth * 32 / 24, at[1] * half * depth, -depth], axis=-1)
+        rows = np.asarray(camera.view().world_to_eye, np.float64)
+        points = jnp.asarray((eye - rows[:3, 3]) @ rows[:3, :3], jnp.float32)
+        shown = (np.abs(np.asarray(own.clip(points))[:, :3]) < 1).all(axis=-1)
+        clip = np.asarray(view.clip(points))[shown]
+        if not len(clip):
+            continue
+        assert (clip[:, 3] > 0).all()
+        # With the margin in texels at all sides but the far one.
+        place = clip[:, :2] / clip[:, 3:] * 32
+        assert np.abs(place[:, 0]).max() < 32 - 7.9
+        assert place[:, 1].min() > -32 + 7.9
+        assert place[:, 1].max() < 32
+        used.append(np.ptp(place, axis=0).max())
+    assert len(used) > 10
+    assert np.median(used) > 40
+
+
+def posts():
+    """Posts on a plane, the farther the larger, on both sides of the corridor."""
+    rng, parts, z = np.random.default_rng(0), [quad((0, 0, -55), (60, 0, 0), (0, 0, -60))], 0.5
+    while z < 90:
+        box = library_mesh("box", size=(0.04 * z**0.8, 0.3 * z**0.8, 0.04 * z**0.8))
+        for side in (-0.7, -0.3, 0.3, 0.7):
+            move = np.array([side * z**0.9, 0, -z * rng.uniform(1, 1.2)])
+            parts.append(Mesh(np.asarray(box.vertices) + move, box.faces))
+        z *= 1.35
+    return merge(parts)
+
+
+def test_shadows_agree_with_the_reference_where_far_is_a_thousand_times_near():
+    mesh = posts()
+    camera = PinholeCamera((0, 0.35, 0), (0, 0.25, -1), fov_y=60.0, near=0.1, far=FAR, resolution=(64, 64))
+    scene = Scene(mesh, camera, DirectionalLight.around((0.35, -1.0, 0.1), mesh.vertices))
+    surface, traced = draw_surface(mesh, camera), np.asarray(trace_visibility(scene).visibility)
+    mask = np.asarray(surface.mask)
+
+    def error(layout):
+        technique = ShadowMapping(Nearest(), Bias(0.5, 0.75), map=MapSettings((512, 512)), layout=layout)
+        found = np.asarray(technique.visibility(technique.prepare(scene, surface), surface))
+        return np.sqrt(np.mean((found - traced)[mask] ** 2))
+
+    assert 0.05 < traced[mask].mean() < 0.95
+    uniform, found = error(PerspectiveWarp(strength=0.0)), error(PerspectiveWarp())
+    assert found < 0.5 * uniform
+    assert found < 0.15
+
+
+@functools.cache
+def warped_problem_parts():
+    with jax.enable_x64(False):
+        mesh, camera = floor_and_card(), side_camera((64, 64))
+        light = warped(PerspectiveWarp(strength=2.0, margin=2.0), sun(mesh), camera)
+        return draw_surface(mesh, camera), draw_shadow_map(mesh, light, SIZE)
+
+
+def test_gradients_of_bias_and_radius_match_central_differences():
+    with jax.enable_x64(True):
+        surface, shadow_map = double(warped_problem_parts())
+        technique = ShadowMapping(PercentageCloser(2.0, max_radius=4.0), Bias(0.5, 0.4, 0.3), SoftCompare(3.0))
+        lit = jnp.ones_like(surface.position[..., 0])
+        known = TechniqueProblem(technique, shadow_map, surface, lit, covered(technique, shadow_map, surface))
+        names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
+        at = np.array([0.5, 0.4, 0.3, 2.0])
+        slopes, gradient, _ = slopes_of_loss(known, names, at, 1e-5 * at)
+    assert (np.abs(slopes * at) > 1e-7).all()
+    np.testing.assert_allclose(gradient, slopes, rtol=0.01)
+
+
+def test_penumbrae_are_as_wide_as_the_texels_at_the_receiver_say():
+    light = warped(PerspectiveWarp(strength=5.0), eqx.tree_at(lambda one: one.angular_radius, NOON, jnp.float32(1.0)))
+    shadow_map = ShadowMap(jnp.full(SIZE, 0.5), light)
+    _, points = plane_at_texels(light, 0.0, 0.0)
+    at = seen(shadow_map, surface_at(points, (0, 1, 0)))
+    lookup = Lookup(at.texel, jnp.full(SIZE, 0.51), at.depth_per_texel, at.in_front)
+    inner = (slice(20, 44),) * 2
+    found = PercentageCloserSoft(max_radius=400.0).find_blockers(shadow_map, lookup, SoftCompare(1e-3))
+    size = np.asarray(at.texel_size)[inner]
+    assert np.ptp(size) > 0.5 * size.min()
+    np.testing.assert_allclose(np.asarray(found.radius)[inner] * size, 0.01 * 400 * np.tan(np.radians(1)), rtol=1e-3)
+
+
+def test_nothing_is_shadowed_beyond_the_shadow_distance():
+    mesh = posts()
+    camera = PinholeCamera((0, 0.35, 0), (0, 0.25, -1), fov_y=60.0, near=0.1, far=FAR, resolution=(64, 64))
+    scene = Scene(mesh, camera, DirectionalLight.around((0.35, -1.0, 0.1), mesh.vertices))
+    surface = draw_surface(mesh, camera)
+    layout = PerspectiveWarp(shadow_distance=20.0)
+    technique = ShadowMapping(Nearest(), Bias(0.5, 0.75), map=MapSettings((512, 512)), layout=layout)
+    state = technique.prepare(scene, surface)
+    found, depth = np.asarray(technique.visibility(state, surface)), np.asarray(state.light.depth(surface.position))
+    mask, faces = np.asarray(surface.mask), np.asarray(seen(state, surface).cosine) > 0
+    assert (found[mask & faces & (depth > 20.01)] == 1).all()
+    assert (found[mask & faces & (depth < 20)] == 0).any()
+    np.testing.assert_array_equal(np.asarray(technique.covered(state, surface))[mask], depth[mask] <= 20)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PerspectiveWarp(strength=-1.0), "strength is -1.0; expected 0 or more"),
+        (lambda: PerspectiveWarp(strength=float("inf")), "strength is inf; expected 0 or more"),
+        (lambda: PerspectiveWarp("trapezoidal", focus=0.0), "focus is 0.0; expected more than 0, and at most 1"),
+        (lambda: PerspectiveWarp(margin=-1.0), "margin is -1.0; expected 0 or more texels"),
+        (lambda: warped(PerspectiveWarp(), lamp(floor_and_card())), "SpotLight, whose map cannot be warped"),
+        (lambda: warped(PerspectiveWarp(), size=(64, 17)), r"margin of 8 texels.*\(64, 17\).*expected more than 17"),
+        (lambda: warped(PerspectiveWarp(shadow_distance=101.0)), "shadow_distance is 101; expected a depth from"),
+        (lambda: warped(PerspectiveWarp(strength=2.0), at_angle(0)), "strength is 2, and the light shines along"),
+        (lambda: drawn_with(polygon_offset=(1.0, 1.0)), "is warped, and polygon_offset was given; expected neither"),
+        (lambda: drawn_with(edges=Edges.of(floor_and_card())), "is warped, and edges was given; expected neither"),
+    ],
+)
+def test_what_a_warp_cannot_do_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def drawn_with(**how):
+    return draw_shadow_map(floor_and_card(), warped(PerspectiveWarp()), SIZE, **how)
+
+
+def test_an_unknown_method_is_refused():
+    made = PerspectiveWarp()
+    # Where types are checked, as in these tests, the constructor does not get so far.
+    object.__setattr__(made, "method", "log")
+    with pytest.raises(ValueError, match=r"method is 'log'; expected one of lispsm, perspective, trapezoidal"):
+        made.__check_init__()
