@@ -1,6 +1,7 @@
 """Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
 
 import dataclasses
+import gc
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -372,6 +373,9 @@ def test_fits_of_other_numbers_share_a_program():
     np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
     assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
     assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
+    with pytest.raises(TypeError):
+        compiled(scaled, (jnp.ones(5), "a word"))
+    assert gc.isenabled(), "the garbage collector pauses only while programs are traced"
 
 
 def test_meshes_of_like_size_share_a_program():
