@@ -180,7 +180,7 @@ class Run:
         )
 
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
-        joint = phase.joint.put(self.parameters, self.parameters.to_bounded(free))
+        joint = phase.joint.put(self.parameters, self.parameters.to_bounded(free)).each(lambda p: p.padded())
         y = jnp.asarray(np.asarray(free)[np.asarray(phase.active)])
         return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
 

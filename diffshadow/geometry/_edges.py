@@ -5,6 +5,8 @@ only one face. Which faces meet in which edges does not change when vertices mov
 host.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -69,6 +71,19 @@ class Edges(eqx.Module):
         ends, meeting, directions = (as_int(values) for values in _rows(runs))
         solid = jnp.asarray(closed & (volume > 0))
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
+
+    def renumbered(self, vertices: Int[HostArray, " v"], faces: Int[HostArray, " f"]) -> "Edges":
+        """The edges of the same mesh among others: its vertex `i` is their `vertices[i]`, and its face `i` their
+        `faces[i]`."""
+        own = np.asarray(self.faces)
+        component = np.zeros(faces.max() + 1, int)
+        component[faces] = self.component
+        return dataclasses.replace(
+            self,
+            vertices=as_int(vertices[np.asarray(self.vertices)]),
+            faces=as_int(np.where(own == NO_NEIGHBOUR, NO_NEIGHBOUR, faces[own])),
+            component=as_int(component),
+        )
 
     def padded(self, faces: int) -> "Edges":
         """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes."""

@@ -76,9 +76,10 @@ class Mesh(eqx.Module):
         faces, size = shared_mesh_size(count, vertices)
         if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
+        corner = int(np.asarray(self.faces)[0, 0])
         return Mesh(
-            filled(self.vertices, size, np.asarray(self.vertices)[0]),
-            filled(self.faces, faces),
+            filled(self.vertices, size, np.asarray(self.vertices)[corner]),
+            filled(self.faces, faces, corner),
             filled(self.corner_normals, faces),
             filled(self.albedo, faces),
         )

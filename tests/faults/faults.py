@@ -1352,7 +1352,7 @@ _FIT = (
     _fault(
         "padded meshes: further faces are the first vertex's neighbours",
         "geometry/_mesh.py",
-        "filled(self.faces, faces),",
+        "filled(self.faces, faces, corner),",
         "np.resize(self.faces, (faces, 3)),",
         "test_geometry.py",
     ),

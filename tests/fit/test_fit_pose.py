@@ -1,6 +1,7 @@
 """Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
 
 import dataclasses
+import gc
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -34,6 +35,7 @@ from diffshadow.fit.solvers import Adam, LevenbergMarquardt
 from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
     DirectionalLight,
+    Edges,
     Mesh,
     OrthographicCamera,
     PinholeCamera,
@@ -371,6 +373,28 @@ def test_fits_of_other_numbers_share_a_program():
     np.testing.assert_array_equal(one(jnp.arange(3.0), 2.0), [0, 2, 4])
     assert compiled(scaled, (jnp.ones(3), 3.0)) is not one, "a Python number is part of the program"
     assert compiled(scaled, (jnp.ones(4), 2.0)) is not one
+    with pytest.raises(TypeError):
+        compiled(scaled, (jnp.ones(5), "a word"))
+    assert gc.isenabled(), "the garbage collector pauses only while programs are traced"
+
+
+def test_meshes_of_like_size_share_a_program():
+    def padded(*meshes, pulled=()):
+        planned = problem(LIGHTS["spot"], meshes=meshes, pulled=pulled).planned()
+        return dataclasses.replace(planned, crossings=8).padded()
+
+    kind = lambda leaf: (jnp.shape(leaf), jnp.result_type(leaf))
+    one, other = padded(CARD, FLOOR, CARD), padded(merge([CARD, FLOOR]), CARD, FLOOR)
+    assert jax.tree.flatten(jax.tree.map(kind, one)) == jax.tree.flatten(jax.tree.map(kind, other))
+    for each in (one, other):
+        # The edges are those of the meshes as they are filled up.
+        found = Edges.of(each.scene.casters)
+        for name in ("vertices", "faces", "directions"):
+            rows = np.asarray(getattr(each.edges, name))
+            np.testing.assert_array_equal(rows[: len(found.faces)], getattr(found, name))
+        assert not np.asarray(each.edges.directions)[len(found.faces) :].any()
+    pulled = padded(FLOOR, CARD, pulled=(1,)).scene.meshes[1]
+    assert len(pulled.vertices) == len(CARD.vertices), "what fills it up would not move with its vertex"
 
 
 def test_steps_of_adam_are_as_long_as_its_rate():

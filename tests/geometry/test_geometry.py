@@ -400,6 +400,8 @@ def test_padded_meshes_have_one_of_few_sizes_and_nothing_more_to_see():
     assert (further == further[:, :1]).all(), "they are points"
     np.testing.assert_array_equal(padded.bounds, mesh.bounds)
     assert padded.padded() is padded
+    unused = Mesh(np.vstack([[[9, 9, 9]], mesh.vertices]), mesh.faces + 1)
+    np.testing.assert_array_equal(unused.padded().bounds, mesh.bounds)
     assert jax.jit(lambda m: len(m.padded().vertices))(mesh) == vertices, "traced meshes stay as they are"
     # Four sizes to an octave.
     assert [shared_size(n) for n in (1, 257, 4097, 16385, 20481, 33000, 10**6)] == [

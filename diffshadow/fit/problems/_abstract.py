@@ -55,3 +55,7 @@ class AbstractProblem(eqx.Module):
     @abc.abstractmethod
     def planned(self) -> "AbstractProblem":
         """With the memory that drawing needs under a trace."""
+
+    @abc.abstractmethod
+    def padded(self) -> "AbstractProblem":
+        """With its meshes filled up to few sizes, so that problems of like size share compiled programs."""

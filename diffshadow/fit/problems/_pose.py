@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Resolution, Scalar, Visibility
@@ -196,6 +197,23 @@ class PoseProblem(AbstractProblem):
         casters, light, _ = _arranged(self.scene, self.arrangement, self.index)
         needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
         return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
+
+    def padded(self) -> "PoseProblem":
+        """With its meshes filled up to few sizes, so that problems of like size share compiled programs.
+
+        A mesh of which single vertices are fitted stays as it is: what fills it up would not move with them.
+        """
+        own, poses = self.scene.meshes, self.arrangement.meshes
+        meshes = [mesh if pose.vertices else mesh.padded() for mesh, pose in zip(own, poses, strict=True)]
+        scene = dataclasses.replace(self.scene, meshes=meshes)
+        if self.edges is None:
+            return dataclasses.replace(self, scene=scene)
+        casts = self.scene.casts or [True] * len(own)
+        sizes = lambda of: [(len(of(a)), len(of(b))) for a, b, c in zip(own, meshes, casts, strict=True) if c]
+        # Where the casters' own vertices and faces are among those that are filled up.
+        places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
+        edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
+        return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))
 
     @property
     def sides(self) -> tuple[int, ...]:

@@ -71,6 +71,10 @@ class TechniqueProblem(AbstractProblem):
         """The problem itself: nothing is drawn again."""
         return self
 
+    def padded(self) -> "TechniqueProblem":
+        """The problem itself: it has no meshes."""
+        return self
+
     @property
     def moves(self) -> bool:
         """False: map and surface stay."""
