@@ -72,6 +72,7 @@ from .sections._technique import CascadesConfig as CascadesConfig
 from .sections._technique import CompareConfig as CompareConfig
 from .sections._technique import HardCompareConfig as HardCompareConfig
 from .sections._technique import MappedConfig as MappedConfig
+from .sections._technique import PerspectiveWarpConfig as PerspectiveWarpConfig
 from .sections._technique import ProjectiveTextureConfig as ProjectiveTextureConfig
 from .sections._technique import ShadowMapConfig as ShadowMapConfig
 from .sections._technique import ShadowMappingConfig as ShadowMappingConfig

@@ -279,13 +279,13 @@ BROKEN = {
     ),
     "misspelt technique": (
         "technique: {type: shadow_volume}\n",
-        "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, shadow_volumes or projective_texture; "
-        "did you mean 'shadow_volumes'?",
+        "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, "
+        "shadow_volumes or projective_texture; did you mean 'shadow_volumes'?",
     ),
     "method of another technique": (
         "technique: {method: z_fail}\n",
         "2: technique.method: is not a key of technique (type: shadow_map); expected type; "
-        "remove it, or set technique.type to shadow_volumes",
+        "remove it, or set technique.type to perspective_warp or shadow_volumes",
     ),
     "projection without a receiver": (
         "technique:\n  type: projective_texture\n",
@@ -379,10 +379,10 @@ BROKEN = {
         "technique: {type: cascades, distances: [2, 5, 4]}\n",
         "2: technique.distances.2: is 4, after 5; expected increasing depths; sort them, without repetitions",
     ),
-    "distances and their number": (
-        "technique: {type: cascades, distances: [2, 5], count: 3}\n",
-        "2: technique.count: is given together with distances; expected one or the other; remove count or distances, "
-        "or set it to null",
+    "distances and a shadow distance": (
+        "technique: {type: cascades, distances: [2, 5], shadow_distance: 3}\n",
+        "2: technique.shadow_distance: is given together with distances; expected one or the other; "
+        "remove shadow_distance or distances, or set it to null",
     ),
     "distances within what is seen": (
         "technique: {type: cascades, distances: [2, 5], depths: surface}\n",
@@ -392,6 +392,11 @@ BROKEN = {
         "technique: {type: cascades, count: 9}\n",
         "2: technique.count: is 9; expected a whole number at least 1 and at most 8; give such a value (the default is "
         "4)",
+    ),
+    "silhouettes of a warped map": (
+        "technique: {type: perspective_warp}\nshadow_map: {silhouettes: true}\n",
+        "3: shadow_map.silhouettes: is given, and technique.type is perspective_warp, whose maps cannot have it; "
+        "expected a map without it; remove it, or choose another technique",
     ),
     "nothing to fit": (
         "fit: {parameters: {}}\n",

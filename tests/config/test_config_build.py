@@ -449,6 +449,22 @@ def test_cascades_extend_as_far_as_the_filter_may_read():
     assert [float(resolve(built, path)) for path in paths.values()] == [2.0, np.float32(0.2), 3.0]
 
 
-def test_cascades_need_a_directional_light():
-    with pytest.raises(ConfigError, match=r"scene\.light\.type: is spot under cascades"):
-        parse_config(TINY + "technique: {type: cascades}\n", ["scene.light={type: spot}"])
+@pytest.mark.parametrize("kind", ["cascades", "perspective_warp"])
+def test_cascades_and_warps_need_a_directional_light(kind):
+    with pytest.raises(ConfigError, match=rf"scene\.light\.type: is spot, while technique\.type is {kind}"):
+        parse_config(TINY + f"technique: {{type: {kind}}}\n", ["scene.light={type: spot}"])
+
+
+def test_warped_maps_are_built_as_they_are_set():
+    built = build_technique(parse_config(TINY + "technique: {type: perspective_warp, strength: 2, margin: 3}\n"))
+    assert (float(built.layout.strength), built.layout.margin) == (2, 3)
+    built = build_technique(
+        parse_config(TINY + "technique: {type: perspective_warp, method: trapezoidal, focus: 0.2}\n")
+    )
+    assert (built.layout.method, float(built.layout.focus)) == ("trapezoidal", np.float32(0.2))
+    assert built.layout.strength is None
+    moving = parse_config(
+        TINY + "technique: {type: perspective_warp}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"
+    )
+    with pytest.raises(ConfigError, match=r"technique\.type: is perspective_warp in a fit of lights"):
+        build_fit(moving)

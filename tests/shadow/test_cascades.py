@@ -114,7 +114,7 @@ POINTS = 64
 
 @eqx.filter_jit
 def _contained(layout, eye, target, fov, direction, fractions):
-    """How far inside the margin of their cascade points of the view lie, and whether each is in the right one."""
+    """How far inside the margin of their cascade points of the view lie, and of the next; and which are blended."""
 
     def of_one(eye, target, fov, direction, fractions):
         camera = PinholeCamera(eye, target, fov_y=fov, near=NEAR, far=FAR, resolution=(48, 64))
@@ -130,7 +130,9 @@ def _contained(layout, eye, target, fov, direction, fractions):
         following = jnp.minimum(layer + 1, layout.count - 1)
         begins = jnp.concatenate([cascaded.begins[:1], cascaded.ends[:-1]])
         in_band = (cascaded.ends[layer] - depth) < layout.blend * (cascaded.ends - begins)[layer]
-        return cascaded.to_border(points, layer), cascaded.to_border(points, following), in_band
+        beside = lambda layer: jnp.max(jnp.abs(cascaded.view().facing(layer).clip(points)[:, :2]), axis=-1)
+        least = 1 - 2 * layout.margin / TEXELS
+        return least - beside(layer), least - beside(following), in_band
 
     return jax.vmap(of_one)(eye, target, fov, direction, fractions)
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from ... import shadow
 from ..sections._filters import PatternedConfig
-from ..sections._technique import CascadesConfig, CompareConfig, SoftCompareConfig
+from ..sections._technique import CascadesConfig, CompareConfig, PerspectiveWarpConfig, SoftCompareConfig
 from ..whole._schema import Config
 
 # Texels of a cascade's margin beyond the filter's reach: for what is within half a texel of the border.
@@ -60,14 +60,16 @@ def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
 def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     """How the map of `config` is laid out; `fitting` as for `build_filter`."""
     section = config.technique
-    if not isinstance(section, CascadesConfig):
+    if not isinstance(section, CascadesConfig | PerspectiveWarpConfig):
         return shadow.SingleMap()
     arguments = _arguments(config, "technique", fitting=fitting)
-    bounds = config.fit.parameters.get("technique.blend") if fitting else None
-    arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
     if section.margin is None:
         reach, _ = config.reach(config.fit.parameters if fitting else {})
         arguments["margin"] = reach + _SPARE
+    if isinstance(section, PerspectiveWarpConfig):
+        return shadow.PerspectiveWarp(**arguments)
+    bounds = config.fit.parameters.get("technique.blend") if fitting else None
+    arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
     return shadow.Cascades(**arguments)
 
 

@@ -8,6 +8,7 @@ from pydantic import Field, Tag
 
 from ._biases import MOST_LAYERS
 from ._section import (
+    MOST_FACTOR,
     Conflict,
     Fitted,
     Form,
@@ -97,7 +98,7 @@ class CascadesConfig(MappedConfig):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from exclusive(data, "distances", "count", "logarithmic", "shadow_distance")
+        yield from exclusive(data, "distances", "shadow_distance")
         if data.get("distances") is not None and data.get("depths", "camera") != "camera":
             yield ("depths",), fault("is surface, and distances are given", "camera", "remove depths, or distances")
 
@@ -129,9 +130,31 @@ class ProjectiveTextureConfig(Section):
     kernel: Literal["box", "tent", "gaussian"] = Field(default="box", description="shape of the blur")
 
 
+class PerspectiveWarpConfig(MappedConfig):
+    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+
+    type: Literal["perspective_warp"] = "perspective_warp"
+    method: Literal["lispsm", "perspective", "trapezoidal"] = Field(
+        default="lispsm", description="how the warp's strength is found; lispsm has the least worst aliasing"
+    )
+    strength: Annotated[float | None, Field(ge=0, le=MOST_FACTOR)] = Field(
+        default=None, description="the warp's strength, 0 for none; default: what method finds"
+    )
+    focus: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.3, description="part of what is seen, at the camera, that takes 80 % of a trapezoidal map"
+    )
+    shadow_distance: Annotated[WorldUnits | None, Field(gt=0)] = Field(
+        default=None, description="depth beyond which nothing is shadowed, in world units; default: the camera's far"
+    )
+    margin: Annotated[Texels | None, Field(ge=0)] = Field(
+        default=None, description="how far the map extends beyond what is seen, in texels; default: the filter's reach"
+    )
+
+
 TechniqueConfig = Annotated[
     Annotated[ShadowMappingConfig, Tag("shadow_map")]
     | Annotated[CascadesConfig, Tag("cascades")]
+    | Annotated[PerspectiveWarpConfig, Tag("perspective_warp")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
     | Annotated[ProjectiveTextureConfig, Tag("projective_texture")],
     by_type("shadow_map"),

@@ -9,7 +9,7 @@ from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
 from ..sections._section import Conflict, fault, look
-from ..sections._technique import CascadesConfig, MappedConfig, ProjectiveTextureConfig
+from ..sections._technique import CascadesConfig, MappedConfig, PerspectiveWarpConfig, ProjectiveTextureConfig
 from ._costs import FACES_OF_A_CUBE, cost_faults, fit_cost_faults
 from ._parts import Parts
 
@@ -23,12 +23,18 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
             yield from _silhouettes_of_others(config, "with silhouettes")
     if isinstance(config.technique, MappedConfig) and config.bias.factors is not None:
         yield from _wrong_factors(config, config.technique)
-    if isinstance(config.technique, CascadesConfig):
+    if isinstance(config.technique, CascadesConfig | PerspectiveWarpConfig):
         for key, light in config.scene.each_light.items():
             if not isinstance(light, DirectionalLightConfig):
-                message = f"is {light.type} under cascades, which slice the camera's view along a directional light"
+                message = f"is {light.type}, while technique.type is {config.technique.type}"
                 mend = "change it, or set technique.type to shadow_map"
                 yield ("scene", *key, "type"), fault(message, "directional", mend)
+    if isinstance(config.technique, PerspectiveWarpConfig):
+        section = config.shadow_map
+        for key, given in (("silhouettes", section.silhouettes), ("polygon_offset", section.polygon_offset)):
+            if given:
+                message = "is given, and technique.type is perspective_warp, whose maps cannot have it"
+                yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
     if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
@@ -58,6 +64,9 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         yield from _beyond_guards(config, config.fit.parameters)
     if not config.moves:
         return
+    if isinstance(config.technique, PerspectiveWarpConfig):
+        message = "is perspective_warp in a fit of lights or meshes, which needs maps with silhouettes"
+        yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     if isinstance(config.technique, MappedConfig) and config.shadow_map.silhouettes is None:
         yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
     yield from _uneven_levels(config)

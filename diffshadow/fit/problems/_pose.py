@@ -144,12 +144,12 @@ class PoseProblem(AbstractProblem):
         **Arguments:** `overflows` as for `draw_shadow_map`.
         """
         casters, light, every = _arranged(self.scene, arrangement, self.index)
+        surface = draw_surface(every, self.scene.camera) if self.surface is None else self.surface
+        light = arrangement.technique.layout.light(light, self.scene.camera, self.settings.resolution, surface)
         shadow_map = self.settings.draw(
             casters, light, edges=self._edges(), crossings=self.crossings, overflows=overflows
         )
-        if self.surface is not None:
-            return shadow_map, self.surface
-        return shadow_map, draw_surface(every, self.scene.camera)
+        return shadow_map, surface
 
     @property
     def sharpest(self) -> float:
@@ -194,7 +194,11 @@ class PoseProblem(AbstractProblem):
         edges = self._edges()
         if edges is None:
             return self
-        casters, light, _ = _arranged(self.scene, self.arrangement, self.index)
+        casters, light, every = _arranged(self.scene, self.arrangement, self.index)
+        layout, surface = self.arrangement.technique.layout, self.surface
+        if layout.needs_surface and surface is None:
+            surface = draw_surface(every, self.scene.camera)
+        light = layout.light(light, self.scene.camera, self.settings.resolution, surface)
         needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
         return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
 

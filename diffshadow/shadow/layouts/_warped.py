@@ -291,8 +291,8 @@ def _common_points(
 
     A corner of the intersection of two convex bodies is an end of an edge of one, cut off where it leaves the other.
     """
-    of_camera = frustum.corners(jnp.stack([camera.near, end])).reshape(8, 3)[_EDGES]
-    of_light = Frustum.of(light).corners(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
+    of_camera = frustum.corners_at(jnp.stack([camera.near, end])).reshape(8, 3)[_EDGES]
+    of_light = Frustum.of(light).corners_at(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
     parts = (
         _cut(of_camera, _to_planes(light, of_camera, light.near, light.far)),
         _cut(of_light, _to_planes(camera, of_light, camera.near, end)),

@@ -11,6 +11,8 @@ from ._table import ERRORS, UNITS, noise_text, number
 
 # Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
+# Techniques whose name alone does not say what is drawn.
+_FILTERED = ("shadow_map", "cascades", "perspective_warp")
 # If this many parameters precede the last one, the summary counts them instead of naming them.
 _MANY = 3
 _HEADINGS = {
@@ -80,7 +82,9 @@ def _render_summary(run: StoredRun) -> str:
     settings = {row.key: row.value for row in run.settings}
     technique = settings["technique.type"]
     name = (
-        f"{technique} with filter {settings['filter.type']}" if technique in ("shadow_map", "cascades") else technique
+        f"{technique} with filter {settings['filter.type']}"
+        if technique in ("shadow_map", "cascades", "perspective_warp")
+        else technique
     )
     return f"{name.replace('_', ' ').capitalize()}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
 
