@@ -1,0 +1,162 @@
+"""How does a shadow's error fall with the memory of its map, and how much better do cascades and warps use it?
+
+    python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/room.yaml
+    python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
+
+Draws each configuration's scene with one map, with 2, 3 and 4 cascades, and with a map that is warped towards the
+camera (light space perspective shadow maps), all with the same number of texels. Every technique has its best settings:
+the spacing of its cascades is found by a bounded search, since the error has no derivative with respect to it, and the
+bias is fitted by gradient.
+
+The figure has texels along x and the root mean square error of visibility along y, both logarithmic. The grey area is
+below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import _common as common
+import numpy as np
+from cyclopts import App
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import minimize_scalar
+
+from diffshadow import fit, metrics
+from diffshadow.config import load_config
+
+NAME = "where_texels_go"
+SEARCHES = 8
+"""How often the error is evaluated to find the spacing of the cascades."""
+SPACING = "technique.logarithmic"
+BIAS = "fit.parameters={bias.constant: {lower: 0, upper: 8}, bias.slope: {lower: 0, upper: 8}}"
+
+
+class Technique(NamedTuple):
+    """A technique: its title, the section `technique`, and the number of its maps."""
+
+    title: str
+    section: str
+    maps: int = 1
+
+    @property
+    def is_spaced(self) -> bool:
+        """Whether the spacing of its maps is searched for."""
+        return self.maps > 1
+
+
+TECHNIQUES = {
+    "plain": Technique("one map", "{type: shadow_map}"),
+    "warped": Technique("one map, LiSPSM", "{type: perspective_warp}"),
+    **{
+        f"cascades{count}": Technique(
+            f"{count} cascades", f"{{type: cascades, count: {count}, stabilize: false}}", count
+        )
+        for count in (2, 3, 4)
+    },
+}
+
+app = App(help=__doc__, help_format="plaintext", result_action="return_value")
+
+
+@app.default
+def main(
+    *configs: Path,
+    sizes: str = "256,512,1024,2048",
+    only: str = ",".join(TECHNIQUES),
+    output: Path | None = None,
+) -> dict[str, Any]:
+    """Compares the techniques on the scenes of CONFIGS.
+
+    Parameters
+    ----------
+    configs
+        YAML files, each with a scene, a directional light, a bias and a filter.
+    sizes
+        Widths of a single square map, in texels, separated by commas. Several maps share its number of texels.
+    only
+        Which techniques, separated by commas.
+    output
+        Folder of the results' folder, instead of that of the first configuration.
+    """
+    console = Console(highlight=False)
+    common.expect("configs", "no file", len(configs) > 0, "one or more configurations")
+    widths = sorted(set(common.listed("sizes", sizes, int)))
+    common.expect("sizes", sizes, widths[0] >= 64, "64 texels or more")
+    names = common.chosen("only", only, TECHNIQUES)
+    to = () if output is None else (f"output={output}",)
+    cases = {path: common.draw(common.load(path, to)) for path in configs}
+    rows = []
+    todo = [(path, size, name) for path in configs for size in widths for name in names]
+    for path, size, name in common.progress(todo, "fitting", console):
+        row = {"scene": path.stem, "technique": name, "texels": size**2, **best(cases[path], path, name, size)}
+        rows.append(row)
+        console.print(f"{path.stem}: {name}, {size}²: RMSE {row['rmse']:.4f}", soft_wrap=True)
+    floors = {path.stem: case.floor for path, case in cases.items()}
+    show(console, rows)
+    summary = {"configs": [str(path) for path in configs], "reference_noise": floors}
+    first = cases[configs[0]].settings
+    folder = common.write(first, NAME, picture(rows, floors), rows, summary)
+    console.print(str(folder), soft_wrap=True)
+    return {**summary, "rows": rows, "folder": str(folder)}
+
+
+def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, float | None]:
+    """The error of a technique with its best settings, those settings, and how large its texels are on the screen."""
+    technique = TECHNIQUES[name]
+    side = int(size / math.sqrt(technique.maps))
+
+    def problem(spacing: float | None = None) -> fit.TechniqueProblem:
+        spaced = [] if spacing is None else [f"{SPACING}={spacing:.4f}"]
+        overrides = [f"technique={technique.section}", f"shadow_map.resolution=[{side}, {side}]", BIAS, *spaced]
+        return common.problem_of(case, load_config(path, overrides))
+
+    spacing = None
+    if technique.is_spaced:
+        error = lambda spacing: common.rmse(problem(float(spacing)))
+        spacing = float(minimize_scalar(error, (0, 1), (0, 1), method="bounded", options={"maxiter": SEARCHES}).x)
+    made = problem(spacing)
+    settings = load_config(path, [f"technique={technique.section}", BIAS])
+    found = common.run_fit(settings, made)
+    extents = made.technique.aliasing(made.shadow_map, case.surface, case.scene.camera)
+    return {
+        "rmse": common.rmse(made, found.technique),
+        "spacing": spacing,
+        **{key.replace(".", "_"): value for key, value in found.fitted.items()},
+        "percentile_99": metrics.measure_aliasing(extents.extent, extents.mask).percentile_99,
+    }
+
+
+def show(console: Console, rows: list[dict[str, Any]]) -> None:
+    """Prints the errors and the extents."""
+    table = Table("scene", "texels", "technique")
+    for title in ("RMSE", "spacing", "bias, constant", "slope", "99 % of texels, pixels"):
+        table.add_column(title, justify="right")
+    for row in rows:
+        numbers = (row[key] for key in ("rmse", "spacing", "bias_constant", "bias_slope", "percentile_99"))
+        cells = ("" if number is None else f"{number:.3g}" for number in numbers)
+        table.add_row(row["scene"], f"{row['texels']:,}", TECHNIQUES[row["technique"]].title, *cells)
+    console.print(table)
+
+
+def picture(rows: list[dict[str, Any]], floors: dict[str, float]) -> Figure:
+    """A chart for each scene, of error against texels."""
+    figure, axes = common.figure(3.6 * len(floors) + 0.4, 3.4, 1, len(floors), sharey=True)
+    names = list(dict.fromkeys(row["technique"] for row in rows))
+    for one, (scene, floor) in zip(axes, floors.items(), strict=True):
+        common.chart(one, scene, "texels", "RMSE [visibility]" if one is axes[0] else "")
+        for i, name in enumerate(names):
+            line = [(row["texels"], row["rmse"]) for row in rows if (row["scene"], row["technique"]) == (scene, name)]
+            one.plot(*np.array(line).T, label=TECHNIQUES[name].title, **common.curve(i))
+        one.set_xscale("log")
+        one.set_yscale("log")
+        if floor > 0:
+            one.axhspan(one.get_ylim()[0], floor, color=common.FAINT, alpha=0.25, linewidth=0)
+    common.legend(axes[-1])
+    return figure
+
+
+if __name__ == "__main__":
+    common.start(app)
