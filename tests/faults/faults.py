@@ -863,8 +863,8 @@ _SHADOW = (
     _fault(
         "warp: as strong for light along the view",
         "shadow/layouts/_warped.py",
-        "(high - low) * axes.sine",
-        "high - low",
+        "(high - low) * axes.sine)",
+        "high - low)",
         "test_warps.py",
     ),
     _fault(
