@@ -265,7 +265,8 @@ def _unwarped_depth(
     other maps.
     """
     part = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), unwarped, faces)
-    return _rounded(by_bands(part, face), test)
+    # The warp moves the far plane away. What lies beyond it casts no shadow.
+    return _rounded(jnp.minimum(by_bands(part, face), 1), test)
 
 
 @eqx.filter_jit

@@ -147,12 +147,13 @@ class PerspectiveWarp(AbstractLayout):
                 f"its far, {float(far):g}: lower it, or raise the camera's far"
             )
         strength = None if self.strength is None else concrete(self.strength)
-        sine = concrete(_Axes.of(light.view(), camera.view()).sine)
-        if strength is not None and strength > 0 and sine is not None and sine < _LEAST_SINE:
-            raise ValueError(
-                f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where no "
-                'warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
-            )
+        if strength is not None and strength > 0:
+            sine = concrete(_Axes.of(light.view(), camera.view()).sine)
+            if sine is not None and sine < _LEAST_SINE:
+                raise ValueError(
+                    f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where "
+                    'no warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
+                )
 
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         assert isinstance(light, WarpedLight)
@@ -198,15 +199,12 @@ def _warped_light(
     axes, frustum = _Axes.of(from_light, from_camera), Frustum.of(from_camera)
     points, valid = _common_points(from_light, from_camera, frustum, lax.stop_gradient(end))
     x, y = axes(from_light, points)
-    depth = -transform_points(from_camera.world_to_eye, points)[..., 2]
     smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
     low, high = _range(y, valid, smallest)
     strength = layout.strength
     if strength is None:
-        depth = jnp.where(valid, depth, far)
-        nearest = jnp.max(jnp.where(depth <= _NEARLY * jnp.min(depth), y, low))
-        growth = _growth(from_camera, jnp.min(depth), (high - low) * axes.sine)
-        strength = _strength(layout, growth, (nearest - low) / (high - low))
+        depth = jnp.where(valid, -transform_points(from_camera.world_to_eye, points)[..., 2], far)
+        strength = _strength(layout, from_camera, depth, (y - low) / (high - low), (high - low) * axes.sine)
     # Margins in texels, as fractions of what is within them.
     across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
     low, high, strength = _with_margin(low, high, strength, float(along))
@@ -229,13 +227,21 @@ def _warped_light(
     )
 
 
-def _growth(camera: View, least: Scalar, length: Scalar) -> Scalar:
-    """By how much the camera's image shrinks over a `length` of depth from `least` on: z₁ / z₀ - 1."""
-    return length / jnp.maximum(least, camera.near) if camera.is_perspective else jnp.zeros_like(length)
+def _strength(
+    layout: PerspectiveWarp, camera: View, depth: Float[Array, " k"], height: Float[Array, " k"], rise: Scalar
+) -> Scalar:
+    """The strength w that the layout's method finds.
 
+    **Arguments:**
 
-def _strength(layout: PerspectiveWarp, growth: Scalar, nearest: Scalar) -> Scalar:
-    """The strength w that the layout's method finds, with `nearest` the height of the nearest point."""
+    - `depth`, `height`: of the points that the map shows, along the camera's axis in world units, and in a map without
+        a warp.
+    - `rise`: z₁ - z₀, world units.
+    """
+    least = jnp.maximum(jnp.min(depth), camera.near)
+    nearest = jnp.max(jnp.where(depth <= _NEARLY * least, height, 0))
+    # z₁ / z₀ - 1
+    growth = rise / least if camera.is_perspective else jnp.zeros_like(rise)
     match layout.method:
         case "lispsm":
             strength = jnp.sqrt(1 + growth) - 1
