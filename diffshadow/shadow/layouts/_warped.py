@@ -47,7 +47,9 @@ class PerspectiveWarp(AbstractLayout):
 
     The map shows what the camera sees of what the light's own map shows. Its y axis follows the camera's view, and a
     perspective along it enlarges its lower end, at the camera (`geometry.Warp`). Depth remains linear, so biases mean
-    the same as in other maps, in texels of the size that they have at the receiver. Radii of filters are in texels too.
+    the same as in other maps, in texels of the size that they have at the receiver. Radii of filters are in texels too,
+    which are longer along the view than across it, or shorter: a disk in the map is an ellipse on the surface. A map
+    with silhouettes, or a polygon offset, cannot be warped.
 
     With z₀ the least depth that the map shows, γ the angle between light and view, and d what the map shows along its y
     axis in world units, z₁ is `z₀ + d sin γ`. The strength w of the warp is
