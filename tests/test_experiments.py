@@ -81,6 +81,20 @@ def test_error_falls_with_resolution_as_a_seam_does():
 
 
 @pytest.mark.exhaustive
+def test_cascades_and_warps_put_texels_where_they_are_seen():
+    script, config = importlib.import_module("where_texels_go"), ROOT / "configs" / "corridor.yaml"
+    found = script.main(config, sizes="256", only="plain,warped,cascades4", output=Path("runs"))
+    folder = Path("runs") / "corridor-where_texels_go"
+    assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
+    plain, warped, cascades = (row["rmse"] for row in found["rows"])
+    assert warped < 0.8 * plain
+    assert cascades < 0.6 * plain
+    assert [row["spacing"] is None for row in found["rows"]] == [True, True, False]
+    extents = [row["percentile_99"] for row in found["rows"]]
+    assert max(extents[1:]) < 0.5 * extents[0]
+
+
+@pytest.mark.exhaustive
 def test_fit_ends_where_the_landscape_is_lowest():
     found = run("bias_landscape", size=7)
     assert found["ratio"] < 1.03
@@ -164,6 +178,7 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
             "expected some of nearest,silhouettes,bilinear",
         ),
         ("error_vs_resolution", ["tiny.yaml", "--sizes", "64,big"], "expected whole numbers"),
+        ("where_texels_go", ["tiny.yaml", "--sizes", "8"], "expected 64 texels or more"),
         ("soft_width", ["tiny.yaml", "--least", "3", "--most", "2"], "less than most, 2.0"),
         ("shootout", ["missing.yaml"], "there is no such file"),
         ("shootout", ["tiny.yaml", "--repeat", "3"], "see --help"),
