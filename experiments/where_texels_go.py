@@ -4,7 +4,8 @@
     python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
 
 Draws each configuration's scene with one map, with 2, 3 and 4 cascades, and with a map that is warped towards the
-camera (light space perspective shadow maps), all with the same number of texels. Every technique has its best settings:
+camera (light space perspective shadow maps), all with the same number of texels. Cascades and the warp cover the depths
+that the camera sees, not the empty space before them. Every technique has its best settings:
 the spacing of its cascades is found by a bounded search, since the error has no derivative with respect to it, and the
 bias is fitted by gradient.
 
@@ -49,10 +50,10 @@ class Technique(NamedTuple):
 
 TECHNIQUES = {
     "plain": Technique("one map", "{type: shadow_map}"),
-    "warped": Technique("one map, LiSPSM", "{type: perspective_warp}"),
+    "warped": Technique("one map, LiSPSM", "{type: perspective_warp, depths: surface}"),
     **{
         f"cascades{count}": Technique(
-            f"{count} cascades", f"{{type: cascades, count: {count}, stabilize: false}}", count
+            f"{count} cascades", f"{{type: cascades, count: {count}, depths: surface, stabilize: false}}", count
         )
         for count in (2, 3, 4)
     },
@@ -93,7 +94,6 @@ def main(
     for path, size, name in common.progress(todo, "fitting", console):
         row = {"scene": path.stem, "technique": name, "texels": size**2, **best(cases[path], path, name, size)}
         rows.append(row)
-        console.print(f"{path.stem}: {name}, {size}²: RMSE {row['rmse']:.4f}", soft_wrap=True)
     floors = {path.stem: case.floor for path, case in cases.items()}
     show(console, rows)
     summary = {"configs": [str(path) for path in configs], "reference_noise": floors}
@@ -130,14 +130,16 @@ def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, float
 
 
 def show(console: Console, rows: list[dict[str, Any]]) -> None:
-    """Prints the errors and the extents."""
-    table = Table("scene", "texels", "technique")
-    for title in ("RMSE", "spacing", "bias, constant", "slope", "99 % of texels, pixels"):
-        table.add_column(title, justify="right")
+    """Prints the errors, the settings, and the extent in pixels that 1 % of the texels exceed."""
+    table = Table()
+    for title in ("scene", "texels", "technique"):
+        table.add_column(title, no_wrap=True)
+    for title in ("RMSE", "spacing", "bias", "slope", "99 %"):
+        table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
         numbers = (row[key] for key in ("rmse", "spacing", "bias_constant", "bias_slope", "percentile_99"))
         cells = ("" if number is None else f"{number:.3g}" for number in numbers)
-        table.add_row(row["scene"], f"{row['texels']:,}", TECHNIQUES[row["technique"]].title, *cells)
+        table.add_row(row["scene"], f"{math.isqrt(row['texels'])}²", TECHNIQUES[row["technique"]].title, *cells)
     console.print(table)
 
 

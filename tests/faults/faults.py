@@ -1191,7 +1191,7 @@ _SHADOW = (
     ),
     _fault(
         "cascades: a sphere that its slice's corners leave",
-        "shadow/layouts/_cascades.py",
+        "shadow/layouts/_frustum.py",
         "(begin**2 + end**2) * k2 / 2",
         "(begin**2 + begin**2) * k2 / 2",
         "test_cascades.py",

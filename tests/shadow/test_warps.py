@@ -125,6 +125,21 @@ def test_the_warp_vanishes_as_the_light_turns_parallel_to_the_view(method):
     assert found[-1] < 1e-4
 
 
+def test_a_warp_may_follow_the_depths_that_are_seen():
+    # Of a floor from depth 20 on.
+    floor = quad((0, 0, -60), (60, 0, 0), (0, 0, -40))
+    camera = PinholeCamera((0, 8, 0), (0, 8, -1), fov_y=60.0, near=1.0, far=FAR, resolution=SIZE)
+    surface = draw_surface(floor, camera)
+    depth = -np.asarray(surface.position)[np.asarray(surface.mask), 2]
+    assert 20 < depth.min() < 25
+    layout = lambda depths: PerspectiveWarp(depths=depths, margin=0.0)
+    strength = lambda depths: layout(depths).light(NOON, camera, SIZE, surface).warp.strength
+    np.testing.assert_allclose(strength("surface"), np.sqrt(depth.max() / depth.min()) - 1, rtol=1e-3)
+    np.testing.assert_allclose(strength("camera"), np.sqrt(FAR) - 1, rtol=1e-3)
+    with pytest.raises(ValueError, match="expected a surface"):
+        layout("surface").light(NOON, camera, SIZE)
+
+
 def test_a_parallel_camera_needs_no_warp():
     camera = OrthographicCamera((0, 1, 0), (0, 1, -1), height=4.0, near=-1.0, far=FAR, resolution=(32, 32))
     assert all(float(warped(PerspectiveWarp(method), NOON, camera).warp.strength) == 0 for method in METHODS)

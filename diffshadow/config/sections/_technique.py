@@ -146,6 +146,10 @@ class PerspectiveWarpConfig(MappedConfig):
     shadow_distance: Annotated[WorldUnits | None, Field(gt=0)] = Field(
         default=None, description="depth beyond which nothing is shadowed, in world units; default: the camera's far"
     )
+    depths: Literal["camera", "surface"] = Field(
+        default="camera",
+        description="what the map shows: all depths of the camera, or those that it sees",
+    )
     margin: Annotated[Texels | None, Field(ge=0)] = Field(
         default=None, description="how far the map extends beyond what is seen, in texels; default: the filter's reach"
     )

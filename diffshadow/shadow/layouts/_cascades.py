@@ -3,7 +3,7 @@ Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments"
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,11 +12,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete
-from ..._types import Resolution, Scalar, Vec2, Vec3
-from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View, transform_points
+from ..._types import Resolution, Scalar, Vec2
+from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
 from ...raster import SUBPIXELS, Surface
 from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout, Choice
+from ._frustum import DepthRange, Frustum, depths_of
 
 MOST_CASCADES = 8
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
@@ -25,7 +26,6 @@ _LEAST_SIZE = 1e-3
 _LEAST_BLEND = 1e-6
 
 CascadeFit = Literal["cascade", "scene"]
-DepthRange = Literal["camera", "surface"]
 
 
 class Cascades(AbstractLayout):
@@ -215,52 +215,6 @@ class Cascades(AbstractLayout):
         return jnp.where(from_end < 0, 0.0, 1.0) if self.fade == 0 else jnp.clip(from_end / self.fade, 0, 1)
 
 
-class Frustum(NamedTuple):
-    """What a camera sees.
-
-    - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
-    - `corners`: (4, 2), how far right and up of its axis the corners of its image are, at depth 1 if `is_perspective`.
-    """
-
-    eye: Vec3
-    axes: Float[Array, "3 3"]
-    corners: Float[Array, "4 2"]
-    is_perspective: bool
-
-    @classmethod
-    def of(cls, view: View) -> "Frustum":
-        turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
-        # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
-        across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
-        corners = jnp.stack(jnp.meshgrid(across(0), across(1)), axis=-1).reshape(4, 2)
-        backward = jnp.array([1.0, 1.0, -1.0])[:, None]
-        return cls(-jnp.sum(turn * shift[:, None], axis=0), turn * backward, corners, view.is_perspective)
-
-    def corners_at(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
-        """The corners of what it sees at each `depth`, in world space."""
-        depth = depth[:, None, None]
-        x, y = self.corners[:, :1], self.corners[:, 1:]
-        sides = x * self.axes[0] + y * self.axes[1]
-        return self.eye + depth * self.axes[2] + (depth * sides if self.is_perspective else sides)
-
-    def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
-        """The centres (l, 3) and radii (l,) of the least spheres about what it sees between depths.
-
-        They depend on the camera's field of view, not on its pose: in arithmetic too, so that a camera that turns does
-        not change their size.
-        """
-        k2 = jnp.max(jnp.sum(self.corners**2, axis=-1))
-        half = (end - begin) / 2
-        if not self.is_perspective:
-            middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
-        else:
-            # The sphere touches the corners of both ends; or only those of the far end, whose disk is then its middle.
-            both = (begin + end) * (1 + k2) / 2
-            radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
-            middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)
-        return self.eye + middle[:, None] * self.axes[2], radius
-
-
 @eqx.filter_jit
 def _cascaded_light(
     layout: Cascades,
@@ -273,7 +227,7 @@ def _cascaded_light(
     from_camera, from_light = camera.view(), lax.stop_gradient(light.view())
     near, far = from_camera.near, from_camera.far
     if surface is not None:
-        near, far = _depths(from_camera, surface)
+        near, far = depths_of(from_camera, surface)
     if layout.shadow_distance is not None:
         far = jnp.minimum(far, layout.shadow_distance)
     splits = layout.splits(near, far)
@@ -290,15 +244,6 @@ def _cascaded_light(
         scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
     margin = as_float(2 * layout.margin / texels)
     return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps)
-
-
-def _depths(camera: View, surface: Surface) -> tuple[Scalar, Scalar]:
-    """The least and greatest depth of a surface along the camera's axis, world units; near and far if there is none."""
-    depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
-    least = jnp.min(jnp.where(surface.mask, depth, camera.far))
-    most = jnp.max(jnp.where(surface.mask, depth, camera.near))
-    seen = most > least
-    return jnp.where(seen, least, camera.near), jnp.where(seen, most, camera.far)
 
 
 def _around_spheres(

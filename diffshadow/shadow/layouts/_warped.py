@@ -24,7 +24,7 @@ from ...geometry import (
 from ...raster import Surface
 from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout, Choice
-from ._cascades import Frustum
+from ._frustum import DepthRange, Frustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
 _LEAST_SINE = 1e-3
@@ -73,6 +73,8 @@ class PerspectiveWarp(AbstractLayout):
     - `focus`: for `"trapezoidal"`, the part of d at the camera's end that 80 % of the map shows, in (0, 1].
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
         camera's far if left out.
+    - `depths`: which depths the map shows. `"camera"`: from the camera's near to its far. `"surface"`: those of the
+        surface that it sees, which spends no texels on the empty space before it.
     - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
         the border: at least the greatest radius of the filter, plus any normal offset. At the far end, a strong warp
         has less of it: no more than `1 / (2 w)` of the map.
@@ -84,6 +86,7 @@ class PerspectiveWarp(AbstractLayout):
     focus: Scalar
     shadow_distance: Scalar | None
     method: WarpMethod = eqx.field(static=True)
+    depths: DepthRange = eqx.field(static=True)
     margin: float = eqx.field(static=True)
 
     def __init__(
@@ -93,9 +96,10 @@ class PerspectiveWarp(AbstractLayout):
         strength: float | Scalar | None = None,
         focus: float | Scalar = 0.3,
         shadow_distance: float | Scalar | None = None,
+        depths: DepthRange = "camera",
         margin: float = 8.0,
     ):
-        self.method = method
+        self.method, self.depths = method, depths
         self.strength = None if strength is None else as_float(strength)
         self.focus = as_float(focus)
         self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
@@ -103,6 +107,7 @@ class PerspectiveWarp(AbstractLayout):
 
     def __check_init__(self):
         check_choice("the warp's method", self.method, WarpMethod.__args__)
+        check_choice("the warp's depths", self.depths, DepthRange.__args__)
         strength, focus = None if self.strength is None else concrete(self.strength), concrete(self.focus)
         if strength is not None and not (strength >= 0 and np.isfinite(strength)):
             raise ValueError(f"the warp's strength is {strength}; expected 0 or more")
@@ -110,6 +115,10 @@ class PerspectiveWarp(AbstractLayout):
             raise ValueError(f"the warp's focus is {focus}; expected more than 0, and at most 1")
         if not (self.margin >= 0 and math.isfinite(self.margin)):
             raise ValueError(f"the warp's margin is {self.margin}; expected 0 or more texels")
+
+    @property
+    def needs_surface(self) -> bool:
+        return self.depths == "surface"
 
     def light(
         self,
@@ -124,11 +133,13 @@ class PerspectiveWarp(AbstractLayout):
         with respect to `strength` and `focus`.
 
         **Raises** `ValueError` for a light that is not directional, a map too small for the margin, or a shadow
-        distance outside of the camera's depths; and for a `strength` above 0 if the light shines along the camera's
-        axis.
+        distance outside of the camera's depths; for `depths` of a surface without one; and for a `strength` above 0 if
+        the light shines along the camera's axis.
         """
         self._check_for(light, camera, resolution)
-        return _warped_light(self, light, camera, resolution)
+        if surface is None and self.needs_surface:
+            raise ValueError("the warp follows the depths of the surface, and none was given; expected a surface")
+        return _warped_light(self, light, camera, resolution, surface if self.needs_surface else None)
 
     def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
         if not light.is_directional:
@@ -192,14 +203,19 @@ class _Axes(NamedTuple):
 
 @eqx.filter_jit
 def _warped_light(
-    layout: PerspectiveWarp, light: AbstractLight, camera: AbstractCamera, resolution: Resolution
+    layout: PerspectiveWarp,
+    light: AbstractLight,
+    camera: AbstractCamera,
+    resolution: Resolution,
+    surface: Surface | None,
 ) -> WarpedLight:
     # A map's texels have no derivative by where it lies.
     from_camera, from_light = lax.stop_gradient((camera.view(), light.view()))
-    far = from_camera.far
-    end = far if layout.shadow_distance is None else jnp.minimum(far, layout.shadow_distance)
+    near, far = (from_camera.near, from_camera.far) if surface is None else depths_of(from_camera, surface)
+    end = far if layout.shadow_distance is None else lax.stop_gradient(jnp.minimum(far, layout.shadow_distance))
+    from_camera = eqx.tree_at(lambda view: (view.near, view.far), from_camera, (near, end))
     axes, frustum = _Axes.of(from_light, from_camera), Frustum.of(from_camera)
-    points, valid = _common_points(from_light, from_camera, frustum, lax.stop_gradient(end))
+    points, valid = _common_points(from_light, from_camera, frustum)
     x, y = axes(from_light, points)
     smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
     low, high = _range(y, valid, smallest)
@@ -291,19 +307,17 @@ def _range(values: Float[Array, " k"], valid: Bool[Array, " k"], least: Scalar) 
     return jnp.where(narrow, middle - least, low), jnp.where(narrow, middle + least, high)
 
 
-def _common_points(
-    light: View, camera: View, frustum: Frustum, end: Scalar
-) -> tuple[Float[Array, "k 3"], Bool[Array, " k"]]:
-    """The corners of what the camera sees, up to depth `end`, within the light's frustum. All points count if there are
-    none.
+def _common_points(light: View, camera: View, frustum: Frustum) -> tuple[Float[Array, "k 3"], Bool[Array, " k"]]:
+    """The corners of what the camera sees, between its near and far, within the light's frustum. All points count if
+    there are none.
 
     A corner of the intersection of two convex bodies is an end of an edge of one, cut off where it leaves the other.
     """
-    of_camera = frustum.corners_at(jnp.stack([camera.near, end])).reshape(8, 3)[_EDGES]
+    of_camera = frustum.corners_at(jnp.stack([camera.near, camera.far])).reshape(8, 3)[_EDGES]
     of_light = Frustum.of(light).corners_at(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
     parts = (
         _cut(of_camera, _to_planes(light, of_camera, light.near, light.far)),
-        _cut(of_light, _to_planes(camera, of_light, camera.near, end)),
+        _cut(of_light, _to_planes(camera, of_light, camera.near, camera.far)),
     )
     points, valid = (jnp.concatenate(each) for each in zip(*parts, strict=True))
     return points.reshape(-1, 3), jnp.repeat(valid | ~jnp.any(valid), 2)

@@ -1,0 +1,70 @@
+"""What a camera sees: its frustum, and the depths of the surface in it."""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._types import Scalar, Vec3
+from ...geometry import View, transform_points
+from ...raster import Surface
+
+DepthRange = Literal["camera", "surface"]
+"""Whether a layout fits maps to all depths between the camera's near and far, or to those of the surface it sees."""
+
+
+class Frustum(NamedTuple):
+    """What a camera sees.
+
+    - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
+    - `corners`: (4, 2), how far right and up of its axis the corners of its image are, at depth 1 if `is_perspective`.
+    """
+
+    eye: Vec3
+    axes: Float[Array, "3 3"]
+    corners: Float[Array, "4 2"]
+    is_perspective: bool
+
+    @classmethod
+    def of(cls, view: View) -> "Frustum":
+        turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
+        # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
+        across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
+        corners = jnp.stack(jnp.meshgrid(across(0), across(1)), axis=-1).reshape(4, 2)
+        backward = jnp.array([1.0, 1.0, -1.0])[:, None]
+        return cls(-jnp.sum(turn * shift[:, None], axis=0), turn * backward, corners, view.is_perspective)
+
+    def corners_at(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
+        """The corners of what it sees at each `depth`, in world space."""
+        depth = depth[:, None, None]
+        x, y = self.corners[:, :1], self.corners[:, 1:]
+        sides = x * self.axes[0] + y * self.axes[1]
+        return self.eye + depth * self.axes[2] + (depth * sides if self.is_perspective else sides)
+
+    def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
+        """The centres (l, 3) and radii (l,) of the least spheres about what it sees between depths.
+
+        They depend on the camera's field of view, not on its pose: in arithmetic too, so that a camera that turns does
+        not change their size.
+        """
+        k2 = jnp.max(jnp.sum(self.corners**2, axis=-1))
+        half = (end - begin) / 2
+        if not self.is_perspective:
+            middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
+        else:
+            # The sphere touches the corners of both ends; or only those of the far end, whose disk is then its middle.
+            both = (begin + end) * (1 + k2) / 2
+            radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
+            middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)
+        return self.eye + middle[:, None] * self.axes[2], radius
+
+
+def depths_of(camera: View, surface: Surface) -> tuple[Scalar, Scalar]:
+    """The least and greatest depth of a surface along the camera's axis, world units; near and far if there is none."""
+    depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
+    least = jnp.min(jnp.where(surface.mask, depth, camera.far))
+    most = jnp.max(jnp.where(surface.mask, depth, camera.near))
+    seen = most > least
+    return jnp.where(seen, least, camera.near), jnp.where(seen, most, camera.far)
