@@ -50,6 +50,23 @@ class Row(NamedTuple):
     note: str
 
 
+class Stage(NamedTuple):
+    """The scene of a configuration as the camera sees it, and its truth."""
+
+    config: Path
+    settings: Config
+    scene: geometry.Scene
+    surface: raster.Surface
+    truth: Reference
+
+    @classmethod
+    def of(cls, config: Path) -> "Stage":
+        settings = load_config(config)
+        scene = build_scene(settings)
+        truth = common.truth_of(settings, scene)
+        return cls(config, settings, scene, raster.draw_surface(scene.mesh, scene.camera), truth)
+
+
 def disk(pattern: str, samples: int = 16, more: str = "") -> tuple[str, ...]:
     """Overrides for a random disk of 4 texels."""
     return f"filter={{type: random_disk, radius: 4, pattern: {pattern}, samples: {samples}{more}}}", WIDE
@@ -163,6 +180,37 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
     ),
 }
 
+LAYOUTS = "Layouts of a map"
+SECTIONS[LAYOUTS] = (
+    Row("One map", (), "its texels are wider than the shadows"),
+    Row(
+        "Cascades",
+        ("technique={type: cascades, logarithmic: 0.9}",),
+        "four maps, whose texels stay in place as the camera moves",
+    ),
+    Row(
+        "Cascades, unstable",
+        ("technique={type: cascades, logarithmic: 0.9, stabilize: false}",),
+        "fitted to the camera's view, with finer texels",
+    ),
+    Row(
+        "Cascades, by map",
+        ("technique={type: cascades, logarithmic: 0.9, select: map}",),
+        "each receiver in the finest map that contains it",
+    ),
+    Row(
+        "Sample distribution",
+        ("technique={type: cascades, logarithmic: 1, depths: surface, stabilize: false}",),
+        "fitted to what the camera sees",
+    ),
+    Row("LiSPSM", ("technique={type: perspective_warp}",), "one map, warped towards the camera"),
+    Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "too much for what is near"),
+    Row("Trapezoidal", ("technique={type: perspective_warp, method: trapezoidal}",), ""),
+)
+SCENES_FROM = Path(__file__).parent.parent
+SCENES = {LAYOUTS: SCENES_FROM / "configs" / "corridor.yaml"}
+"""The configurations of sections that have a scene of their own."""
+
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
 
@@ -180,23 +228,23 @@ def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int 
         Number of runs per time, which is their median.
     """
     console = Console(highlight=False)
-    settings = load_config(config)
-    scene = build_scene(settings)
-    truth = common.truth_of(settings, scene)
-    surface = raster.draw_surface(scene.mesh, scene.camera)
+    stages = {
+        path: Stage.of(path) for path in (config, *(SCENES[section] for section in SECTIONS if section in SCENES))
+    }
     folder = page.parent / "images" / "gallery"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    write_reference(folder, settings, scene, surface, truth)
+    for path, stage in stages.items():
+        write_reference(folder, stage, "" if path == config else f"{path.stem}-")
     rows = [(section, row) for section, of in SECTIONS.items() for row in of]
     results = []
     for section, row in track(rows, "drawing", console=console, disable=not console.is_terminal):
-        result = draw(config, row, surface, truth, folder, repeats)
+        result = draw(stages[SCENES.get(section, config)], row, folder, repeats)
         console.print(
             f"{section}: {row.name}: RMSE {result.errors['rmse']:.4f}, {result.shadow_ms:.1f} ms", soft_wrap=True
         )
         results.append((section, row, result))
-    text = page_of(config, settings, scene, truth, results, repeats)
+    text = page_of(stages[config], stages, results, repeats)
     page.write_text(text, encoding="utf-8")
     console.print(str(page))
 
@@ -211,9 +259,9 @@ class Result(NamedTuple):
     shadow_ms: float
 
 
-def draw(config: Path, row: Row, surface: raster.Surface, truth: Reference, folder: Path, repeats: int) -> Result:
+def draw(stage: Stage, row: Row, folder: Path, repeats: int) -> Result:
     """Draws, measures and times one technique."""
-    settings = load_config(config, row.overrides)
+    settings, surface, truth = load_config(stage.config, row.overrides), stage.surface, stage.truth
     scene, technique = build_scene(settings), build_technique(settings, fitting=False)
     state = technique.prepare(scene, surface)
     image = np.asarray(technique.visibility(state, surface))
@@ -239,13 +287,12 @@ def median_ms(run: Callable[[], Any], repeats: int) -> float:
     return 1e3 * statistics.median(seconds)
 
 
-def write_reference(
-    folder: Path, settings: Config, scene: geometry.Scene, surface: raster.Surface, truth: Reference
-) -> None:
-    """Writes two images: the reference, and the scene shaded with it."""
-    io.write_png(folder / "reference.png", grey(truth.visibility, truth.mask))
-    linear = build_shading(settings)(surface, jnp.asarray(truth.visibility), scene.light, scene.camera)
-    io.write_png(folder / "shaded.png", np.clip(np.asarray(linear), 0, 1) ** (1 / 2.2))
+def write_reference(folder: Path, stage: Stage, start: str) -> None:
+    """Writes two images, whose names begin with `start`: the reference, and the scene shaded with it."""
+    truth, scene = stage.truth, stage.scene
+    io.write_png(folder / f"{start}reference.png", grey(truth.visibility, truth.mask))
+    linear = build_shading(stage.settings)(stage.surface, jnp.asarray(truth.visibility), scene.light, scene.camera)
+    io.write_png(folder / f"{start}shaded.png", np.clip(np.asarray(linear), 0, 1) ** (1 / 2.2))
 
 
 def grey(visibility: Any, mask: Any) -> np.ndarray:
@@ -261,15 +308,9 @@ def signed(visibility: Any, truth: Reference) -> np.ndarray:
     return colormaps["PuOr"](0.5 + 0.5 * np.rint(difference * LEVELS / 2) / (LEVELS / 2))[..., :3]
 
 
-def page_of(
-    config: Path,
-    settings: Config,
-    scene: geometry.Scene,
-    truth: Reference,
-    results: list[tuple[str, Row, Result]],
-    repeats: int,
-) -> str:
+def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Row, Result]], repeats: int) -> str:
     """The page in Markdown."""
+    config, settings, scene, _, truth = stage
     height, width = settings.scene.camera.resolution
     rows, columns = settings.shadow_map.resolution
     device = jax.devices()[0]
@@ -297,6 +338,8 @@ def page_of(
     ]
     for section in SECTIONS:
         lines += [f"## {section}", ""]
+        if section in SCENES:
+            lines += [*own_scene(stages[SCENES[section]]), ""]
         lines += ["| | | RMSE | SSIM | false shadow | false light | light | shadow |"]
         lines += ["|---|---|---|---|---|---|---|---|"]
         for of, row, result in results:
@@ -304,6 +347,19 @@ def page_of(
                 lines.append(table_row(row, result))
         lines.append("")
     return "\n".join(lines)
+
+
+def own_scene(stage: Stage) -> list[str]:
+    """What is said of the scene of a section that has its own."""
+    rows, columns = stage.settings.shadow_map.resolution
+    config, triangles = stage.config.relative_to(SCENES_FROM), stage.scene.mesh.faces.shape[0]
+    start = f"images/gallery/{stage.config.stem}"
+    return [
+        f"![Reference]({start}-reference.png) ![Shaded with the reference]({start}-shaded.png)",
+        "",
+        f"Another scene, `{config}`: {triangles:,} triangles under a hard sun, with the camera's far a thousand times "
+        f"its near. Each map has {columns} × {rows} texels.",
+    ]
 
 
 def table_row(row: Row, result: Result) -> str:
