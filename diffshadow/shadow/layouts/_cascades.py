@@ -17,6 +17,7 @@ from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSel
 from ...raster import SUBPIXELS, Surface
 from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout, Choice
+from ._checks import check_depths, check_light, check_margin, check_surface
 from ._frustum import DepthRange, Frustum, depths_of
 
 MOST_CASCADES = 8
@@ -157,39 +158,21 @@ class Cascades(AbstractLayout):
         beyond the camera's far plane, or distances outside of the camera's range; and for logarithmic slices of a
         camera whose near distance is not positive.
         """
-        self._check_for(light, camera, resolution)
-        if surface is None and self.needs_surface:
-            raise ValueError("the cascades split the depths of the surface, and none was given; expected a surface")
-        return _cascaded_light(self, light, camera, resolution, surface if self.needs_surface else None)
-
-    def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
-        if not light.is_directional:
-            raise ValueError(
-                f"the light is a {type(light).__name__}, which cascades cannot be fitted to; expected a directional "
-                "light: use a single map for this one"
-            )
-        if not min(resolution) > 2 * self.margin + 1:
-            raise ValueError(
-                f"the cascades have a margin of {self.margin:g} texels on each side, and maps of {resolution} texels, "
-                f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the maps, or lower margin"
-            )
-        near, far = concrete(camera.near), concrete(camera.far)
-        ends = self.distances if self.shadow_distance is None else (self.shadow_distance,)
-        known = [float(end) for end in map(concrete, ends or ()) if end is not None]
-        if near is None or far is None:
-            return
-        if known and not (near < min(known) and max(known) <= far):
-            given = "distances are" if self.shadow_distance is None else "shadow_distance is"
-            raise ValueError(
-                f"the cascades' {given} {', '.join(f'{end:g}' for end in known)}; expected depths from the camera's "
-                f"near, {float(near):g}, to its far, {float(far):g}: lower what lies beyond, or raise the camera's far"
-            )
-        share = concrete(self.logarithmic)
-        if self.distances is None and self.depths == "camera" and not near > 0 and share is not None and share > 0:
+        check_light(light)
+        check_margin(self.margin, resolution)
+        check_surface(self.needs_surface, surface)
+        if self.shadow_distance is not None:
+            check_depths("shadow_distance is", [self.shadow_distance], camera)
+        elif self.distances is not None:
+            check_depths("distances are", self.distances, camera)
+        near, share = concrete(camera.near), concrete(self.logarithmic)
+        starts_at_near = self.distances is None and self.depths == "camera"
+        if starts_at_near and near is not None and not near > 0 and share is not None and share > 0:
             raise ValueError(
                 f"the cascades' logarithmic is {float(share):g}, and the camera's near is {float(near):g}; expected a "
                 "positive near for logarithmic slices: set logarithmic to 0, or move the camera's near"
             )
+        return _cascaded_light(self, light, camera, resolution, surface if self.needs_surface else None)
 
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         assert isinstance(light, CascadedLight)

@@ -24,6 +24,7 @@ from ...geometry import (
 from ...raster import Surface
 from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout, Choice
+from ._checks import check_depths, check_light, check_margin, check_surface
 from ._frustum import DepthRange, Frustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
@@ -136,29 +137,11 @@ class PerspectiveWarp(AbstractLayout):
         distance outside of the camera's depths; for `depths` of a surface without one; and for a `strength` above 0 if
         the light shines along the camera's axis.
         """
-        self._check_for(light, camera, resolution)
-        if surface is None and self.needs_surface:
-            raise ValueError("the warp follows the depths of the surface, and none was given; expected a surface")
-        return _warped_light(self, light, camera, resolution, surface if self.needs_surface else None)
-
-    def _check_for(self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution) -> None:
-        if not light.is_directional:
-            raise ValueError(
-                f"the light is a {type(light).__name__}, whose map cannot be warped; expected a directional light: use "
-                "a single map for this one"
-            )
-        if not min(resolution) > 2 * self.margin + 1:
-            raise ValueError(
-                f"the warp has a margin of {self.margin:g} texels on each side, and a map of {resolution} texels, "
-                f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the map, or lower margin"
-            )
-        near, far = concrete(camera.near), concrete(camera.far)
-        end = None if self.shadow_distance is None else concrete(self.shadow_distance)
-        if near is not None and far is not None and end is not None and not near < end <= far:
-            raise ValueError(
-                f"the warp's shadow_distance is {end:g}; expected a depth from the camera's near, {float(near):g}, to "
-                f"its far, {float(far):g}: lower it, or raise the camera's far"
-            )
+        check_light(light)
+        check_margin(self.margin, resolution)
+        check_surface(self.needs_surface, surface)
+        if self.shadow_distance is not None:
+            check_depths("shadow_distance is", [self.shadow_distance], camera)
         strength = None if self.strength is None else concrete(self.strength)
         if strength is not None and strength > 0:
             sine = concrete(_Axes.of(light.view(), camera.view()).sine)
@@ -167,6 +150,7 @@ class PerspectiveWarp(AbstractLayout):
                     f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where "
                     'no warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
                 )
+        return _warped_light(self, light, camera, resolution, surface if self.needs_surface else None)
 
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         assert isinstance(light, WarpedLight)
