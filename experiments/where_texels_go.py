@@ -50,7 +50,7 @@ class Technique(NamedTuple):
 
 TECHNIQUES = {
     "plain": Technique("one map", "{type: shadow_map}"),
-    "warped": Technique("one map, LiSPSM", "{type: perspective_warp, depths: surface}"),
+    "warped": Technique("LiSPSM", "{type: perspective_warp, depths: surface}"),
     **{
         f"cascades{count}": Technique(
             f"{count} cascades", f"{{type: cascades, count: {count}, depths: surface, stabilize: false}}", count
@@ -137,8 +137,8 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
     for title in ("RMSE", "spacing", "bias", "slope", "99 %"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
-        numbers = (row[key] for key in ("rmse", "spacing", "bias_constant", "bias_slope", "percentile_99"))
-        cells = ("" if number is None else f"{number:.3g}" for number in numbers)
+        digits = {"rmse": 4, "spacing": 2, "bias_constant": 2, "bias_slope": 2, "percentile_99": 1}
+        cells = ("" if row[key] is None else f"{row[key]:.{n}f}" for key, n in digits.items())
         table.add_row(row["scene"], f"{math.isqrt(row['texels'])}²", TECHNIQUES[row["technique"]].title, *cells)
     console.print(table)
 
