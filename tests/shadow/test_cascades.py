@@ -101,6 +101,11 @@ def test_sample_distribution_splits_what_is_seen():
     np.testing.assert_allclose([light.begins[0], light.ends[-1]], [depth.min(), depth.max()], rtol=1e-5)
     ends = np.concatenate([light.begins[:1], light.ends])
     np.testing.assert_allclose(ends[1:] / ends[:-1], (depth.max() / depth.min()) ** (1 / 3), rtol=1e-4)
+    # A shadow distance bounds them; one before all that is seen leaves nothing to shadow, and no NaN.
+    for distance, begin in ((float(depth.max()) - 1, depth.min()), (float(camera.near) * 1.5, float(camera.near))):
+        nearer = mapping(Cascades(3, 1.0, depths="surface", shadow_distance=distance))
+        light_of_nearer = nearer.prepare(Scene(mesh, camera, sun(mesh)), surface).light
+        np.testing.assert_allclose([light_of_nearer.begins[0], light_of_nearer.ends[-1]], [begin, distance], rtol=1e-5)
     # It is drawn if it is not given.
     again = mapping(layout).prepare(Scene(mesh, camera, sun(mesh))).light
     np.testing.assert_array_equal(again.ends, light.ends)

@@ -46,7 +46,7 @@ class Cascades(AbstractLayout):
         Lefohn 2011).
     - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
     - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: all that lies before the end of its slice,
-        which wastes texels, but lets a receiver move to another cascade without a change of outline.
+        which spends texels on what finer cascades show.
     - `stabilize`: whether texels stay where they are on the scene's surfaces as the camera moves: each cascade contains
         the least sphere around its slice, whose size does not change as the camera turns, and moves by whole texels.
         Otherwise it contains the box of its slice, and no more than the light's own map does.
@@ -208,11 +208,7 @@ def _cascaded_light(
 ) -> CascadedLight:
     # A map's texels have no derivative by where it lies.
     from_camera, from_light = camera.view(), lax.stop_gradient(light.view())
-    near, far = from_camera.near, from_camera.far
-    if surface is not None:
-        near, far = depths_of(from_camera, surface)
-    if layout.shadow_distance is not None:
-        far = jnp.minimum(far, layout.shadow_distance)
+    near, far = depths_of(from_camera, surface, layout.shadow_distance)
     splits = layout.splits(near, far)
     lengths = splits[1:] - splits[:-1]
     ends = splits[1:]

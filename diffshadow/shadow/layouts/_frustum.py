@@ -61,10 +61,20 @@ class Frustum(NamedTuple):
         return self.eye + middle[:, None] * self.axes[2], radius
 
 
-def depths_of(camera: View, surface: Surface) -> tuple[Scalar, Scalar]:
-    """The least and greatest depth of a surface along the camera's axis, world units; near and far if there is none."""
-    depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
-    least = jnp.min(jnp.where(surface.mask, depth, camera.far))
-    most = jnp.max(jnp.where(surface.mask, depth, camera.near))
-    seen = most > least
-    return jnp.where(seen, least, camera.near), jnp.where(seen, most, camera.far)
+def depths_of(camera: View, surface: Surface | None, shadow_distance: Scalar | None) -> tuple[Scalar, Scalar]:
+    """The least and greatest depth along the camera's axis that maps are fitted to, world units.
+
+    **Arguments:**
+
+    - `surface`: what the camera sees, to fit maps to its depths; none for those from the camera's near to its far.
+    - `shadow_distance`: upper bound on both; none for no bound.
+    """
+    near, far = camera.near, camera.far
+    if surface is not None:
+        depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
+        near = jnp.min(jnp.where(surface.mask, depth, camera.far))
+        far = jnp.max(jnp.where(surface.mask, depth, camera.near))
+    if shadow_distance is not None:
+        far = jnp.minimum(far, shadow_distance)
+    # There may be no surface, or none within the shadow distance.
+    return jnp.where(near < far, near, camera.near), jnp.where(camera.near < far, far, camera.far)

@@ -195,8 +195,7 @@ def _warped_light(
 ) -> WarpedLight:
     # A map's texels have no derivative by where it lies.
     from_camera, from_light = lax.stop_gradient((camera.view(), light.view()))
-    near, far = (from_camera.near, from_camera.far) if surface is None else depths_of(from_camera, surface)
-    end = far if layout.shadow_distance is None else lax.stop_gradient(jnp.minimum(far, layout.shadow_distance))
+    near, end = lax.stop_gradient(depths_of(from_camera, surface, layout.shadow_distance))
     from_camera = eqx.tree_at(lambda view: (view.near, view.far), from_camera, (near, end))
     axes, frustum = _Axes.of(from_light, from_camera), Frustum.of(from_camera)
     points, valid = _common_points(from_light, from_camera, frustum)
@@ -205,7 +204,7 @@ def _warped_light(
     low, high = _range(y, valid, smallest)
     strength = layout.strength
     if strength is None:
-        depth = jnp.where(valid, -transform_points(from_camera.world_to_eye, points)[..., 2], far)
+        depth = jnp.where(valid, -transform_points(from_camera.world_to_eye, points)[..., 2], end)
         strength = _strength(layout, from_camera, depth, (y - low) / (high - low), (high - low) * axes.sine)
     # Margins in texels, as fractions of what is within them.
     across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
@@ -300,18 +299,18 @@ def _common_points(light: View, camera: View, frustum: Frustum) -> tuple[Float[A
     of_camera = frustum.corners_at(jnp.stack([camera.near, camera.far])).reshape(8, 3)[_EDGES]
     of_light = Frustum.of(light).corners_at(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
     parts = (
-        _cut(of_camera, _to_planes(light, of_camera, light.near, light.far)),
-        _cut(of_light, _to_planes(camera, of_light, camera.near, camera.far)),
+        _cut(of_camera, _to_planes(light, of_camera)),
+        _cut(of_light, _to_planes(camera, of_light)),
     )
     points, valid = (jnp.concatenate(each) for each in zip(*parts, strict=True))
     return points.reshape(-1, 3), jnp.repeat(valid | ~jnp.any(valid), 2)
 
 
-def _to_planes(view: View, points: Float[Array, "*n 3"], near: Scalar, far: Scalar) -> Float[Array, "*n 6"]:
+def _to_planes(view: View, points: Float[Array, "*n 3"]) -> Float[Array, "*n 6"]:
     """How far inside the planes of a view's frustum the `points` lie; linear along lines."""
     clip, depth = view.clip(points), -transform_points(view.world_to_eye, points)[..., 2]
     x, y, w = clip[..., 0], clip[..., 1], clip[..., 3]
-    return jnp.stack([w + x, w - x, w + y, w - y, depth - near, far - depth], axis=-1)
+    return jnp.stack([w + x, w - x, w + y, w - y, depth - view.near, view.far - depth], axis=-1)
 
 
 def _cut(
