@@ -350,7 +350,7 @@ def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Ro
 
 
 def own_scene(stage: Stage) -> list[str]:
-    """What is said of the scene of a section that has its own."""
+    """The pictures of a scene that one section alone uses, and a sentence on it."""
     rows, columns = stage.settings.shadow_map.resolution
     config, triangles = stage.config.relative_to(SCENES_FROM), stage.scene.mesh.faces.shape[0]
     start = f"images/gallery/{stage.config.stem}"
