@@ -71,6 +71,8 @@ def test_perspective_and_projection_are_factors():
     np.testing.assert_allclose(np.asarray(found.extent)[mask], texel / sine, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(found.least_extent)[mask], texel, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(found.perspective_extent)[mask], texel, rtol=1e-4)
+    # A surface that leans as much to either has texels of the same area in both views.
+    np.testing.assert_allclose(np.abs(np.linalg.det(np.asarray(found.perspective)[mask])), texel**2, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(found.projection_extent)[mask], 1 / sine, rtol=1e-4)
 
 
