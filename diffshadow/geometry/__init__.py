@@ -25,6 +25,7 @@ from ._transforms import orthographic as orthographic
 from ._transforms import perspective as perspective
 from ._transforms import rotation as rotation
 from ._transforms import scaling as scaling
+from ._transforms import tangents as tangents
 from ._transforms import transform_points as transform_points
 from ._transforms import transform_vectors as transform_vectors
 from ._transforms import translation as translation

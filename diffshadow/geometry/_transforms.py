@@ -101,3 +101,18 @@ def transform_vectors(matrix: Float[Array, "*m 4 4"], vectors: Float[Array, "*n 
 def _linear(m: Float[Array, "*m r 3"], v: Float[Array, "*n 3"]) -> Float[Array, "*k r"]:
     # Written out, since some backends lower the precision of matrix products.
     return v[..., 0:1] * m[..., :, 0] + v[..., 1:2] * m[..., :, 1] + v[..., 2:3] * m[..., :, 2]
+
+
+def tangents(unit: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
+    """Two unit vectors orthogonal to `unit` and to each other.
+
+    Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6(1), 2017.
+    """
+    x, y, z = jnp.moveaxis(unit, -1, 0)
+    sign = jnp.where(z < 0, -1.0, 1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return (
+        jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1),
+        jnp.stack([b, sign + y * y * a, -y], axis=-1),
+    )

@@ -75,6 +75,10 @@ class View(eqx.Module):
         matrices = lambda view: (view.world_to_eye, view.eye_to_clip)
         return eqx.tree_at(matrices, self, (world_to_eye, eye_to_clip))
 
+    def distance(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """Distance of `points` (..., 3) along the view axis, in world units; negative behind the eye."""
+        return -transform_points(self.world_to_eye, points)[..., 2]
+
     def eye_depth(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Distance along the view axis, in world units, of window `depth`."""
         if self.is_perspective:

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._misc import dot, normalize, safe_divide, safe_norm
 from .._types import Mask, TexelMap, VectorMap
-from ..geometry import AbstractCamera
+from ..geometry import AbstractCamera, tangents
 from ..raster import Surface
 from ._map import ShadowMap
 from ._receiver import project
@@ -86,7 +86,6 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     points = jnp.where(surface.mask[..., None], surface.position, camera.target)
     to_light = normalize(shadow_map.light.towards(points))
     to_camera = normalize(camera.eye - points) if view.is_perspective else view.world_to_eye[2, :3]
-    # Twice orthogonal, and of no use, where light and camera are opposite.
     half_way = normalize(to_light + to_camera)
     at, _, in_front = project(shadow_map, points, choice.layer)
     height, width = shadow_map.resolution
@@ -94,21 +93,12 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
     mask = mask if choice.strength is None else mask & (choice.strength > 0)
     normals = jnp.stack([surface.normal, half_way])
-    right = _orthogonal(normals)
-    tangents = jnp.stack([right, jnp.cross(normals, right)])
-    moved = lambda project: jax.vmap(jax.vmap(lambda t: jax.jvp(project, (points,), (t,))[1]))(tangents)
+    ways = jnp.stack(tangents(normals))
+    moved = lambda project: jax.vmap(jax.vmap(lambda way: jax.jvp(project, (points,), (way,))[1]))(ways)
     # Axes: the tangent, the normal, then (h, w, 2).
     pixels, texels = (jnp.moveaxis(moved(project), 0, -1) for project in (pixel, texel))
     whole, perspective = _divided(pixels, texels)
     return Aliasing(whole, perspective, mask)
-
-
-def _orthogonal(normal: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """A unit vector orthogonal to each unit `normal`."""
-    x, y, z = jnp.moveaxis(normal, -1, 0)
-    is_steep, zero = jnp.abs(y) > 0.7, jnp.zeros_like(x)
-    first, second = jnp.stack([zero, z, -y], axis=-1), jnp.stack([z, zero, -x], axis=-1)
-    return normalize(jnp.where(is_steep[..., None], first, second))
 
 
 def _divided(numerator: Float[Array, "*n 2 2"], denominator: Float[Array, "*n 2 2"]) -> Float[Array, "*n 2 2"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Resolution, Scalar, Visibility
-from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge, transform_points
+from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge
 from ...raster import Surface, draw_surface
 from ...reference import Reference
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
@@ -259,7 +259,7 @@ def _texel_in_pixels(
     """How many pixels wide a map's texel is at half of the points, or more."""
 
     def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
-        distance = -transform_points(view.world_to_eye, points)[..., 2]
+        distance = view.distance(points)
         return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
 
     layer = light.layer(points)

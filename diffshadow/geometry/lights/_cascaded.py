@@ -5,7 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..._types import Vec2
 from .._view import View
@@ -77,7 +77,3 @@ class CascadedLight(AbstractFittedLight):
         at = self.scale[layer] * own[..., :2] + self.offset[layer]
         inside = 1 - self.margin - jnp.abs(at)
         return jnp.minimum(inside[..., 0], inside[..., 1])
-
-    def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
-        """Which of `points` are no deeper than the last cascade's end."""
-        return self.depth(points) <= self.ends[-1]

@@ -4,7 +4,6 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from .._transforms import transform_points
 from .._view import View
 from ._abstract import AbstractLight, Domain
 
@@ -21,7 +20,7 @@ class AbstractFittedLight(AbstractLight):
 
     def depth(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """The depth of `points` (..., 3) along the camera's axis, in world units."""
-        return -transform_points(self.camera.world_to_eye, points)[..., 2]
+        return self.camera.distance(points)
 
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         return self.light.cone_fraction(points)

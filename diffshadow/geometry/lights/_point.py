@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from ..._misc import as_float, concrete, normalize, safe_norm
 from ..._types import Resolution, Scalar, Vec3
 from .._camera import check_near_far
-from .._transforms import perspective
+from .._transforms import perspective, tangents
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_position, check_size
 from ._frustum import near_far
@@ -126,7 +126,7 @@ class PointLight(AbstractLight):
         squared = (1 - sine) * (1 + sine)
         cosine = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
         w = normalize(centre)
-        right, up = _across(w)
+        right, up = tangents(w)
         on_disk = sample[..., 0:1] * right + sample[..., 1:2] * up
         return centre - self.radius * sine * w + self.radius * cosine * on_disk
 
@@ -141,18 +141,3 @@ class PointLight(AbstractLight):
     @property
     def has_size(self) -> bool:
         return float(self.radius) > 0
-
-
-def _across(unit: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
-    """Two unit vectors orthogonal to `unit` and to each other.
-
-    Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6(1), 2017.
-    """
-    x, y, z = jnp.moveaxis(unit, -1, 0)
-    sign = jnp.where(z < 0, -1.0, 1.0)
-    a = -1 / (sign + z)
-    b = x * y * a
-    return (
-        jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1),
-        jnp.stack([b, sign + y * y * a, -y], axis=-1),
-    )

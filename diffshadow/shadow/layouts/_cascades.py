@@ -1,7 +1,6 @@
 """Cascaded shadow maps (Engel, "Cascaded Shadow Maps", ShaderX5, 2006), also called parallel-split shadow maps (Zhang,
 Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments", VRCIA 2006)."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -16,8 +15,8 @@ from ..._types import Resolution, Scalar, Vec2
 from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
 from ...raster import SUBPIXELS, Surface
 from ..biases._abstract import check_choice
-from ._abstract import AbstractLayout, Choice
-from ._checks import check_depths, check_light, check_margin, check_surface
+from ._abstract import Choice
+from ._fitted import AbstractFittedLayout, check_depths
 from ._frustum import DepthRange, Frustum, depths_of
 
 MOST_CASCADES = 8
@@ -29,7 +28,7 @@ _LEAST_BLEND = 1e-6
 CascadeFit = Literal["cascade", "scene"]
 
 
-class Cascades(AbstractLayout):
+class Cascades(AbstractFittedLayout):
     """Cascades for a directional light: the camera's view is split by depth into slices, and each slice has a map of
     its own, in the layers of one.
 
@@ -103,15 +102,13 @@ class Cascades(AbstractLayout):
     def __check_init__(self):
         if not 1 <= self.count <= MOST_CASCADES:
             raise ValueError(f"the cascades' count is {self.count}; expected 1 to {MOST_CASCADES}")
-        for name, choices in (("depths", DepthRange), ("fit", CascadeFit), ("select", CascadeSelection)):
+        for name, choices in (("fit", CascadeFit), ("select", CascadeSelection)):
             check_choice(f"the cascades' {name}", getattr(self, name), choices.__args__)
         shares = {"logarithmic": self.logarithmic, "max_blend": self.max_blend, "blend": self.blend, "fade": self.fade}
         for name, share in shares.items():
             known, most = concrete(share), self.max_blend if name == "blend" else 1.0
             if known is not None and not 0 <= known <= most:
                 raise ValueError(f"the cascades' {name} is {known}; expected 0 to {most:g}")
-        if not (self.margin >= 0 and math.isfinite(self.margin)):
-            raise ValueError(f"the cascades' margin is {self.margin}; expected 0 or more texels")
         if self.distances is not None:
             self._check_distances(self.distances)
 
@@ -127,10 +124,6 @@ class Cascades(AbstractLayout):
                 f"the cascades' distances are {[float(each) for each in distances]}; expected each to be greater than "
                 "the one before: sort them, and remove those that occur twice"
             )
-
-    @property
-    def needs_surface(self) -> bool:
-        return self.depths == "surface"
 
     def splits(self, near: Scalar, far: Scalar) -> Float[Array, " k"]:
         """Where the slices of depths from `near` to `far` begin and end, (count + 1,), in world units."""
@@ -158,12 +151,8 @@ class Cascades(AbstractLayout):
         beyond the camera's far plane, or distances outside of the camera's range; and for logarithmic slices of a
         camera whose near distance is not positive.
         """
-        check_light(light)
-        check_margin(self.margin, resolution)
-        check_surface(self.needs_surface, surface)
-        if self.shadow_distance is not None:
-            check_depths("shadow_distance is", [self.shadow_distance], camera)
-        elif self.distances is not None:
+        self.check(light, camera, resolution, surface)
+        if self.distances is not None:
             check_depths("distances are", self.distances, camera)
         near, share = concrete(camera.near), concrete(self.logarithmic)
         starts_at_near = self.distances is None and self.depths == "camera"

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._types import Scalar, Vec3
-from ...geometry import View, transform_points
+from ...geometry import View
 from ...raster import Surface
 
 DepthRange = Literal["camera", "surface"]
@@ -71,7 +71,7 @@ def depths_of(camera: View, surface: Surface | None, shadow_distance: Scalar | N
     """
     near, far = camera.near, camera.far
     if surface is not None:
-        depth = lax.stop_gradient(-transform_points(camera.world_to_eye, surface.position)[..., 2])
+        depth = lax.stop_gradient(camera.distance(surface.position))
         near = jnp.min(jnp.where(surface.mask, depth, camera.far))
         far = jnp.max(jnp.where(surface.mask, depth, camera.near))
     if shadow_distance is not None:

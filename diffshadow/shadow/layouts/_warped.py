@@ -1,7 +1,6 @@
 """Light space perspective shadow maps (Wimmer, Scherzer & Purgathofer, "Light Space Perspective Shadow Maps", EGSR
 2004), and other warps of the same family."""
 
-import math
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -23,8 +22,8 @@ from ...geometry import (
 )
 from ...raster import Surface
 from ..biases._abstract import check_choice
-from ._abstract import AbstractLayout, Choice
-from ._checks import check_depths, check_light, check_margin, check_surface
+from ._abstract import Choice
+from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange, Frustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
@@ -43,7 +42,7 @@ _EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k 
 WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 
 
-class PerspectiveWarp(AbstractLayout):
+class PerspectiveWarp(AbstractFittedLayout):
     """One map for a directional light, warped by a perspective so that what is close to the camera gets more texels.
 
     The map shows what the camera sees of what the light's own map shows. Its y axis follows the camera's view, and a
@@ -108,18 +107,11 @@ class PerspectiveWarp(AbstractLayout):
 
     def __check_init__(self):
         check_choice("the warp's method", self.method, WarpMethod.__args__)
-        check_choice("the warp's depths", self.depths, DepthRange.__args__)
         strength, focus = None if self.strength is None else concrete(self.strength), concrete(self.focus)
         if strength is not None and not (strength >= 0 and np.isfinite(strength)):
             raise ValueError(f"the warp's strength is {strength}; expected 0 or more")
         if focus is not None and not 0 < focus <= 1:
             raise ValueError(f"the warp's focus is {focus}; expected more than 0, and at most 1")
-        if not (self.margin >= 0 and math.isfinite(self.margin)):
-            raise ValueError(f"the warp's margin is {self.margin}; expected 0 or more texels")
-
-    @property
-    def needs_surface(self) -> bool:
-        return self.depths == "surface"
 
     def light(
         self,
@@ -137,11 +129,7 @@ class PerspectiveWarp(AbstractLayout):
         distance outside of the camera's depths; for `depths` of a surface without one; and for a `strength` above 0 if
         the light shines along the camera's axis.
         """
-        check_light(light)
-        check_margin(self.margin, resolution)
-        check_surface(self.needs_surface, surface)
-        if self.shadow_distance is not None:
-            check_depths("shadow_distance is", [self.shadow_distance], camera)
+        self.check(light, camera, resolution, surface)
         strength = None if self.strength is None else concrete(self.strength)
         if strength is not None and strength > 0:
             sine = concrete(_Axes.of(light.view(), camera.view()).sine)
@@ -204,7 +192,7 @@ def _warped_light(
     low, high = _range(y, valid, smallest)
     strength = layout.strength
     if strength is None:
-        depth = jnp.where(valid, -transform_points(from_camera.world_to_eye, points)[..., 2], end)
+        depth = jnp.where(valid, from_camera.distance(points), end)
         strength = _strength(layout, from_camera, depth, (y - low) / (high - low), (high - low) * axes.sine)
     # Margins in texels, as fractions of what is within them.
     across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
@@ -308,7 +296,7 @@ def _common_points(light: View, camera: View, frustum: Frustum) -> tuple[Float[A
 
 def _to_planes(view: View, points: Float[Array, "*n 3"]) -> Float[Array, "*n 6"]:
     """How far inside the planes of a view's frustum the `points` lie; linear along lines."""
-    clip, depth = view.clip(points), -transform_points(view.world_to_eye, points)[..., 2]
+    clip, depth = view.clip(points), view.distance(points)
     x, y, w = clip[..., 0], clip[..., 1], clip[..., 3]
     return jnp.stack([w + x, w - x, w + y, w - y, depth - view.near, view.far - depth], axis=-1)
 

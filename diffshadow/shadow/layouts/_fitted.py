@@ -1,0 +1,68 @@
+"""Layouts that are fitted to what a camera sees."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+
+from ..._misc import concrete
+from ..._types import Resolution, Scalar
+from ...geometry import AbstractCamera, AbstractLight
+from ...raster import Surface
+from ..biases._abstract import check_choice
+from ._abstract import AbstractLayout
+from ._frustum import DepthRange
+
+
+class AbstractFittedLayout(AbstractLayout):
+    """A layout for directional lights that is fitted to what a camera sees.
+
+    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
+        the camera's far.
+    - `depths`: which depths it is fitted to.
+    - `margin`: how far maps extend beyond what the camera sees, in texels.
+    """
+
+    shadow_distance: eqx.AbstractVar[Scalar | None]
+    depths: eqx.AbstractVar[DepthRange]
+    margin: eqx.AbstractVar[float]
+
+    def __check_init__(self):
+        check_choice("the layout's depths", self.depths, DepthRange.__args__)
+        if not (self.margin >= 0 and math.isfinite(self.margin)):
+            raise ValueError(f"the layout's margin is {self.margin}; expected 0 or more texels")
+
+    @property
+    def needs_surface(self) -> bool:
+        return self.depths == "surface"
+
+    def check(
+        self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution, surface: Surface | None
+    ) -> None:
+        """**Raises** `ValueError` unless the light is directional, maps of `resolution` have texels within their
+        margin, the shadow distance lies within the camera's depths, and there is a surface if one is needed."""
+        if not light.is_directional:
+            raise ValueError(
+                f"the light is a {type(light).__name__}, whose map cannot be fitted to a camera; expected a "
+                "directional light: use a single map for this one"
+            )
+        if not min(resolution) > 2 * self.margin + 1:
+            raise ValueError(
+                f"the layout has a margin of {self.margin:g} texels on each side, and maps of {resolution} texels, "
+                f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the maps, or lower margin"
+            )
+        if self.needs_surface and surface is None:
+            raise ValueError("the layout follows the depths of the surface, and none was given; expected a surface")
+        if self.shadow_distance is not None:
+            check_depths("shadow_distance is", [self.shadow_distance], camera)
+
+
+def check_depths(what: str, depths: Sequence[Scalar], camera: AbstractCamera) -> None:
+    """**Raises** `ValueError` if `depths`, which `what` names, are known and not within the camera's near and far."""
+    near, far = concrete(camera.near), concrete(camera.far)
+    known = [float(depth) for depth in map(concrete, depths) if depth is not None]
+    if near is not None and far is not None and known and not (near < min(known) and max(known) <= far):
+        raise ValueError(
+            f"the layout's {what} {', '.join(f'{depth:g}' for depth in known)}; expected depths from the camera's "
+            f"near, {float(near):g}, to its far, {float(far):g}: lower what lies beyond, or raise the camera's far"
+        )
