@@ -179,19 +179,19 @@ def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:
     """
     plan = build_fit(settings)
     try:
-        return fit.fit(problem, plan.parameters, solver=plan.solver, anneal=plan.anneal)
+        return fit.fit(problem, plan.parameters, solver=plan.solver, anneal=plan.anneal, evaluations=plan.evaluations)
     except ValueError as error:
         raise mistake(settings, "fit", str(error)) from error
 
 
 def rmse(problem: fit.TechniqueProblem, technique: Any = None) -> float:
     """The error of a problem's technique, or of another one instead, over the pixels that count."""
-    return float(jnp.sqrt(_mean_square(problem, problem.technique if technique is None else technique)))
+    return float(jnp.sqrt(_mean_square(problem.padded(), problem.technique if technique is None else technique)))
 
 
 def visibility(problem: fit.TechniqueProblem, technique: Any = None) -> np.ndarray:
     """The visibility by a problem's technique, or by another one instead: (h, w)."""
-    return np.asarray(_visibility(problem, problem.technique if technique is None else technique))
+    return np.asarray(_visibility(problem.padded(), problem.technique if technique is None else technique))
 
 
 _visibility = eqx.filter_jit(lambda problem, technique: technique.visibility(problem.shadow_map, problem.surface))

@@ -23,16 +23,13 @@ from cyclopts import App
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import minimize_scalar
 
-from diffshadow import fit, metrics
+from diffshadow import metrics
 from diffshadow.config import load_config
 
 NAME = "where_texels_go"
-SEARCHES = 8
-"""How often the error is evaluated to find the spacing of the cascades."""
 SPACING = "technique.logarithmic"
-BIAS = "fit.parameters={bias.constant: {lower: 0, upper: 8}, bias.slope: {lower: 0, upper: 8}}"
+FITTED = "bias.constant: {lower: 0, upper: 8}, bias.slope: {lower: 0, upper: 8}"
 
 
 class Technique(NamedTuple):
@@ -43,9 +40,10 @@ class Technique(NamedTuple):
     maps: int = 1
 
     @property
-    def is_spaced(self) -> bool:
-        """Whether the spacing of its maps is searched for."""
-        return self.maps > 1
+    def parameters(self) -> str:
+        """What is fitted: the bias, and the spacing of several maps."""
+        spacing = f", {SPACING}: {{lower: 0, upper: 1}}" if self.maps > 1 else ""
+        return f"fit.parameters={{{FITTED}{spacing}}}"
 
 
 TECHNIQUES = {
@@ -107,24 +105,15 @@ def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, float
     """The error of a technique with its best settings, those settings, and how large its texels are on the screen."""
     technique = TECHNIQUES[name]
     side = int(size / math.sqrt(technique.maps))
-
-    def problem(spacing: float | None = None) -> fit.TechniqueProblem:
-        spaced = [] if spacing is None else [f"{SPACING}={spacing:.4f}"]
-        overrides = [f"technique={technique.section}", f"shadow_map.resolution=[{side}, {side}]", BIAS, *spaced]
-        return common.problem_of(case, load_config(path, overrides))
-
-    spacing = None
-    if technique.is_spaced:
-        error = lambda spacing: common.rmse(problem(float(spacing)))
-        spacing = float(minimize_scalar(error, (0, 1), (0, 1), method="bounded", options={"maxiter": SEARCHES}).x)
-    made = problem(spacing)
-    settings = load_config(path, [f"technique={technique.section}", BIAS])
-    found = common.run_fit(settings, made)
-    extents = made.technique.aliasing(made.shadow_map, case.surface, case.scene.camera)
+    overrides = [f"technique={technique.section}", f"shadow_map.resolution=[{side}, {side}]", technique.parameters]
+    settings = load_config(path, overrides)
+    found = common.run_fit(settings, common.problem_of(case, settings))
+    made: Any = found.problems[0]
+    extents = found.technique.aliasing(made.shadow_map, case.surface, case.scene.camera)
     return {
         "rmse": common.rmse(made, found.technique),
-        "spacing": spacing,
-        **{key.replace(".", "_"): value for key, value in found.fitted.items()},
+        "spacing": found.fitted.get(SPACING),
+        **{key.replace(".", "_"): value for key, value in found.fitted.items() if key != SPACING},
         "percentile_99": metrics.measure_aliasing(extents.extent, extents.mask).percentile_99,
     }
 

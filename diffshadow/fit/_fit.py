@@ -32,7 +32,7 @@ class FitResult(NamedTuple):
     - `precision`: how well the values are determined; none if the start was best.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
-    - `problems`: those that were fitted, with the memory for silhouettes that it needed.
+    - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
     technique: ShadowMapping
@@ -65,9 +65,13 @@ def fit(
     levels: Sequence[int] | None = None,
     starts: int = 1,
     seed: int = 0,
+    evaluations: int = 30,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
+
+    Numbers that lay out the map, such as the spacing of cascades, are found by a bounded search, since visibility has
+    no useful derivative with respect to them; all others by gradient.
 
     The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each, and
     the best of these is the result: a fit never ends worse than it began.
@@ -82,17 +86,20 @@ def fit(
     - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The last level
         continues the best of them by the hard compare.
     - `seed`: of the starts.
+    - `evaluations`: how often the error is evaluated in the search for numbers that lay out the map.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, `solver`, `anneal`, `levels` or `starts` hold values that make no sense, no pixel counts,
-    or the visibility is not finite at the start.
+    technique does not allow, `solver`, `anneal`, `levels`, `starts` or `evaluations` hold values that make no sense, no
+    pixel counts, or the visibility is not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
     fitted, joint = Parameters.of(parameters), Joint.of(problem)
     check_solver(solver)
     check_anneal(anneal)
+    if evaluations < 1:
+        raise ValueError(f"{evaluations} evaluations were requested for the search; expected 1 or more")
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
     initial = as_float([p.initial for p in parameters])
@@ -100,11 +107,11 @@ def fit(
     began = time.perf_counter()
     joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, levels)
-    run = Run(parameters, phases[-1].joint.hard(), phases, solver, on_step)
+    run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, on_step)
     with run.reporter:
         path, tried = run.through(spread)
     best = path.chosen(solver.noise or 0.0)
-    end = run.judge.put(fitted, as_float(path.values[best]))
+    end = run.judged_at(as_float(path.values[best]))
     return FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),

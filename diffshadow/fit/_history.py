@@ -95,7 +95,11 @@ class Reporter:
 
     def add(self, loss: float, y: np.ndarray) -> None:
         """One more evaluation, of `loss` at the free values `y` (a,) of the active parameters."""
-        step = Step(self.phase, self.step, self.width, loss / self.scale**2, self._values(y), self.start)
+        self.record(loss / self.scale**2, self._values(y))
+
+    def record(self, loss: float, values: tuple[float, ...]) -> None:
+        """One more evaluation, of `loss` at `values` (p,) of all parameters."""
+        step = Step(self.phase, self.step, self.width, loss, values, self.start)
         self.step += 1
         self.history.append(step)
         if self.on_step is not None:

@@ -101,9 +101,9 @@ class Parameters(eqx.Module):
         return self.at(self.fraction(y))
 
     @eqx.filter_jit
-    def to_free(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The inverse of `to_bounded`, for values moved off the bounds by at least 1 % of their distance."""
-        fraction = jnp.clip((x - self.lower) / (self.upper - self.lower), _INSET, 1 - _INSET)
+    def to_free(self, x: Float[Array, " p"], *, inset: float = _INSET) -> Float[Array, " p"]:
+        """The inverse of `to_bounded`, for values moved off the bounds by at least `inset` of their distance."""
+        fraction = jnp.clip((x - self.lower) / (self.upper - self.lower), inset, 1 - inset)
         return jnp.arcsin(2 * fraction - 1)
 
 

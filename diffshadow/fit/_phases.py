@@ -4,6 +4,10 @@ The hard compare has no gradient with respect to bias, so the fit of a technique
 shrinks geometrically from phase to phase. Where lights or meshes move, phases go from coarse images and maps to fine
 ones under the hard compare, since silhouettes have derivatives whatever the compare; only a bias that is fitted as well
 needs the soft one, at the end. The last phase is repeated under less blur, which is more accurate but sees less far.
+
+The error has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades. They
+are found by a search under the hard compare, before the others are fitted. A shorter search about the result follows,
+and the last phase once more.
 """
 
 import dataclasses
@@ -21,6 +25,8 @@ from .problems import AbstractProblem, Joint, PoseProblem, levels_of
 
 # Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
+# The part of the bounds in which the second search looks, and its part of the evaluations.
+_REFINED = 0.25
 
 
 class Phase(NamedTuple):
@@ -30,12 +36,14 @@ class Phase(NamedTuple):
     - `active`: the indices of the parameters that it changes.
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels.
+    - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
     """
 
     joint: Joint
     active: tuple[int, ...]
     width: float
     level: int = 1
+    searched: float = 0.0
 
     @property
     def program(self) -> tuple[object, ...]:
@@ -51,15 +59,25 @@ class Phase(NamedTuple):
 def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequence[int] | None) -> list[Phase]:
     """The phases of a fit of the numbers at `paths`.
 
-    **Raises** `ValueError` if the levels do not suit the problems.
+    **Raises** `ValueError` if the levels do not suit the problems, or a number lays out maps while lights or meshes
+    move.
     """
-    every = tuple(range(len(paths)))
-    annealed = [Phase(joint.with_compare(SoftCompare(width, anneal.kernel)), every, width) for width in anneal.widths]
+    searched = tuple(i for i, path in enumerate(paths) if joint.searched(path))
+    smooth = tuple(i for i in range(len(paths)) if i not in searched)
+    annealed = [Phase(joint.with_compare(SoftCompare(width, anneal.kernel)), smooth, width) for width in anneal.widths]
     if joint.moves:
+        if searched:
+            raise ValueError(
+                f"{paths[searched[0]]} is found by a search, and lights or meshes move; expected a fit of one or the "
+                "other: leave it out, or fit it first"
+            )
         return _phases_of_poses(joint, paths, annealed, levels)
     if levels is not None:
         raise ValueError("got levels, but no light or mesh moves; expected none: they are for fits of poses")
-    return annealed
+    if not searched:
+        return annealed
+    search = Phase(joint.hard(), searched, 0.0, searched=1.0)
+    return [search, *annealed, search._replace(searched=_REFINED), annealed[-1]] if smooth else [search]
 
 
 def _phases_of_poses(

@@ -16,6 +16,7 @@ from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
 from ._precision import Precision, precision_of
 from ._programs import compiled
+from ._search import search
 from ._solve import Solution, solve
 from .problems import Joint
 from .solvers import Solver
@@ -28,6 +29,8 @@ _NEVER_ENOUGH = (
 )
 # Mean square errors below this count as 0.
 _LEAST_LOSS = 1e-10
+# The error of layouts that do not suit the scene: visibility cannot be wrong by more than 1.
+_UNSUITABLE = 1.0
 
 
 class Outcome(NamedTuple):
@@ -36,11 +39,14 @@ class Outcome(NamedTuple):
     - `width`: of its soft compare, in texels; 0 for the hard one.
     - `steps`: number of solver steps.
     - `result`: `"successful"`, `"max_steps reached"`, or what the solver reports as wrong.
-    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance.
+    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance; 0 for a
+        search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
     - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels; `blur`: the standard
         deviation, in such pixels, of the Gaussian under which images were compared, 0 where nothing moves.
+    - `searched`: the part of the bounds in which it searched for numbers without a derivative; 0 for a phase by
+        gradient. Its steps are evaluations of the error.
     """
 
     width: float
@@ -51,6 +57,7 @@ class Outcome(NamedTuple):
     values: tuple[float, ...]
     level: int = 1
     blur: float = 0.0
+    searched: float = 0.0
 
 
 class Start(NamedTuple):
@@ -68,14 +75,14 @@ class Start(NamedTuple):
 class Path(NamedTuple):
     """The course of one start: free values, values and the judge's losses at the start and after each phase.
 
-    `ends` holds the phases so far and their solutions.
+    `ends` holds the phases so far and their solutions, none for a search.
     """
 
     free: list[Float[Array, " p"]]
     values: list[tuple[float, ...]]
     losses: list[float]
     outcomes: list[Outcome]
-    ends: list[tuple[Phase, Solution]]
+    ends: list[tuple[Phase, Solution | None]]
 
     def chosen(self, noise: float) -> int:
         """The index of the best values: the last whose loss exceeds the least by no more than this fraction of it.
@@ -93,6 +100,7 @@ class Run:
     - `judge`: the problems at full resolution under the hard compare. It sees the start and the end of every phase, and
         the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
+    - `evaluations`: of the error in a search.
     - `history`: every evaluation so far, in order.
     """
 
@@ -102,10 +110,11 @@ class Run:
         judge: Joint,
         phases: list[Phase],
         solver: Solver,
+        evaluations: int,
         on_step: Callable[[Step], None] | None,
     ):
         self.names, self.parameters = tuple(p.name for p in parameters), Parameters.of(parameters)
-        self.judge, self.phases, self.solver = judge, phases, solver
+        self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.reporter = Reporter(self.parameters, self.history, on_step)
         self.slopes = np.zeros(len(parameters))
@@ -129,10 +138,11 @@ class Run:
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
     def precision(self, path: Path, chosen: int) -> Precision | None:
-        """How well the chosen phase determines what it fitted; none if the start was better than all phases."""
-        if chosen < 0:
+        """How well the chosen phase determines what it fitted; none if it was a search, or the start was better than
+        all phases."""
+        phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
+        if phase is None or solution is None:
             return None
-        phase, solution = path.ends[chosen]
         span = np.asarray(self.parameters.upper - self.parameters.lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
         on_host = lambda images: [np.asarray(image) for image in images]
@@ -159,6 +169,8 @@ class Run:
 
     def _continued(self, number: int, path: Path) -> Path:
         """`path`, and one phase more from its end."""
+        if self.phases[number].searched:
+            return self._searched(number, path)
         phase, free = self.phases[number], path.free[-1]
         active = np.asarray(phase.active)
         # Relative residuals, so that the solver's tolerances mean the same whatever the size of the errors.
@@ -179,16 +191,60 @@ class Run:
             [*path.ends, (self.phases[number], solution)],
         )
 
+    def _searched(self, number: int, path: Path) -> Path:
+        """`path`, and a search from its end."""
+        phase, free, values = self.phases[number], path.free[-1], as_float(path.values[-1])
+        active = np.asarray(phase.active)
+        at, on_host = self.parameters[phase.active], lambda array: np.asarray(array, np.float64)
+        self.reporter.begin(number, phase.width, np.asarray(free), active)
+
+        def error(tried: np.ndarray) -> float:
+            at_tried = _replaced(values, active, as_float(tried))
+            try:
+                loss, _ = self._judged(at_tried)
+            except ValueError:
+                # Within the bounds, but for example distances that do not increase.
+                loss = _UNSUITABLE
+            self.reporter.record(loss, tuple(at_tried.tolist()))
+            return loss
+
+        # An error in a part of the box needs fewer evaluations.
+        evaluations = max(round(self.evaluations * phase.searched**0.5), 1)
+        start = on_host(values)[active]
+        found = search(error, start, on_host(at.lower), on_host(at.upper), evaluations, phase.searched)
+        if (found.values != start).any():
+            values = _replaced(values, active, as_float(found.values))
+            free = _replaced(free, active, at.to_free(as_float(found.values), inset=0.0))
+        self.slopes[active] = np.inf
+        loss, hard_loss = self._judged(values)
+        at_end = tuple(values.tolist())
+        outcome = Outcome(0.0, found.evaluations, "successful", 0.0, hard_loss, at_end, searched=phase.searched)
+        return Path(
+            [*path.free, free],
+            [*path.values, at_end],
+            [*path.losses, loss],
+            [*path.outcomes, outcome],
+            [*path.ends, (phase, None)],
+        )
+
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
-        joint = phase.joint.put(self.parameters, self.parameters.to_bounded(free)).each(lambda p: p.padded())
+        values = self.parameters.to_bounded(free)
+        joint = phase.joint if self.judge.moves else Joint(phase.joint.subject, self.judged_at(values).problems)
+        joint = joint.put(self.parameters, values).each(lambda p: p.padded())
         y = jnp.asarray(np.asarray(free)[np.asarray(phase.active)])
         return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
+
+    def judged_at(self, values: Float[Array, " p"]) -> Joint:
+        """The judge with `values` (p,), and maps laid out for them."""
+        self.judge = self.judge.laid_out(self.parameters, values)
+        return self.judge.put(self.parameters, values)
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
         for _ in range(_ENLARGEMENTS + 1):
             # Not as one program: its parts share theirs with all else that is drawn.
-            *found, overflow = self.judge.losses(self.parameters.put(self.judge.subject, values))
+            judge = self.judged_at(values)
+            *found, overflow = judge.losses(judge.subject)
             if not overflow:
                 loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found)
                 return loss, hard_loss

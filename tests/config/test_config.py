@@ -364,7 +364,7 @@ BROKEN = {
         "fit: {parameters: {bias.factors.2: {lower: 0, upper: 9}}}\n",
         "4: fit.parameters.bias.factors.2: cannot be fitted with filter type 'random_disk'; expected bias.constant, "
         "bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset, bias.factors.0, bias.factors.1, "
-        "filter.radius or technique.blend; did you mean 'bias.factors.1'?",
+        "filter.radius, technique.logarithmic or technique.blend; did you mean 'bias.factors.1'?",
     ),
     "factors of another number of maps": (
         "technique: {type: cascades, count: 2}\nbias: {factors: [1, 1, 1]}\n",
@@ -374,6 +374,17 @@ BROKEN = {
         "bias: {factors: [1]}\n",
         "2: bias.factors: has 1 factors, for a light with one map; expected a light with several maps; remove it, or "
         "use cascades",
+    ),
+    "spacing of slices with given ends": (
+        "technique: {type: cascades, distances: [2, 5]}\n"
+        "fit: {parameters: {technique.logarithmic: {lower: 0, upper: 1}}}\n",
+        "3: fit.parameters.technique.logarithmic: changes nothing, since technique.distances is given; expected a "
+        "number that the layout uses; remove it, or technique.distances",
+    ),
+    "focus of a map without": (
+        "technique: {type: perspective_warp}\nfit: {parameters: {technique.focus: {lower: 0.1, upper: 1}}}\n",
+        "3: fit.parameters.technique.focus: changes nothing, since technique.method is lispsm; expected a number that "
+        "the layout uses; remove it, or set the method to trapezoidal",
     ),
     "distances that do not increase": (
         "technique: {type: cascades, distances: [2, 5, 4]}\n",

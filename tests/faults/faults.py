@@ -1322,6 +1322,20 @@ _SHADING = (
 
 _FIT = (
     _fault(
+        "search: the map is not drawn again",
+        "fit/problems/_technique.py",
+        "return dataclasses.replace(self, technique=technique, shadow_map=technique.prepare(self.scene, self.surface))",
+        "return dataclasses.replace(self, technique=technique)",
+        "fit/test_search.py",
+    ),
+    _fault(
+        "search: the second one searches everywhere",
+        "fit/_search.py",
+        "half = (upper - lower) * (part / 2)",
+        "half = (upper - lower) / 2",
+        "fit/test_search.py",
+    ),
+    _fault(
         "bounds: not obeyed",
         "fit/_parameters.py",
         "(1 + jnp.sin(y)) / 2",

@@ -548,6 +548,11 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
             "{technique.blend: {lower: 0, upper: 0.5}, bias.factors.1: {lower: 0.1, upper: 9}}",
             marks=pytest.mark.exhaustive,
         ),
+        pytest.param(
+            ("technique={type: cascades, count: 2}", "fit.evaluations=4"),
+            "{technique.logarithmic: {lower: 0, upper: 1}, bias.slope: {lower: 0, upper: 4}}",
+            marks=pytest.mark.exhaustive,
+        ),
         (("bias={plane: {type: receiver_plane}}",), "{bias.plane.fudge: {lower: 0, upper: 4}}"),
     ],
 )

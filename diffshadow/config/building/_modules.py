@@ -9,7 +9,7 @@ from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
-from ..sections._fitted import fit_paths
+from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
 from ..sections._shading import ModulatedConfig
 from ..sections._technique import MappedConfig, ProjectiveTextureConfig, ShadowVolumesConfig
@@ -28,6 +28,7 @@ class FitPlan(NamedTuple):
 
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
+    - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     """
 
@@ -37,6 +38,8 @@ class FitPlan(NamedTuple):
     arrangement: fit.Arrangement | None = None
     levels: tuple[int, ...] | None = None
     starts: int = 1
+    searches: bool = False
+    evaluations: int = 30
     truth: dict[str, float] = {}  # noqa: RUF012
 
 
@@ -171,7 +174,17 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
                 truth[name] = _reachable(start, bounds)
             start = start if bounds.initial is None else bounds.initial
             parameters.append(fit.Parameter(name, start, *limits, units[name], path))
-    return FitPlan(parameters, built_solver, built_anneal, arrangement, config.fit.levels, config.fit.multistart, truth)
+    return FitPlan(
+        parameters,
+        built_solver,
+        built_anneal,
+        arrangement,
+        config.fit.levels,
+        config.fit.multistart,
+        any(is_searched(config, name) for name in config.fit.parameters),
+        config.fit.evaluations,
+        truth,
+    )
 
 
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:

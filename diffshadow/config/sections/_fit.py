@@ -94,6 +94,13 @@ class FitConfig(Section):
     multistart: Annotated[int, Unit("starts")] = Field(
         default=1, ge=1, le=1024, description="number of starts: the initial values, and others within the bounds"
     )
+    # Each draws the map again.
+    evaluations: int = Field(
+        default=30,
+        ge=1,
+        le=100_000,
+        description="for numbers of technique that lay out the map: how often the error is evaluated in their search",
+    )
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

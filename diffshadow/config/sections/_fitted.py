@@ -46,6 +46,13 @@ def _entries(field: FieldInfo, value: Any) -> list[str]:
     return [f".{i}" for i in range(len(value))] if isinstance(value, list | tuple) else []
 
 
+def is_searched(data: Any, name: str) -> bool:
+    """Whether the number `name` of a configuration is found by a search, rather than by gradient."""
+    holder, key, _ = key_of(name)
+    section = _holders(data).get(holder)
+    return section is not None and key in (fitted := _fitted_keys(section)) and fitted[key].searched
+
+
 def key_of(name: str) -> tuple[str, str, int | None]:
     """The section that holds the number `name`, its key there, and its index if the key holds a list."""
     holder, _, key = name.rpartition(".")

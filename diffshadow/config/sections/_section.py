@@ -45,12 +45,14 @@ class Form:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Marks a field as fittable: visibility has a gradient with respect to it.
+    """Marks a field as fittable: visibility has a gradient with respect to it, or a search finds it.
 
     - `path`: the dotted path of the number in the module that its section builds; by default its key.
+    - `searched`: whether a search finds it.
     """
 
     path: str | None = None
+    searched: bool = False
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:

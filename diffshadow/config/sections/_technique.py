@@ -52,13 +52,17 @@ class CascadesConfig(MappedConfig):
 
     type: Literal["cascades"] = "cascades"
     count: int = Field(default=4, ge=1, le=MOST_LAYERS, description="number of cascades")
-    logarithmic: Fraction = Field(
+    logarithmic: Annotated[Fraction, Fitted(searched=True)] = Field(
         default=0.5,
         description="spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
     )
     distances: (
         Annotated[
-            tuple[Annotated[WorldUnits, Field(gt=0)], ...], as_list, Form("a list of depths"), Unit("world units")
+            tuple[Annotated[WorldUnits, Field(gt=0)], ...],
+            as_list,
+            Form("a list of depths"),
+            Unit("world units"),
+            Fitted(searched=True),
         ]
         | None
     ) = Field(
@@ -82,7 +86,7 @@ class CascadesConfig(MappedConfig):
     select: Literal["interval", "map"] = Field(
         default="interval", description="a receiver's cascade: that of its depth, or the first whose map contains it"
     )
-    blend: Annotated[Fraction, Fitted("blend")] = Field(
+    blend: Annotated[Fraction, Fitted()] = Field(
         default=0.1, description="part of each slice over which its cascade fades into the next"
     )
     fade: Fraction = Field(
@@ -137,10 +141,10 @@ class PerspectiveWarpConfig(MappedConfig):
     method: Literal["lispsm", "perspective", "trapezoidal"] = Field(
         default="lispsm", description="how the warp's strength is found; lispsm has the least worst aliasing"
     )
-    strength: Annotated[float | None, Field(ge=0, le=MOST_FACTOR)] = Field(
+    strength: Annotated[float | None, Field(ge=0, le=MOST_FACTOR), Fitted(searched=True)] = Field(
         default=None, description="the warp's strength, 0 for none; default: what method finds"
     )
-    focus: Annotated[float, Field(gt=0, le=1)] = Field(
+    focus: Annotated[float, Field(gt=0, le=1), Fitted(searched=True)] = Field(
         default=0.3, description="part of what is seen, at the camera, that takes 80 % of a trapezoidal map"
     )
     shadow_distance: Annotated[WorldUnits | None, Field(gt=0)] = Field(

@@ -6,7 +6,7 @@ from typing import Any
 
 from .._errors import KeyPath, dotted
 from ..sections._filters import PercentageCloserSoftConfig
-from ..sections._fitted import parameter_faults
+from ..sections._fitted import is_searched, parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
 from ..sections._section import Conflict, fault, look
 from ..sections._technique import CascadesConfig, MappedConfig, PerspectiveWarpConfig, ProjectiveTextureConfig
@@ -62,8 +62,13 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from _beyond_the_greatest_radius(config)
     if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, config.fit.parameters)
+    yield from _unused_in_layout(config)
     if not config.moves:
         return
+    for name in config.fit.parameters:
+        if is_searched(config, name):
+            what = fault("lays out the map in a fit of lights or meshes", "a fit of one or the other", "remove it")
+            yield ("fit", "parameters", name), what
     if isinstance(config.technique, PerspectiveWarpConfig):
         message = "is perspective_warp in a fit of lights or meshes, which needs maps with silhouettes"
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
@@ -81,6 +86,23 @@ def data_faults_of_fit(data: Any) -> Iterator[Conflict]:
     parameters = look(data, "fit", "parameters", default={})
     if isinstance(parameters, Mapping):
         yield from parameter_faults(data, parameters)
+
+
+def _unused_in_layout(config: Parts) -> Iterator[Conflict]:
+    """Faults of fitted numbers of the layout that others replace."""
+    section = config.technique
+    unused: dict[str, tuple[str, str]] = {}
+    if isinstance(section, CascadesConfig) and section.distances is not None:
+        unused["logarithmic"] = "technique.distances is given", "remove it, or technique.distances"
+    if isinstance(section, PerspectiveWarpConfig):
+        if section.method != "trapezoidal":
+            unused["focus"] = f"technique.method is {section.method}", "remove it, or set the method to trapezoidal"
+        if section.strength is not None or "technique.strength" in config.fit.parameters:
+            unused["focus"] = "technique.strength replaces it", "remove one of them"
+    for key, (why, mend) in unused.items():
+        if f"technique.{key}" in config.fit.parameters:
+            what = fault(f"changes nothing, since {why}", "a number that the layout uses", mend)
+            yield ("fit", "parameters", f"technique.{key}"), what
 
 
 def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:

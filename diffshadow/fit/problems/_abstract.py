@@ -53,6 +53,10 @@ class AbstractProblem(eqx.Module):
         """The part of a difference that the fit makes small, such as its blur. Linear."""
 
     @abc.abstractmethod
+    def laid_out(self, subject: Any) -> "AbstractProblem":
+        """With maps laid out as `subject` says, if they do not follow it in `difference`."""
+
+    @abc.abstractmethod
     def planned(self) -> "AbstractProblem":
         """With the memory that drawing needs under a trace."""
 

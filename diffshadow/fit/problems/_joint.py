@@ -87,6 +87,16 @@ class Joint(eqx.Module):
         compare = self.technique.compare
         return self.with_compare(compare if isinstance(compare, HardCompare) else HardCompare())
 
+    def searched(self, path: str) -> bool:
+        """Whether the number at `path` lays out the map, so that it is found by a search rather than by gradient."""
+        part, _, name = path.removeprefix("technique.").partition(".")
+        return part == "layout" and name not in self.technique.layout.differentiable
+
+    def laid_out(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
+        """With maps laid out as `values` (p,) say."""
+        subject = parameters.put(self.subject, values)
+        return self.each(lambda problem: problem.laid_out(subject))
+
     def each(self, function: Callable[[Any], AbstractProblem]) -> "Joint":
         """With `function` of each problem."""
         return Joint(self.subject, tuple(map(function, self.problems)))
@@ -114,6 +124,7 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
         raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
     for end in (parameters.lower, parameters.upper):
         _check_allowed(joint.put(parameters, end).technique)
+        _check_layout(joint, parameters, end)
     if not any(bool(each.count > 0) for each in joint.problems):
         raise ValueError(
             "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
@@ -132,3 +143,11 @@ def _check_allowed(technique: ShadowMapping) -> None:
         raise ValueError(
             f"a parameter's bounds go further than its filter allows: {error}, or narrow the bounds"
         ) from error
+
+
+def _check_layout(joint: Joint, parameters: Parameters, end: Float[Array, " p"]) -> None:
+    """Lays out the maps at an end of the bounds."""
+    try:
+        joint.laid_out(parameters, end)
+    except ValueError as error:
+        raise ValueError(f"a parameter's bounds go further than the map's layout allows: {error}") from error

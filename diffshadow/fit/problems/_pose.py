@@ -202,6 +202,10 @@ class PoseProblem(AbstractProblem):
         needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
         return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
 
+    def laid_out(self, subject: Arrangement) -> "PoseProblem":
+        """The problem itself: maps are drawn at every step."""
+        return self
+
     def padded(self) -> "PoseProblem":
         """With its meshes filled up to few sizes, so that problems of like size share compiled programs.
 

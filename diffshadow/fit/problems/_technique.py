@@ -1,5 +1,8 @@
 """Fits of a technique alone: the map and the surface are drawn once."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -15,9 +18,11 @@ class TechniqueProblem(AbstractProblem):
     """A technique, what it is fitted to, and what stays as it is.
 
     - `technique`: the shadow mapping whose numbers are fitted.
-    - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter, so neither is drawn again.
+    - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter. The map is drawn again only where
+        a number of its layout is fitted.
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
+    - `scene`: with one light; needed only if a number of the map's layout is fitted.
     """
 
     technique: ShadowMapping
@@ -25,6 +30,7 @@ class TechniqueProblem(AbstractProblem):
     surface: Surface
     reference: Visibility
     mask: Mask
+    scene: Scene | None = None
 
     @classmethod
     def of(
@@ -41,7 +47,7 @@ class TechniqueProblem(AbstractProblem):
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
         shadow_map = technique.prepare(scene, surface)
         mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-        return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask)
+        return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask, scene)
 
     def residual(self, technique: ShadowMapping) -> Float[Array, "h w"]:
         """Visibility less reference at the pixels that count, 0 elsewhere.
@@ -67,13 +73,29 @@ class TechniqueProblem(AbstractProblem):
         """The subject itself."""
         return subject
 
+    def laid_out(self, subject: ShadowMapping) -> "TechniqueProblem":
+        """With a map that is laid out as `subject` says. The pixels that count are the same.
+
+        **Raises** `ValueError` if there is no scene to draw it from, or the layout does not suit it.
+        """
+        ours, theirs = (jax.tree.leaves(technique.layout) for technique in (self.technique, subject))
+        if all(one == other for one, other in zip(ours, theirs, strict=True)):
+            return self
+        if self.scene is None:
+            raise ValueError(
+                "a number of the map's layout is fitted, and the problem has no scene to draw the map from; expected "
+                "one: use TechniqueProblem.of, or pass scene"
+            )
+        technique = dataclasses.replace(self.technique, layout=subject.layout)
+        return dataclasses.replace(self, technique=technique, shadow_map=technique.prepare(self.scene, self.surface))
+
     def planned(self) -> "TechniqueProblem":
         """The problem itself: nothing is drawn again."""
         return self
 
     def padded(self) -> "TechniqueProblem":
-        """The problem itself: it has no meshes."""
-        return self
+        """Without the scene, of which programs need nothing."""
+        return dataclasses.replace(self, scene=None)
 
     @property
     def moves(self) -> bool:

@@ -54,6 +54,15 @@ class AbstractLayout(eqx.Module):
         """Whether `light` needs `surface`."""
         return False
 
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        """Names of the numbers with respect to which visibility has a derivative.
+
+        The others lay out the map. Its texels jump as these change, so that visibility has no useful derivative with
+        respect to them.
+        """
+        return ()
+
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""

@@ -125,6 +125,10 @@ class Cascades(AbstractFittedLayout):
                 "the one before: sort them, and remove those that occur twice"
             )
 
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        return ("blend",)
+
     def splits(self, near: Scalar, far: Scalar) -> Float[Array, " k"]:
         """Where the slices of depths from `near` to `far` begin and end, (count + 1,), in world units."""
         if self.distances is not None:

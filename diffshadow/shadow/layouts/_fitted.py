@@ -39,8 +39,11 @@ class AbstractFittedLayout(AbstractLayout):
     def check(
         self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution, surface: Surface | None
     ) -> None:
-        """**Raises** `ValueError` unless the light is directional, maps of `resolution` have texels within their
-        margin, the shadow distance lies within the camera's depths, and there is a surface if one is needed."""
+        """**Raises** `ValueError` unless the layout's numbers are in range, the light is directional, maps of
+        `resolution` have texels within their margin, the shadow distance lies within the camera's depths, and there is
+        a surface if one is needed."""
+        # Numbers may have been replaced since the layout was made.
+        self.__check_init__()
         if not light.is_directional:
             raise ValueError(
                 f"the light is a {type(light).__name__}, whose map cannot be fitted to a camera; expected a "

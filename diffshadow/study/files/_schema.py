@@ -127,6 +127,7 @@ class _Phase(_Part):
     values: Numbers
     level: int = Field(default=1, ge=1)
     blur: float = Field(default=0.0, ge=0)
+    searched: float = Field(default=0.0, ge=0, le=1)
 
 
 class _Solver(_Part):

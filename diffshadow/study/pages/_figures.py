@@ -296,7 +296,8 @@ def _mark_phases(
             axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
         if widths and ends[-1] - first > _NARROW * count:
             coarse = f" 1/{phase['level']}" if phase.get("level", 1) > 1 else ""
-            label = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"hard{coarse}"
+            hard = "search" if phase.get("searched", 0) else "hard"
+            label = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"{hard}{coarse}"
             style.text(axes, (first + ends[-1]) / 2, label)
             words = ""
     return ends

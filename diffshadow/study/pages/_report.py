@@ -173,8 +173,8 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
     return [
         (
             style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
-            "The error over the fit. The label of each phase is the width of its soft compare in texels, or hard, and "
-            "the scale of its images. The result is chosen by the hard compare at full resolution.",
+            "The error over the fit. The label of each phase is the width of its soft compare in texels, hard, or "
+            "search, and the scale of its images. The result is chosen by the hard compare at full resolution.",
         ),
         (
             style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
@@ -187,7 +187,7 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
 def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {
-            "compare": "hard" if not phase["width"] else f"{phase['width']:.3g}",
+            "compare": _compare(phase),
             "level": phase.get("level", 1),
             "blur": f"{phase.get('blur', 0):.3g}",
             "steps": phase["steps"],
@@ -199,6 +199,12 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         }
         for i, phase in enumerate(result["solver"]["phases"])
     ]
+
+
+def _compare(phase: Mapping[str, Any]) -> str:
+    if phase.get("searched", 0):
+        return "hard, by search"
+    return "hard" if not phase["width"] else f"{phase['width']:.3g}"
 
 
 def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """Runs a fit: from its configuration to its folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,6 +42,11 @@ class FittedRun(NamedTuple):
     errors_after: dict[str, float]
     remarks: list[str]
     seen: tuple[list[Drawn], list[Drawn]]
+
+    @property
+    def mapped(self) -> list[Drawn]:
+        """The scene with the maps that are stored: those of the fitted technique, or of the true lights and meshes."""
+        return self.seen[1] if self.plan.arrangement is None else self.drawn
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
@@ -94,6 +99,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         levels=plan.levels,
         starts=plan.starts,
         seed=config.seed,
+        evaluations=plan.evaluations,
         on_step=_watch(stages, plan),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
@@ -101,8 +107,12 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
         if result.arrangement is None:
             techniques = fit.with_values(result.technique, paths, start), result.technique
-            before, after = ([visibility_of(t, each) for each in drawn] for t in techniques)
-            seen = drawn, drawn
+            seen_before, seen_after = (_seen_with(technique, result.problems, drawn) for technique in techniques)
+            seen = seen_before, seen_after
+            before, after = (
+                [visibility_of(technique, each) for each in shown]
+                for technique, shown in zip(techniques, seen, strict=True)
+            )
         else:
             subjects = fit.with_values(result.arrangement, paths, start), result.arrangement
             (before, *seen_before), (after, *seen_after) = (
@@ -121,7 +131,15 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
 
 def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.TechniqueProblem:
     truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
-    return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask)
+    return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask, drawn.scene)
+
+
+def _seen_with(
+    technique: shadow.ShadowMapping, problems: Sequence[fit.AbstractProblem], drawn: list[Drawn]
+) -> list[Drawn]:
+    """`drawn`, with maps laid out as the technique says."""
+    laid_out: Any = [problem.laid_out(technique) for problem in problems]
+    return [each._replace(state=problem.shadow_map) for each, problem in zip(drawn, laid_out, strict=True)]
 
 
 def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
@@ -129,7 +147,7 @@ def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
 
 
 def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
-    phases = plan.anneal.phases if plan.arrangement is None else None
+    phases = None if plan.arrangement is not None or plan.searches else plan.anneal.phases
 
     def show(step: fit.Step) -> None:
         at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
@@ -156,7 +174,7 @@ def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, floa
     record.write_config(draft, fitted.config)
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
-    for i, each in enumerate(drawn):
+    for i, each in enumerate(fitted.mapped):
         figures.write_from_light(draft, record.suffix(i, drawn), each.state)
     if fitted.plan.arrangement is not None:
         from ..pages._pose_figures import write_paths
@@ -173,7 +191,7 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
         "before": record.stacked(fitted.before),
         "after": record.stacked(fitted.after),
         "mask": record.stacked([each.mask for each in fitted.drawn]),
-        **record.light_arrays(fitted.drawn),
+        **record.light_arrays(fitted.mapped),
         "history_start": np.asarray([step.start for step in history], np.int32),
         "history_phase": np.asarray([step.phase for step in history], np.int32),
         "history_step": np.asarray([step.step for step in history], np.int32),

@@ -1,0 +1,138 @@
+"""Searches for numbers that lay out the map: that they find the best of a grid, keep bounds, and refuse nonsense."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scenes import quad, sun
+
+from diffshadow.fit import Anneal, Parameter, Solver, TechniqueProblem, fit
+from diffshadow.fit._search import search
+from diffshadow.geometry import PinholeCamera, Scene, merge
+from diffshadow.raster import draw_surface
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import (
+    Bias,
+    Cascades,
+    MapSettings,
+    Nearest,
+    PerspectiveWarp,
+    ShadowMapping,
+)
+
+SPACING = Parameter("layout.logarithmic", 0.2, 0.0, 1.0)
+BIAS = Parameter("bias.constant", 1.0, 0.0, 4.0)
+SHORT = Anneal(start=1.0, end=0.2, phases=2)
+
+
+def jumpy(x: np.ndarray) -> float:
+    """Steps of a hundredth on a slope that is least at (0.3, 0.7)."""
+    return float(np.round(np.abs(x - [0.3, 0.7]).sum(), 2))
+
+
+def test_a_search_finds_the_least_of_a_function_with_jumps():
+    lower, upper = np.zeros(2), np.ones(2)
+    found = search(jumpy, np.array([0.9, 0.1]), lower, upper, 100)
+    assert found.error <= 0.02
+    assert 50 <= found.evaluations <= 150
+    # A part of the box lies about the start, moved to within the bounds.
+    tried = []
+    corner = np.array([0.0, 1.0])
+    near = search(lambda x: tried.append(x.copy()) or jumpy(x), corner, lower, upper, 30, part=0.25)
+    assert (np.array(tried) >= [0, 0.75]).all()
+    assert (np.array(tried) <= [0.25, 1]).all()
+    assert near.error == pytest.approx(jumpy(near.values))
+
+
+def test_a_search_never_ends_worse_than_it_began():
+    start = np.array([0.123])
+    found = search(lambda x: float((x != start).any()), start, np.zeros(1), np.ones(1), 10)
+    assert found.error == 0
+    assert found.values == start
+
+
+def along_posts() -> Scene:
+    """Posts beside a plane that runs from the camera to its far plane."""
+    ground = quad((0, 0, -25), (12, 0, 0), (0, 0, -26))
+    posts = [quad((x, 0.7, -1 - 40 * (k / 6) ** 2), (0.2, 0, 0), (0, 0.7, 0)) for k in range(6) for x in (-1.2, 1.0)]
+    mesh = merge([ground, *posts])
+    camera = PinholeCamera((0, 1.6, 1), (0, 1.1, -9), fov_y=60.0, near=0.2, far=50.0, resolution=(48, 48))
+    return Scene(mesh, camera, sun(mesh, (0.5, -1.0, -0.4)))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    scene = along_posts()
+    return scene, draw_surface(scene.mesh, scene.camera), trace_visibility(scene, 1, "sobol", 0)
+
+
+def problem(seen, layout) -> TechniqueProblem:
+    scene, surface, truth = seen
+    technique = ShadowMapping(Nearest(), Bias(1.0), map=MapSettings((32, 32)), layout=layout)
+    return TechniqueProblem.of(scene, technique, truth, surface=surface)
+
+
+def test_the_spacing_of_cascades_is_found(seen):
+    made = problem(seen, Cascades(3, 0.2, margin=2.0))
+    at = lambda spacing: dataclasses.replace(made.technique, layout=Cascades(3, spacing, margin=2.0))
+    error = lambda technique: float(made.laid_out(technique).mean_square_error(technique))
+    grid = [error(at(float(spacing))) for spacing in np.linspace(0, 1, 17)]
+    result = fit(made, [SPACING], evaluations=40)
+    found = error(result.technique)
+    assert found == pytest.approx(result.phases[-1].hard_loss)
+    assert found <= 1.02 * min(grid)
+    assert max(grid) > 1.2 * min(grid)
+    (problem_after,) = result.problems
+    assert isinstance(problem_after, TechniqueProblem)
+    assert float(problem_after.mean_square_error(result.technique)) == pytest.approx(found)
+    # Every evaluation is recorded, and none leaves the bounds.
+    assert [step.step for step in result.history] == list(range(len(result.history)))
+    assert all(0 <= step.values[0] <= 1 for step in result.history)
+    assert min(step.loss for step in result.history) == pytest.approx(found)
+
+
+def test_a_bias_is_fitted_by_gradient_between_the_searches(seen):
+    made = problem(seen, Cascades(3, 0.2, margin=2.0))
+    alone = fit(made, [BIAS], anneal=SHORT, solver=Solver(max_steps=10))
+    both = fit(made, [BIAS, SPACING], anneal=SHORT, solver=Solver(max_steps=10), evaluations=20)
+    assert [phase.searched > 0 for phase in both.phases] == [True, False, False, True, False]
+    # The bias stays as it was during a search, and the spacing during the other phases.
+    values = [list(both.initial.values()), *(phase.values for phase in both.phases)]
+    for phase, before, after in zip(both.phases, values[:-1], values[1:], strict=True):
+        kept = 0 if phase.searched else 1
+        assert after[kept] == pytest.approx(before[kept], abs=1e-5)
+    assert min(p.hard_loss for p in both.phases) < min(p.hard_loss for p in alone.phases)
+    assert not both.flat
+
+
+def test_the_ends_of_slices_stay_in_order(seen):
+    made = problem(seen, Cascades(distances=(1.0, 2.5, 50.0), margin=2.0))
+    # These bounds allow a first slice that ends after the second.
+    ends = [
+        Parameter("layout.distances.0", 1.0, 0.5, 40.0),
+        Parameter("layout.distances.1", 2.5, 2.0, 45.0),
+    ]
+    result = fit(made, ends, evaluations=40)
+    first, second = result.fitted.values()
+    assert first < second
+    assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
+    assert any(step.values[0] >= step.values[1] and step.loss == 1.0 for step in result.history)
+
+
+def test_the_strength_of_a_warp_is_found(seen):
+    made = problem(seen, PerspectiveWarp(strength=0.0, margin=2.0))
+    result = fit(made, [Parameter("layout.strength", 0.0, 0.0, 8.0)], evaluations=20)
+    assert result.fitted["layout.strength"] > 0.5
+    assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
+
+
+def test_mistakes_are_named(seen):
+    made = problem(seen, Cascades(3, 0.2, margin=2.0))
+    with pytest.raises(ValueError, match="no scene to draw the map from"):
+        fit(dataclasses.replace(made, scene=None), [SPACING])
+    with pytest.raises(
+        ValueError, match=r"further than the map's layout allows: .*logarithmic is 2.0; expected 0 to 1"
+    ):
+        fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])
+    with pytest.raises(ValueError, match="0 evaluations were requested"):
+        fit(made, [SPACING], evaluations=0)
