@@ -1,0 +1,89 @@
+// node draw.mjs FOLDER: draws the jobs of FOLDER/jobs.json in a headless Chromium.
+//
+// Arrays lie beside jobs.json as raw files, and the results are written there: raw files, and results.json.
+// `engines.py` writes the folder and reads it back; it says what a job holds.
+
+import { appendFile, mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { createServer } from "node:http";
+import { tmpdir } from "node:os";
+import path from "node:path";
+import { chromium } from "playwright-core";
+
+const HERE = import.meta.dirname;
+const TYPES = { ".html": "text/html", ".mjs": "text/javascript", ".js": "text/javascript", ".json": "application/json" };
+const FLAGS = [
+  // The software rasterizer, so that every machine draws the same bits.
+  "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+  // A closed network: nothing is looked up or updated.
+  "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic",
+  "--no-sandbox", "--disable-dev-shm-usage",
+];
+
+function inside(folder, name) {
+  const found = path.resolve(folder, name);
+  if (!found.startsWith(path.resolve(folder) + path.sep)) throw new Error(`${name} lies outside of what is served`);
+  return found;
+}
+
+function serve(folder) {
+  const server = createServer(async (request, response) => {
+    try {
+      const name = decodeURIComponent(new URL(request.url, "http://localhost").pathname).slice(1);
+      if (request.method === "POST") {
+        const parts = [];
+        for await (const part of request) parts.push(part);
+        await appendFile(inside(folder, name.replace(/^out\//, "")), Buffer.concat(parts));
+        response.end();
+        return;
+      }
+      const file = name.startsWith("job/") ? inside(folder, name.slice(4)) : inside(HERE, name);
+      const body = await readFile(file);
+      response.writeHead(200, { "Content-Type": TYPES[path.extname(file)] ?? "application/octet-stream" });
+      response.end(body);
+    } catch (error) {
+      response.writeHead(error.code === "ENOENT" ? 404 : 500);
+      response.end(String(error));
+    }
+  });
+  return new Promise((resolve) => server.listen(0, "127.0.0.1", () => resolve(server)));
+}
+
+async function main(folder, executablePath) {
+  const jobs = JSON.parse(await readFile(path.join(folder, "jobs.json"), "utf8"));
+  const server = await serve(folder);
+  const profile = await mkdtemp(path.join(tmpdir(), "engines-"));
+  const context = await chromium.launchPersistentContext(profile, { executablePath, headless: true, args: FLAGS });
+  try {
+    const results = [];
+    let page = null;
+    let messages = [];
+    for (const [index, job] of jobs.entries()) {
+      // One page per engine: a module is loaded once, and no engine sees what another left behind.
+      if (index === 0 || jobs[index - 1].engine !== job.engine) {
+        await page?.close();
+        page = await context.newPage();
+        page.on("console", (message) => {
+          // Chromium's own advice about speed is nothing that an engine says.
+          if (!message.text().includes("GL Driver Message")) messages.push(`${message.type()}: ${message.text()}`);
+        });
+        page.on("pageerror", (error) => messages.push(`error: ${error.message}`));
+        await page.goto(`http://127.0.0.1:${server.address().port}/page.html`);
+        await page.waitForFunction(() => window.ready, null, { timeout: 120000 });
+      }
+      messages = [];
+      try {
+        results.push({ ...(await page.evaluate((i) => window.run(i), index)), messages });
+      } catch (error) {
+        throw new Error(`job ${index} (${job.engine}): ${error.message}\n${messages.join("\n")}`);
+      }
+      process.stdout.write(`${index + 1}/${jobs.length}\n`);
+    }
+    await writeFile(path.join(folder, "results.json"), JSON.stringify(results));
+  } finally {
+    await context.close();
+    server.close();
+    await rm(profile, { recursive: true, force: true });
+  }
+}
+
+await main(process.argv[2], process.argv[3]);

@@ -1,0 +1,166 @@
+"""Draws shadows with the real three.js or Babylon.js, in a headless Chromium.
+
+`draw(jobs)` starts the browser once for all jobs. A job is a dictionary:
+
+- `engine`: "three" or "babylon".
+- `width`, `height`: of the picture, pixels.
+- `meshes`: a list of `vertices` (v, 3), `normals` (v, 3) or None, `faces` (f, 3), anticlockwise seen from the front;
+  `casts` and `receives` (both true). three.js: `side` and `shadowSide`, each "front", "back" or "double" (the second
+  None: as three.js chooses). Babylon.js: `backFaceCulling` (true).
+- `light`: its `type` ("directional", "spot" or "point") and the engine's own settings by the engine's own names.
+- `shadowType` (three.js): "Basic", "PCF", "PCFSoft" or "VSM".
+- `generator` (Babylon.js): the shadow generator's settings, by their own names.
+- `reversedDepthBuffer` (three.js): false.
+- `camera`: `view` and `projection` (4, 4) for column vectors, as `world_to_eye` and `eye_to_clip` of this library; or
+  `position`, `target`, `up`, `fov` (vertical, degrees), `aspect`, `near`, `far`, from which the engine makes its own.
+- `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility.
+- `grid`: a list of settings (of `light`, or of `generator` for Babylon.js) that are changed for one picture each, on
+  top of those before.
+
+Every image and map has its bottom row first, as OpenGL has.
+"""
+
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+HERE = Path(__file__).parent
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+PACKAGES = ("three", "@babylonjs/core", "playwright-core")
+
+
+class Drawing(NamedTuple):
+    """What the engine drew and used.
+
+    - `arrays`: by name. `visibility` (h, w), float32, 1 where nothing is seen; `mesh` (h, w), its index, -1 for none;
+      `depth` (h, w), gl_FragCoord.z; `position` and `normal` (h, w, 3), world space, as interpolated; `map` (n, n),
+      or (6, n, n) under a point light, and more maps as the technique has them; `grid` (k, h, w), a visibility for
+      each settings; `picture` (h, w), uint8, drawn by the engine's unchanged shader.
+    - `info`: matrices as flat lists of 16 with `clip = [x, y, z, 1] @ list.reshape(4, 4)`, near and far as used.
+    - `messages`: what the engine wrote to the console.
+    """
+
+    arrays: dict[str, np.ndarray]
+    info: dict[str, Any]
+    messages: list[str]
+
+
+class EngineError(RuntimeError):
+    """The engines cannot be run here, or one of them failed."""
+
+
+def missing() -> str | None:
+    """What has to be installed to draw, in one sentence; None if nothing has."""
+    node = shutil.which("node")
+    packages = [name for name in PACKAGES if not (HERE / "node_modules" / name / "package.json").is_file()]
+    lacking = [name for name, there in (("node", node), ("chromium", _browser())) if not there] + packages
+    if not lacking:
+        return None
+    return (
+        f"drawing with an engine needs {', '.join(lacking)}; run `apt-get install nodejs npm chromium` "
+        f"and `npm install --no-package-lock --prefix {HERE}`"
+    )
+
+
+def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Drawing]:
+    """Draws each job; the module's docstring says what a job is.
+
+    **Raises** `EngineError` if a program or package is missing, or the engine fails.
+    """
+    lack = missing()
+    if lack:
+        raise EngineError(lack)
+    # Jobs of one engine follow each other, so that each engine is loaded once.
+    order = sorted(range(len(jobs)), key=lambda i: jobs[i]["engine"])
+    with tempfile.TemporaryDirectory(prefix="engines-") as name:
+        folder = Path(name)
+        _write([jobs[i] for i in order], folder)
+        command = ["node", str(HERE / "draw.mjs"), name, str(_browser())]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        if done.returncode:
+            raise EngineError(f"the engine failed: {done.stderr.strip()}")
+        results = json.loads((folder / "results.json").read_text())
+        drawings = [_read(result, folder) for result in results]
+    return [drawing for _, drawing in sorted(zip(order, drawings, strict=True), key=lambda pair: pair[0])]
+
+
+def vertex_normals(
+    vertices: np.ndarray, faces: np.ndarray, corner_normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, normals and faces with one normal per vertex, as engines want them.
+
+    A vertex whose corners have several of `corner_normals` (f, 3, 3) is repeated, so no coordinate changes.
+    """
+    corners = np.asarray(faces).reshape(-1)
+    keys = np.concatenate([corners[:, None], np.asarray(corner_normals, np.float32).reshape(-1, 3).view(np.int32)], 1)
+    _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    normals = np.asarray(corner_normals, np.float32).reshape(-1, 3)[first]
+    return np.asarray(vertices, np.float32)[corners[first]], normals, which.reshape(-1, 3).astype(np.int32)
+
+
+def _browser() -> str | None:
+    return next((found for name in BROWSERS if (found := shutil.which(name))), None)
+
+
+def _write(jobs: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Writes `jobs.json`, and each distinct array once."""
+    files: dict[tuple[str, bytes], str] = {}
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, _Binary):
+            key = (value.array.dtype.name, value.array.tobytes())
+            if key not in files:
+                files[key] = f"{len(files)}.bin"
+                (folder / files[key]).write_bytes(key[1])
+            return {"file": files[key], "dtype": key[0]}
+        if isinstance(value, np.ndarray | np.generic):
+            return value.tolist()
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return value
+
+    (folder / "jobs.json").write_text(json.dumps([plain(_checked(job)) for job in jobs]))
+
+
+class _Binary(NamedTuple):
+    """An array that travels as a file."""
+
+    array: np.ndarray
+
+
+def _binary(values: Any, dtype: type) -> _Binary:
+    return _Binary(np.ascontiguousarray(values, dtype))
+
+
+def _checked(job: Mapping[str, Any]) -> dict[str, Any]:
+    """The job with its arrays as the engines read them: float32, uint32, and flat matrices."""
+    meshes = [
+        {
+            **mesh,
+            "vertices": _binary(mesh["vertices"], np.float32),
+            "normals": None if mesh.get("normals") is None else _binary(mesh["normals"], np.float32),
+            "faces": _binary(mesh["faces"], np.uint32),
+        }
+        for mesh in job["meshes"]
+    ]
+    camera = dict(job["camera"])
+    for name in ("view", "projection"):
+        if name in camera:
+            camera[name] = np.asarray(camera[name], np.float64).reshape(16).tolist()
+    return {"outputs": [], **job, "meshes": meshes, "camera": camera}
+
+
+def _read(result: dict[str, Any], folder: Path) -> Drawing:
+    arrays = {
+        name: np.fromfile(folder / of["file"], of["dtype"]).reshape(of["shape"])
+        for name, of in result["arrays"].items()
+    }
+    return Drawing(arrays, result["info"], result["messages"])

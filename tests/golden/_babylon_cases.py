@@ -1,0 +1,2 @@
+def babylon_cases():
+    return {}
