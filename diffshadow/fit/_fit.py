@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from .._misc import as_float
-from ..shadow import ShadowMapping
+from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
 from ._arrangement import Arrangement
 from ._history import Step
@@ -35,7 +35,7 @@ class FitResult(NamedTuple):
     - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
-    technique: ShadowMapping
+    technique: FittableTechnique
     initial: dict[str, float]
     fitted: dict[str, float]
     phases: list[Outcome]

@@ -26,18 +26,26 @@ class Surface(eqx.Module):
 
     - `position`: (h, w, 3), world units.
     - `normal`: (h, w, 3), unit geometric normal of the face, turned to the camera.
-    - `shading_normal`: (h, w, 3), unit interpolated normal, turned likewise.
+    - `interpolated_normal`: (h, w, 3), the vertices' normals as they interpolate: neither of unit length nor turned.
     - `albedo`: (h, w, 3).
     - `face`: (h, w), the face seen, -1 where there is none.
     - `mask`: (h, w), whether a face is seen.
+    - `from_behind`: (h, w), whether it is seen from behind, so that `normal` is turned; none if nothing is.
     """
 
     position: VectorMap
     normal: VectorMap
-    shading_normal: VectorMap
+    interpolated_normal: VectorMap
     albedo: VectorMap
     face: FaceMap
     mask: Mask
+    from_behind: Mask | None = None
+
+    @property
+    def shading_normal(self) -> VectorMap:
+        """(h, w, 3), unit interpolated normal, turned as `normal` is."""
+        unit = normalize(self.interpolated_normal)
+        return unit if self.from_behind is None else jnp.where(self.from_behind[..., None], -unit, unit)
 
 
 def draw_surface(
@@ -70,17 +78,17 @@ def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertic
         at = barycentrics_in_rows(face, clip_values, rows)
         position = interpolate_values(at, positions)
         normal = of_face(at, normals)
-        shading_normal = interpolate_corners(at, mesh.corner_normals)
         # The direction to the camera: to its eye, or against its axis.
         to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
-        sign = jnp.where(dot(normal, to_camera) < 0, -1, 1)[..., None]
+        from_behind = dot(normal, to_camera) < 0
         return Surface(
             position=position,
-            normal=normal * sign,
-            shading_normal=normalize(shading_normal) * sign,
+            normal=jnp.where(from_behind[..., None], -normal, normal),
+            interpolated_normal=interpolate_corners(at, mesh.corner_normals),
             albedo=of_face(at, mesh.albedo),
             face=face,
             mask=at.mask,
+            from_behind=from_behind,
         )
 
     return by_bands(band, face)

@@ -19,6 +19,7 @@ from ._receiver import Receiver as Receiver
 from ._receiver import receiver as receiver
 from ._shadow_mapping import ShadowMapping as ShadowMapping
 from ._technique import AbstractTechnique as AbstractTechnique
+from ._technique import FittableTechnique as FittableTechnique
 from ._volumes import ShadowVolumes as ShadowVolumes
 from ._volumes import Volumes as Volumes
 from ._volumes import VolumeScene as VolumeScene
@@ -31,6 +32,8 @@ from .biases import ConstantBias as ConstantBias
 from .biases import NormalOffset as NormalOffset
 from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
+from .engines import EngineMap as EngineMap
+from .engines import ThreeJs as ThreeJs
 from .filters import AbstractFilter as AbstractFilter
 from .filters import Bilinear as Bilinear
 from .filters import Castano as Castano

@@ -66,6 +66,11 @@ class ShadowMapping(AbstractTechnique):
         """Pixels whose surface lies within the light's frustum, (h, w): those that the map covers."""
         return _covered(self.layout, self.bias, state, surface)
 
+    def lays_out(self, name: str) -> bool:
+        """Whether the number at the dotted path `name` lays out the map."""
+        part, _, number = name.partition(".")
+        return part == "layout" and number not in self.layout.differentiable
+
     def aliasing(self, state: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
         """How large the map's texels are on the screen of `camera`, which sees `surface`."""
         return _aliasing(self.layout, state, surface, camera)

@@ -1,13 +1,14 @@
 """Techniques: algorithms that find which surfaces a light reaches."""
 
 import abc
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 
 from .._types import Mask, Visibility
 from ..geometry import Scene
 from ..raster import Surface
+from ._compare import AbstractCompare
 
 
 class AbstractTechnique(eqx.Module):
@@ -43,3 +44,32 @@ class AbstractTechnique(eqx.Module):
     @abc.abstractmethod
     def covered(self, state: Any, surface: Surface) -> Mask:
         """Pixels that the technique covers, (h, w). The others have no surface, or one outside the technique's maps."""
+
+
+@runtime_checkable
+class FittableTechnique(Protocol):
+    """A technique whose numbers can be fitted: it compares depths, and the compare can be soft."""
+
+    @property
+    def compare(self) -> AbstractCompare:
+        """How depths are compared."""
+        ...
+
+    def lays_out(self, name: str) -> bool:
+        """Whether the number at the dotted path `name` changes what `prepare` draws.
+
+        Visibility has no useful derivative with respect to such a number.
+        """
+        ...
+
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> Any:
+        """As for `AbstractTechnique`."""
+        ...
+
+    def visibility(self, state: Any, surface: Surface) -> Visibility:
+        """As for `AbstractTechnique`."""
+        ...
+
+    def covered(self, state: Any, surface: Surface) -> Mask:
+        """As for `AbstractTechnique`."""
+        ...

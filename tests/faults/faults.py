@@ -532,8 +532,8 @@ _RASTER = (
     _fault(
         "surface: shading normals not turned to the camera",
         "raster/_surface.py",
-        "normalize(shading_normal) * sign",
-        "normalize(shading_normal)",
+        "jnp.where(self.from_behind[..., None], -unit, unit)",
+        "unit",
         "test_raster_gradients.py",
         "test_shading.py",
     ),

@@ -7,7 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ...shadow import Overflow, ShadowMapping
+from ...shadow import FittableTechnique, Overflow
 
 
 class AbstractProblem(eqx.Module):
@@ -38,7 +38,7 @@ class AbstractProblem(eqx.Module):
         """Standard deviation of the Gaussian under which images are compared, in pixels; 0 for none."""
 
     @abc.abstractmethod
-    def technique_of(self, subject: Any) -> ShadowMapping:
+    def technique_of(self, subject: Any) -> FittableTechnique:
         """The technique of a subject."""
 
     @abc.abstractmethod

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ...shadow import AbstractCompare, HardCompare, Overflow, ShadowMapping
+from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._parameters import Parameters, resolve
 from ._abstract import AbstractProblem
 
@@ -69,7 +69,7 @@ class Joint(eqx.Module):
         return Joint(parameters.put(self.subject, values), self.problems)
 
     @property
-    def technique(self) -> ShadowMapping:
+    def technique(self) -> FittableTechnique:
         """The subject's technique."""
         return self.problems[0].technique_of(self.subject)
 
@@ -89,8 +89,7 @@ class Joint(eqx.Module):
 
     def searched(self, path: str) -> bool:
         """Whether the number at `path` lays out the map, so that it is found by a search rather than by gradient."""
-        part, _, name = path.removeprefix("technique.").partition(".")
-        return part == "layout" and name not in self.technique.layout.differentiable
+        return self.technique.lays_out(path.removeprefix("technique."))
 
     def laid_out(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With maps laid out as `values` (p,) say."""
@@ -132,17 +131,15 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
         )
 
 
-def _check_allowed(technique: ShadowMapping) -> None:
-    """Repeats the filter's own checks at an end of the bounds."""
-    check = getattr(technique.filter, "__check_init__", None)
-    if check is None:
-        return
-    try:
-        check()
-    except ValueError as error:
-        raise ValueError(
-            f"a parameter's bounds go further than its filter allows: {error}, or narrow the bounds"
-        ) from error
+def _check_allowed(technique: FittableTechnique) -> None:
+    """Repeats the own checks of the technique and its filter at an end of the bounds."""
+    for part, what in ((technique, "the technique"), (getattr(technique, "filter", None), "its filter")):
+        try:
+            getattr(part, "__check_init__", lambda: None)()
+        except ValueError as error:
+            raise ValueError(
+                f"a parameter's bounds go further than {what} allows: {error}, or narrow the bounds"
+            ) from error
 
 
 def _check_layout(joint: Joint, parameters: Parameters, end: Float[Array, " p"]) -> None:

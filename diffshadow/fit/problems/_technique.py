@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -10,14 +9,15 @@ from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
 from ...reference import Reference
-from ...shadow import Overflow, ShadowMap, ShadowMapping
+from ...shadow import EngineMap, FittableTechnique, Overflow, ShadowMap
+from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
 
 class TechniqueProblem(AbstractProblem):
     """A technique, what it is fitted to, and what stays as it is.
 
-    - `technique`: the shadow mapping whose numbers are fitted.
+    - `technique`: whose numbers are fitted.
     - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter. The map is drawn again only where
         a number of its layout is fitted.
     - `reference`: (h, w), visibility in [0, 1].
@@ -25,8 +25,8 @@ class TechniqueProblem(AbstractProblem):
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
     """
 
-    technique: ShadowMapping
-    shadow_map: ShadowMap
+    technique: FittableTechnique
+    shadow_map: ShadowMap | EngineMap
     surface: Surface
     reference: Visibility
     mask: Mask
@@ -34,7 +34,7 @@ class TechniqueProblem(AbstractProblem):
 
     @classmethod
     def of(
-        cls, scene: Scene, technique: ShadowMapping, truth: Reference, *, surface: Surface | None = None
+        cls, scene: Scene, technique: FittableTechnique, truth: Reference, *, surface: Surface | None = None
     ) -> "TechniqueProblem":
         """`technique`, and its map and surface of a scene with one light, against that scene's reference.
 
@@ -49,18 +49,18 @@ class TechniqueProblem(AbstractProblem):
         mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
         return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask, scene)
 
-    def residual(self, technique: ShadowMapping) -> Float[Array, "h w"]:
+    def residual(self, technique: FittableTechnique) -> Float[Array, "h w"]:
         """Visibility less reference at the pixels that count, 0 elsewhere.
 
         Scaled so that the sum of its squares is the mean square error.
         """
         return self.difference(technique) / jnp.sqrt(jnp.maximum(self.count, 1))
 
-    def mean_square_error(self, technique: ShadowMapping) -> Scalar:
+    def mean_square_error(self, technique: FittableTechnique) -> Scalar:
         """The mean square error over the pixels that count."""
         return jnp.sum(self.residual(technique) ** 2)
 
-    def difference(self, subject: ShadowMapping, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
+    def difference(self, subject: FittableTechnique, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
         """Visibility less reference at the pixels that count, 0 elsewhere. Nothing is drawn that could overflow."""
         visibility = subject.visibility(self.shadow_map, self.surface)
         return jnp.where(self.mask, visibility - self.reference, 0)
@@ -69,25 +69,26 @@ class TechniqueProblem(AbstractProblem):
         """All of a difference."""
         return difference
 
-    def technique_of(self, subject: ShadowMapping) -> ShadowMapping:
+    def technique_of(self, subject: FittableTechnique) -> FittableTechnique:
         """The subject itself."""
         return subject
 
-    def laid_out(self, subject: ShadowMapping) -> "TechniqueProblem":
-        """With a map that is laid out as `subject` says. The pixels that count are the same.
+    def laid_out(self, subject: FittableTechnique) -> "TechniqueProblem":
+        """With the map that `subject` draws, if it is another one. The pixels that count are the same.
 
-        **Raises** `ValueError` if there is no scene to draw it from, or the layout does not suit it.
+        **Raises** `ValueError` if there is no scene to draw it from, or the technique does not suit it.
         """
-        ours, theirs = (jax.tree.leaves(technique.layout) for technique in (self.technique, subject))
-        if all(one == other for one, other in zip(ours, theirs, strict=True)):
+        numbers = lambda technique: [
+            resolve(technique, name) for name in parameter_names(technique) if technique.lays_out(name)
+        ]
+        if all(ours == theirs for ours, theirs in zip(numbers(self.technique), numbers(subject), strict=True)):
             return self
         if self.scene is None:
             raise ValueError(
-                "a number of the map's layout is fitted, and the problem has no scene to draw the map from; expected "
+                "a number that lays out the map is fitted, and the problem has no scene to draw the map from; expected "
                 "one: use TechniqueProblem.of, or pass scene"
             )
-        technique = dataclasses.replace(self.technique, layout=subject.layout)
-        return dataclasses.replace(self, technique=technique, shadow_map=technique.prepare(self.scene, self.surface))
+        return dataclasses.replace(self, technique=subject, shadow_map=subject.prepare(self.scene, self.surface))
 
     def planned(self) -> "TechniqueProblem":
         """The problem itself: nothing is drawn again."""
@@ -103,7 +104,7 @@ class TechniqueProblem(AbstractProblem):
         return False
 
     @property
-    def subject(self) -> ShadowMapping:
+    def subject(self) -> FittableTechnique:
         """What is fitted."""
         return self.technique
 

@@ -129,13 +129,13 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     return FittedRun(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)
 
 
-def _problem(technique: shadow.ShadowMapping, drawn: Drawn) -> fit.TechniqueProblem:
+def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
     truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
     return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask, drawn.scene)
 
 
 def _seen_with(
-    technique: shadow.ShadowMapping, problems: Sequence[fit.AbstractProblem], drawn: list[Drawn]
+    technique: shadow.FittableTechnique, problems: Sequence[fit.AbstractProblem], drawn: list[Drawn]
 ) -> list[Drawn]:
     """`drawn`, with maps laid out as the technique says."""
     laid_out: Any = [problem.laid_out(technique) for problem in problems]

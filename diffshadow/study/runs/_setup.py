@@ -141,7 +141,9 @@ def load(config: Config, stages: Stages) -> Loaded:
     return Loaded(scene, tuple(messages))
 
 
-def visibility_of(technique: shadow.AbstractTechnique, drawn: Drawn) -> Float32[HostArray, "h w"]:
+def visibility_of(
+    technique: shadow.AbstractTechnique | shadow.FittableTechnique, drawn: Drawn
+) -> Float32[HostArray, "h w"]:
     """The technique's visibility, as a NumPy array."""
     return np.asarray(technique.visibility(drawn.state, drawn.surface), dtype=np.float32)
 

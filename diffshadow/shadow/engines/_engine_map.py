@@ -1,0 +1,130 @@
+"""What an engine draws from a light: which faces cast, and the depths that they leave in the map."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._misc import as_float
+from ..._types import HostArray, Resolution
+from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
+from ...raster import Surface, rasterize_depth
+
+Side = Literal["front", "back", "double"]
+"""Which faces of a mesh an engine draws."""
+Sides = Side | tuple[Side, ...]
+"""Of all meshes, or of each."""
+
+
+class EngineMap(eqx.Module):
+    """The depth that a light sees, and what an engine knows of the meshes.
+
+    - `depth`: (h, w), window depth, 1 where the light sees nothing; row 0 is the bottom row. Of a point light
+        (6, h, w), the faces of a cube map in OpenGL's order and orientation.
+    - `light`: the light it was drawn from.
+    - `offset`: (f,), for each face of the scene's mesh, the factor of its normal bias.
+    - `receives`: (f,), whether the face receives shadows.
+    """
+
+    depth: Float[Array, "*l h w"]
+    light: AbstractLight
+    offset: Float[Array, " f"] = eqx.field(converter=as_float)
+    receives: Bool[Array, " f"] = eqx.field(converter=jnp.asarray)
+
+    @property
+    def resolution(self) -> Resolution:
+        """(height, width) in texels."""
+        height, width = self.depth.shape[-2:]
+        return height, width
+
+    def of_pixels(self, surface: Surface) -> tuple[Float[Array, "h w 1"], Bool[Array, "h w"]]:
+        """The factor of the normal bias at each pixel, (h, w, 1), and whether it sees a receiver, (h, w)."""
+        face = jnp.maximum(surface.face, 0)
+        return self.offset[face][..., None], surface.mask & self.receives[face]
+
+
+class Casters(NamedTuple):
+    """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all to be seen in front."""
+
+    vertices: Float[Array, "v 3"]
+    faces: Int[Array, "f 3"]
+
+    @classmethod
+    def of(cls, meshes: Sequence[Mesh], sides: Sequence[Side]) -> "Casters":
+        """Those faces of each of `meshes` that its entry of `sides` names."""
+        whole = merge(meshes).padded()
+        faces = np.asarray(merge(meshes).faces)
+        side = np.repeat(sides, [mesh.faces.shape[0] for mesh in meshes])
+        # A back face becomes a front face if its corners go the other way round.
+        drawn = np.concatenate([faces[side != "back"], faces[side != "front"][:, ::-1]])
+        padding = np.zeros((-len(drawn) % len(whole.faces), 3), faces.dtype)
+        return cls(whole.vertices, jnp.asarray(np.concatenate([drawn, padding])))
+
+
+def each_of(sides: Sides, meshes: Sequence[Mesh]) -> tuple[Side, ...]:
+    """The side of each of `meshes`.
+
+    **Raises** `ValueError` unless there is one for all, or one for each.
+    """
+    if isinstance(sides, str):
+        return (sides,) * len(meshes)
+    if len(sides) != len(meshes):
+        raise ValueError(
+            f"there are {len(sides)} sides, and the scene has {len(meshes)} meshes; expected one for all, or one each"
+        )
+    return sides
+
+
+def per_face(values: Sequence[float | bool], scene: Scene) -> HostArray:
+    """`values` of the scene's meshes, repeated for each of their faces."""
+    return np.repeat(values, [mesh.faces.shape[0] for mesh in scene.meshes])
+
+
+def map_of(casters: Casters, light: AbstractLight, resolution: Resolution, subpixels: int) -> Float[Array, "*l h w"]:
+    """The depth that `light` sees.
+
+    **Arguments:**
+
+    - `subpixels`: steps to a texel, at whole numbers of which the rasterizer places vertices before it computes depth.
+    """
+    view = cube_view(light) if isinstance(light, PointLight) else light.view()
+    clip = _snapped(view, casters.vertices, resolution, subpixels)
+    return rasterize_depth(clip, casters.faces, resolution, cull="back")
+
+
+@eqx.filter_jit
+def _snapped(
+    view: View, vertices: Float[Array, "v 3"], resolution: Resolution, subpixels: int
+) -> Float[Array, "*l v 4"]:
+    clip = view.clip_vertices(vertices)
+    ahead = clip[..., 3:] > 0
+    w = jnp.where(ahead, clip[..., 3:], 1)
+    steps = as_float(resolution[::-1]) * (subpixels / 2)
+    placed = (jnp.round((clip[..., :2] / w + 1) * steps) / steps - 1) * w
+    return jnp.concatenate([jnp.where(ahead, placed, clip[..., :2]), clip[..., 2:]], axis=-1)
+
+
+# For each face of a cube map, the directions of s, t and the view (OpenGL 4.6, table 8.19).
+CUBE = np.array(
+    [
+        [(0, 0, -1), (0, -1, 0), (1, 0, 0)],
+        [(0, 0, 1), (0, -1, 0), (-1, 0, 0)],
+        [(1, 0, 0), (0, 0, 1), (0, 1, 0)],
+        [(1, 0, 0), (0, 0, -1), (0, -1, 0)],
+        [(1, 0, 0), (0, -1, 0), (0, 0, 1)],
+        [(-1, 0, 0), (0, -1, 0), (0, 0, -1)],
+    ],
+    np.float32,
+)
+
+
+def cube_view(light: PointLight) -> View:
+    """The six views of a cube map, each of exactly 90 degrees."""
+    rows = jnp.asarray(CUBE) * jnp.array([1.0, 1.0, -1.0])[:, None]
+    moved = -jnp.sum(rows * light.position, axis=-1)
+    world_to_eye = jnp.zeros((6, 4, 4)).at[:, :3, :3].set(rows).at[:, :3, 3].set(moved).at[:, 3, 3].set(1)
+    sides = jnp.array([-1.0, 1.0])
+    return View(world_to_eye, perspective(sides, sides, light.near, light.far), light.near, light.far, True)

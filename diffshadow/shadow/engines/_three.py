@@ -1,0 +1,229 @@
+"""The shadows of three.js (r187, `WebGLRenderer`)."""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete, safe_norm
+from ..._types import Resolution, Scalar, Visibility
+from ...geometry import PointLight, Scene
+from ...raster import Surface
+from .._compare import AbstractCompare, HardCompare
+from ..biases._abstract import check_choice
+from ._abstract import AbstractEngineShadows, Place
+from ._engine_map import EngineMap, Side, Sides, each_of
+from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+
+ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
+
+_TAPS = 5
+_GOLDEN_ANGLE = 2.399963229728653
+# Interleaved gradient noise (Jimenez, "Next Generation Post Processing in Call of Duty: Advanced Warfare", 2014).
+_NOISE = 52.9829189
+# The side that casts, of each side of a material: the renderer's own table.
+_OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
+_LEAST_VARIANCE = 1e-7
+# Light bleeding below this bound is cut off.
+_BLEEDING = 0.3
+_FULL = 0.95
+
+
+class ThreeJs(AbstractEngineShadows):
+    """The shadows of three.js, release 187, as its `WebGLRenderer` draws them.
+
+    - `shadow_type`: `renderer.shadowMap.type`. `PCFSoftShadowMap` is drawn as `PCFShadowMap`, as the engine does.
+    - `bias`: added to the receiver's window depth after the divide; negative values lift it towards the light.
+    - `normal_bias`: how far receivers move along their interpolated normals, in world units.
+    - `radius`: of the disk of taps (PCF) or of the box (VSM), in texels; under a point light, in half texels at a
+        face's centre. Without effect for `BasicShadowMap`.
+    - `intensity`: of the shadow, from 0 to 1.
+    - `blur_samples`: taps of the box along each axis (VSM).
+    - `side`: of the meshes' materials, `"front"`, `"back"` or `"double"`: of all, or of each. Back sides negate
+        `normal_bias`.
+    - `shadow_side`: of the materials too; which faces cast. If it is left out, front sides cast their back faces, back
+        sides their front faces and double sides both; with VSM, what `side` says. So a closed mesh has no acne, and a
+        single ground plane casts nothing.
+    - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
+    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
+
+    The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
+    reads single texels.
+
+    **Raises** `ValueError` for an unknown shadow type, a negative radius, or fewer than 1 sample.
+    """
+
+    bias: Scalar = eqx.field(converter=as_float, default=0.0)
+    normal_bias: Scalar = eqx.field(converter=as_float, default=0.0)
+    radius: Scalar = eqx.field(converter=as_float, default=1.0)
+    intensity: Scalar = eqx.field(converter=as_float, default=1.0)
+    compare: AbstractCompare = HardCompare()
+    shadow_type: ShadowType = eqx.field(static=True, default="PCFShadowMap")
+    blur_samples: int = eqx.field(static=True, default=8)
+    side: Sides = eqx.field(static=True, default="front")
+    shadow_side: Sides | None = eqx.field(static=True, default=None)
+    reversed_depth: bool = eqx.field(static=True, default=False)
+    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+    subpixels: int = eqx.field(static=True, default=256)
+
+    def __check_init__(self):
+        check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
+        radius = concrete(self.radius)
+        if radius is not None and not radius >= 0:
+            raise ValueError(f"three.js' radius is {radius}; expected 0 or more texels")
+        if self.blur_samples < 1:
+            raise ValueError(f"three.js' blur_samples is {self.blur_samples}; expected 1 or more")
+
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
+        """The map of the scene's only light. It does not depend on `surface`.
+
+        **Raises** `ValueError` for an area light, a point light with `VSMShadowMap`, which the engine does not draw, or
+        a number of sides that is not the number of meshes.
+        """
+        is_variance = self.shadow_type == "VSMShadowMap"
+        if is_variance and isinstance(scene.light, PointLight):
+            raise ValueError(
+                "the light is a point light, for which three.js draws no VSMShadowMap; expected BasicShadowMap or "
+                "PCFShadowMap: change shadow_type"
+            )
+        side = each_of(self.side, scene.meshes)
+        default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
+        casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes)
+        casts = [True] * len(side) if is_variance or scene.casts is None else scene.casts
+        return self.drawn(scene, casting, [-1.0 if one == "back" else 1.0 for one in side], casts)
+
+    def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        What lies outside of the light's frustum is lit. Faces turned away from the light are compared as all others.
+        """
+        return _visibility(self, state, surface)
+
+
+@eqx.filter_jit
+def _visibility(settings: ThreeJs, state: EngineMap, surface: Surface) -> Visibility:
+    factor, receives = state.of_pixels(surface)
+    position = surface.position + settings.normal_bias * factor * surface.interpolated_normal
+    of = _in_cube if isinstance(state.light, PointLight) else _in_window
+    lit = of(settings, state, position)
+    return jnp.where(receives, 1 + (lit - 1) * settings.intensity, 1)
+
+
+def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    place = Place.of(position, state.light.view(), state.resolution)
+    z = place.z + settings.bias
+    inside = place.in_window & ((z >= 0) if settings.reversed_depth else (z <= 1))
+    compared = lambda stored: settings.compare(stored, z, place.depth_per_texel)
+    u, v = (jnp.where(inside, at, 0.5) for at in (place.u, place.v))
+    if settings.shadow_type == "BasicShadowMap":
+        lit = compared(nearest(state.depth, u, v))
+    elif settings.shadow_type == "VSMShadowMap":
+        # What is rounded to half floats is the depth as it is stored.
+        as_stored = (lambda depth: 1 - depth) if settings.reversed_depth else (lambda depth: depth)
+        moments = _blurred(as_stored(state.depth), settings)
+        mean, deviation = (bilinear(part, u, v, lambda texel: texel) for part in moments)
+        mean = as_stored(mean)
+        lit = jnp.maximum(compared(mean), _chebyshev(mean, deviation, z))
+    else:
+        height, width = state.resolution
+        tap = lambda x, y: bilinear(
+            state.depth, u + settings.radius / width * x, v + settings.radius / height * y, compared
+        )
+        lit = _mean_over_disk(tap, z.shape)
+    return jnp.where(inside, lit, 1)
+
+
+def _mean_over_disk(tap: Any, shape: tuple[int, ...]) -> Float[Array, "h w"]:
+    """The mean of `tap(x, y)` over Vogel's disk, turned at each pixel by noise."""
+    # Of pixel centres, counted from the lower left.
+    x, y = jnp.arange(shape[1]) + 0.5, (jnp.arange(shape[0]) + 0.5)[:, None]
+    fraction = lambda t: t - jnp.floor(t)
+    turn = 2 * jnp.pi * fraction(_NOISE * fraction(0.06711056 * x + 0.00583715 * y))
+
+    def add(total: Array, k: Array) -> tuple[Array, None]:
+        angle, distance = _GOLDEN_ANGLE * k + turn, jnp.sqrt((k + 0.5) / _TAPS)
+        return total + tap(distance * jnp.cos(angle), distance * jnp.sin(angle)), None
+
+    return lax.scan(add, jnp.zeros(shape), jnp.arange(_TAPS, dtype=jnp.float32))[0] / _TAPS
+
+
+def _blurred(depth: Float[Array, "h w"], settings: ThreeJs) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear ones along rows.
+
+    Both are rounded to half floats after each pass. Squares are summed in single precision, whose cancellation is part
+    of the picture.
+    """
+    height, width = depth.shape
+    samples = settings.blur_samples
+    offsets = settings.radius * jnp.linspace(-1, 1, samples) if samples > 1 else jnp.zeros(1)
+    rows, columns = jnp.arange(height) + 0.5, jnp.arange(width) + 0.5
+
+    def along_column(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
+        row = jnp.clip(jnp.floor(rows + offset).astype(jnp.int32), 0, height - 1)
+        return (sums[0] + depth[row], sums[1] + depth[row] * depth[row]), None
+
+    zeros = (jnp.zeros_like(depth), jnp.zeros_like(depth))
+    mean, deviation = _as_stored(*lax.scan(along_column, zeros, offsets)[0], samples)
+
+    def along_row(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
+        at = columns + offset - 0.5
+        left = jnp.floor(lax.stop_gradient(at))
+        share = at - left
+        low, high = (jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1))
+        read = lambda part: part[:, low] * (1 - share) + part[:, high] * share
+        m, s = read(mean), read(deviation)
+        return (sums[0] + m, sums[1] + (s * s + m * m)), None
+
+    return _as_stored(*lax.scan(along_row, zeros, offsets)[0], samples)
+
+
+def _as_stored(total: Array, squares: Array, samples: int) -> tuple[Array, Array]:
+    mean, square = total / samples, squares / samples
+    variance = square - mean * mean
+    deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 0)
+    return _half(mean), _half(deviation)
+
+
+def _half(x: Array) -> Array:
+    return x.astype(jnp.float16).astype(jnp.float32)
+
+
+def _chebyshev(mean: Array, deviation: Array, z: Array) -> Array:
+    """The upper bound on visibility (Donnelly & Lauritzen 2006), cut off below against light bleeding."""
+    variance = jnp.maximum(deviation * deviation, _LEAST_VARIANCE)
+    bound = variance / (variance + (z - mean) ** 2)
+    return jnp.clip((bound - _BLEEDING) / (_FULL - _BLEEDING), 0, 1)
+
+
+def _in_cube(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    light = state.light
+    assert isinstance(light, PointLight)
+    near, far, bias = light.near, light.far, settings.bias
+    towards = position - light.position
+    _, _, _, along = place_in_cube(towards)
+    inside = (along >= near) & (along <= far)
+    size = state.depth.shape[-1]
+    at = jnp.maximum(along, near)
+    # A texel is 2 v / N wide at the distance v along the face's axis, and z' = f n / ((f - n) v²).
+    per_texel = 2 * near * far / ((far - near) * at * size)
+    if settings.shadow_type == "BasicShadowMap":
+        z = far * (at - near) / (at * (far - near)) + bias
+        lit = settings.compare(nearest_in_cube(state.depth, towards), z, per_texel)
+        return jnp.where(inside, lit, 1)
+    distance = safe_norm(towards)
+    unit = towards / jnp.where(distance > 0, distance, 1)[..., None]
+    is_x = jnp.abs(unit[..., :1]) > jnp.abs(unit[..., 2:])
+    tangent = jnp.cross(unit, jnp.where(is_x, jnp.array([0.0, 1.0, 0.0]), jnp.array([1.0, 0.0, 0.0])))
+    tangent = tangent / safe_norm(tangent)[..., None]
+    bitangent = jnp.cross(unit, tangent)
+    bordered = with_borders(state.depth)
+
+    def tap(x: Array, y: Array) -> Array:
+        direction = unit + settings.radius / size * (tangent * x[..., None] + bitangent * y[..., None])
+        axis = jnp.max(jnp.abs(direction), axis=-1)
+        z = far / (far - near) + bias - near * far / ((far - near) * distance * axis)
+        return bilinear_in_cube(bordered, direction, lambda stored: settings.compare(stored, z, per_texel))
+
+    return jnp.where(inside, _mean_over_disk(tap, along.shape), 1)

@@ -1,0 +1,157 @@
+"""three.js' shadows against pictures that three.js drew."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from engine_states import agreement, read_back, receives, scene_of, surface_of
+from golden_engines import engine_golden, engine_goldens
+
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import ThreeJs
+from diffshadow.shadow.engines import _three
+
+CASES = engine_goldens("three")
+ENOUGH = 0.9997
+# The box stands on the ground, and its bottom casts: at equal depths, rounding decides.
+TIES = {"point_basic_default_sides": 0.9996}
+
+
+def preset(golden) -> ThreeJs:
+    """The engine's settings."""
+    given, light = golden.settings, golden.settings["light"]
+    meshes = given["meshes"]
+    side = tuple(mesh.get("side", "front") for mesh in meshes)
+    casting = tuple(mesh.get("shadowSide") for mesh in meshes)
+    size = light["mapSize"]
+    width, height = size if isinstance(size, list) else (size, size)
+    return ThreeJs(
+        bias=light.get("bias", 0.0),
+        normal_bias=light.get("normalBias", 0.0),
+        radius=light.get("radius", 1.0),
+        intensity=light.get("intensity", 1.0),
+        shadow_type=f"{given['shadowType']}ShadowMap",
+        blur_samples=light.get("blurSamples", 8),
+        side=side,
+        shadow_side=casting if all(casting) else None,
+        reversed_depth=given["reversedDepthBuffer"],
+        resolution=(height, width),
+        subpixels=16,
+    )
+
+
+def offsets(golden) -> list[float]:
+    """1 for every mesh: the engine's normals are turned and left out already."""
+    return [1.0] * len(golden.settings["meshes"])
+
+
+def from_read_back(golden, technique):
+    """Visibility from the engine's own map."""
+    depth = golden.arrays["map"]
+    state = read_back(golden, 1 - depth if technique.reversed_depth else depth, offsets(golden))
+    return technique.visibility(state, surface_of(golden))
+
+
+def from_own_map(golden, technique):
+    """Visibility from a map that the library draws, at the engine's receivers."""
+    drawn = technique.prepare(scene_of(golden))
+    state = dataclasses.replace(drawn, offset=jnp.asarray(offsets(golden)), receives=jnp.asarray(receives(golden)))
+    return technique.visibility(state, surface_of(golden))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_engines_map_gives_the_engines_picture(name):
+    golden = engine_golden("three", name)
+    assert agreement(golden, from_read_back(golden, preset(golden))) >= TIES.get(name, ENOUGH)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_own_map_gives_the_engines_picture(name):
+    golden = engine_golden("three", name)
+    assert agreement(golden, from_own_map(golden, preset(golden))) >= 0.999
+
+
+def test_the_own_camera_gives_the_engines_picture():
+    golden = engine_golden("three", "directional_pcf_both_intensity")
+    technique, scene = preset(golden), scene_of(golden)
+    surface = draw_surface(scene.mesh, scene.camera)
+    visibility = technique.visibility(technique.prepare(scene, surface), surface)
+    # The engine's camera places vertices at coarser steps than ours.
+    same = np.abs(np.asarray(surface.position) - golden.arrays["position"]).max(axis=-1) < 0.01
+    off = np.abs(np.asarray(visibility) - golden.arrays["visibility"])
+    assert same.mean() > 0.6
+    assert (off <= 1 / 255)[same].mean() > 0.99
+
+
+def test_back_sides_negate_the_normal_bias():
+    golden = engine_golden("three", "directional_pcf_mixed_normal_bias")
+    drawn = preset(golden).prepare(scene_of(golden))
+    blob = golden.settings["meshes"][1]
+    assert blob["side"] == "back"
+    at = golden.arrays["mesh"] == 1
+    outwards = golden.arrays["position"][at] - blob["vertices"].mean(axis=0)
+    # The engine's normals point inwards there, and ours are turned.
+    assert ((outwards * golden.arrays["normal"][at]).sum(axis=-1) < 0).all()
+    counts = [len(mesh["faces"]) for mesh in golden.settings["meshes"]]
+    assert np.split(np.asarray(drawn.offset), np.cumsum(counts)[:-1])[1].tolist() == [-1] * counts[1]
+
+
+# --- The pictures can tell a wrong preset ---
+
+CHANGES = {
+    "bias": lambda one: dataclasses.replace(one, bias=one.bias * 0.9),
+    "bias's sign": lambda one: dataclasses.replace(one, bias=-one.bias),
+    "normal bias": lambda one: dataclasses.replace(one, normal_bias=one.normal_bias * 0.9),
+    "radius": lambda one: dataclasses.replace(one, radius=one.radius * 0.9),
+    "intensity": lambda one: dataclasses.replace(one, intensity=one.intensity * 0.9),
+    "blur samples": lambda one: dataclasses.replace(one, blur_samples=one.blur_samples - 1),
+    "depth": lambda one: dataclasses.replace(one, reversed_depth=not one.reversed_depth),
+}
+KINDS = {
+    "directional_basic": {"bias", "bias's sign", "normal bias"},
+    "directional_pcf": {"bias", "bias's sign", "normal bias", "radius", "intensity", "depth"},
+    "directional_vsm": {"bias", "bias's sign", "normal bias", "radius", "intensity", "blur samples", "depth"},
+    "spot_basic": {"bias", "bias's sign", "normal bias"},
+    "spot_pcf": {"bias", "bias's sign", "normal bias", "radius"},
+    "spot_vsm": {"bias", "bias's sign", "radius", "blur samples"},
+    "point_basic": {"bias", "bias's sign"},
+    "point_pcf": {"bias", "bias's sign", "normal bias", "radius"},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_changed_setting_is_told_apart(kind):
+    missed = set(KINDS[kind])
+    for name in (name for name in CASES if name.startswith(kind)):
+        golden = engine_golden("three", name)
+        right = preset(golden)
+        for what in sorted(missed):
+            if agreement(golden, from_read_back(golden, CHANGES[what](right))) < ENOUGH:
+                missed.remove(what)
+    assert not missed
+
+
+def plain(x):
+    return x
+
+
+HIDDEN = {
+    "rotation of the taps": ("_NOISE", 0.0, "directional_pcf_radius_4"),
+    "half floats": ("_half", plain, "directional_vsm_radius_4"),
+    "cut of light bleeding": ("_BLEEDING", 0.0, "directional_vsm_radius_4"),
+    "sides that cast": ("_OTHER", {one: one for one in ("front", "back", "double")}, "directional_basic_default_sides"),
+}
+
+
+@pytest.mark.parametrize("what", HIDDEN)
+def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
+    constant, value, name = HIDDEN[what]
+    golden = engine_golden("three", name)
+    monkeypatch.setattr(_three, constant, value)
+    if constant == "_OTHER":
+        assert agreement(golden, from_own_map(golden, preset(golden))) < 0.999
+        return
+    with jax.disable_jit():
+        assert agreement(golden, from_read_back(golden, preset(golden))) < ENOUGH
