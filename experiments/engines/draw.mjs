@@ -63,8 +63,9 @@ async function main(folder, executablePath) {
         await page?.close();
         page = await context.newPage();
         page.on("console", (message) => {
-          // Chromium's own advice about speed is nothing that an engine says.
-          if (!message.text().includes("GL Driver Message")) messages.push(`${message.type()}: ${message.text()}`);
+          // Chromium's advice about speed is nothing that an engine says, and a log has the time of day.
+          if (message.type() === "log" || message.text().includes("GL Driver Message")) return;
+          messages.push(`${message.type()}: ${message.text()}`);
         });
         page.on("pageerror", (error) => messages.push(`error: ${error.message}`));
         await page.goto(`http://127.0.0.1:${server.address().port}/page.html`);
