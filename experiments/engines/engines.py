@@ -79,6 +79,8 @@ def missing() -> str | None:
 def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Drawing]:
     """Draws each job; the module's docstring says what a job is.
 
+    `timeout` is in seconds, for all jobs together.
+
     **Raises** `EngineError` if a program or package is missing, or the engine fails.
     """
     lack = missing()
@@ -86,11 +88,14 @@ def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Dra
         raise EngineError(lack)
     # Jobs of one engine follow each other, so that each engine is loaded once.
     order = sorted(range(len(jobs)), key=lambda i: jobs[i]["engine"])
-    with tempfile.TemporaryDirectory(prefix="engines-") as name:
+    with tempfile.TemporaryDirectory(prefix="engines-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        _write([jobs[i] for i in order], folder)
+        _write([{**jobs[i], "index": i} for i in order], folder)
         command = ["node", str(HERE / "draw.mjs"), name, str(_browser())]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise EngineError(f"{len(jobs)} jobs took more than {timeout:g} s; give `timeout` more") from error
         if done.returncode:
             raise EngineError(f"the engine failed: {done.stderr.strip()}")
         results = json.loads((folder / "results.json").read_text())

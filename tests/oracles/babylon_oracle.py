@@ -75,7 +75,7 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     height, width = image.shape
     taps = footprint(uv, width, height)
-    return sum(w * image[y.clip(0, height - 1), x.clip(0, width - 1)] for x, y, w in taps)
+    return sum((w * image[y.clip(0, height - 1), x.clip(0, width - 1)] for x, y, w in taps), np.zeros(len(uv)))
 
 
 def exponential(name: str, metric: np.ndarray, texel: np.ndarray, darkness: float, steepness: float) -> np.ndarray:
@@ -105,7 +105,8 @@ def point(name: str, cube, unit, metric, darkness: float, scale: float, steepnes
 def cube_linear(cube: np.ndarray, way: np.ndarray) -> np.ndarray:
     face, st = cube_texel(cube, way)
     size = cube.shape[-1]
-    return sum(weight * cube_fetch(cube, face, x, y) for x, y, weight in footprint(st, size, size))
+    taps = footprint(st, size, size)
+    return sum((weight * cube_fetch(cube, face, x, y) for x, y, weight in taps), np.zeros(len(way)))
 
 
 def compared(depth: np.ndarray, uv: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -113,7 +114,7 @@ def compared(depth: np.ndarray, uv: np.ndarray, z: np.ndarray) -> np.ndarray:
     height, width = depth.shape
     taps = footprint(uv, width, height)
     less = lambda x, y: z.astype(f32) < depth[y.clip(0, height - 1), x.clip(0, width - 1)]
-    return sum(weight * less(x, y) for x, y, weight in taps)
+    return sum((weight * less(x, y) for x, y, weight in taps), np.zeros(len(uv)))
 
 
 def pcf(depth: np.ndarray, uv: np.ndarray, z: np.ndarray, quality: str) -> np.ndarray:
@@ -158,7 +159,7 @@ def box_blurred(color: np.ndarray, size: int, offset: int, is_half: bool) -> np.
     """The map of `size` that the box blur leaves, (size, size)."""
     uv = centres(size)
     reach = range(-offset, offset + 1)
-    total = sum(bilinear(color, uv + np.array([x, y]) / size) for x in reach for y in reach)
+    total = sum((bilinear(color, uv + np.array([x, y]) / size) for x in reach for y in reach), np.zeros(len(uv)))
     return rounded(total.reshape(size, size) / (2 * offset + 1) ** 2, is_half)
 
 
@@ -177,7 +178,8 @@ def kernel_blurred(color: np.ndarray, size: int, kernel: float, is_half: bool) -
         taps += [(place, a + b), (-place, a + b)]
     uv = centres(size)
     for step in (np.array([1, 0]) / size, np.array([0, 1]) / size):
-        color = rounded(sum(w * bilinear(color, uv + o * step) for o, w in taps).reshape(size, size), is_half)
+        total = sum((w * bilinear(color, uv + o * step) for o, w in taps), np.zeros(len(uv)))
+        color = rounded(total.reshape(size, size), is_half)
     return color
 
 
