@@ -3,9 +3,8 @@
 // Arrays lie beside jobs.json as raw files, and the results are written there: raw files, and results.json.
 // `engines.py` writes the folder and reads it back; it says what a job holds.
 
-import { appendFile, mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { appendFile, readFile, writeFile } from "node:fs/promises";
 import { createServer } from "node:http";
-import { tmpdir } from "node:os";
 import path from "node:path";
 import { chromium } from "playwright-core";
 
@@ -51,7 +50,7 @@ function serve(folder) {
 async function main(folder, executablePath) {
   const jobs = JSON.parse(await readFile(path.join(folder, "jobs.json"), "utf8"));
   const server = await serve(folder);
-  const profile = await mkdtemp(path.join(tmpdir(), "engines-"));
+  const profile = path.join(folder, "profile");
   const context = await chromium.launchPersistentContext(profile, { executablePath, headless: true, args: FLAGS });
   try {
     const results = [];
@@ -63,8 +62,9 @@ async function main(folder, executablePath) {
         await page?.close();
         page = await context.newPage();
         page.on("console", (message) => {
-          // Chromium's own advice about speed is nothing that an engine says.
-          if (!message.text().includes("GL Driver Message")) messages.push(`${message.type()}: ${message.text()}`);
+          // Chromium's advice about speed is nothing that an engine says, and a log has the time of day.
+          if (message.type() === "log" || message.text().includes("GL Driver Message")) return;
+          messages.push(`${message.type()}: ${message.text()}`);
         });
         page.on("pageerror", (error) => messages.push(`error: ${error.message}`));
         await page.goto(`http://127.0.0.1:${server.address().port}/page.html`);
@@ -74,7 +74,8 @@ async function main(folder, executablePath) {
       try {
         results.push({ ...(await page.evaluate((i) => window.run(i), index)), messages });
       } catch (error) {
-        throw new Error(`job ${index} (${job.engine}): ${error.message}\n${messages.join("\n")}`);
+        const [what] = error.message.replace(/^page\.evaluate: (Error: )?/, "").split("\n    at ");
+        throw new Error([`job ${job.index} (${job.engine}): ${what}`, ...messages].join("\n"));
       }
       process.stdout.write(`${index + 1}/${jobs.length}\n`);
     }
@@ -82,8 +83,12 @@ async function main(folder, executablePath) {
   } finally {
     await context.close();
     server.close();
-    await rm(profile, { recursive: true, force: true });
   }
 }
 
-await main(process.argv[2], process.argv[3]);
+try {
+  await main(process.argv[2], process.argv[3]);
+} catch (error) {
+  process.stderr.write(`${error.message}\n`);
+  process.exitCode = 1;
+}

@@ -6,16 +6,21 @@
 - `width`, `height`: of the picture, pixels.
 - `meshes`: a list of `vertices` (v, 3), `normals` (v, 3) or None, `faces` (f, 3), anticlockwise seen from the front;
   `casts` and `receives` (both true). three.js: `side` and `shadowSide`, each "front", "back" or "double" (the second
-  None: as three.js chooses). Babylon.js: `backFaceCulling` (true).
-- `light`: its `type` ("directional", "spot" or "point") and the engine's own settings by the engine's own names.
+  None: as three.js chooses). Babylon.js: `backFaceCulling` (true), and `clockwise` (false): gives the engine its own
+  winding in place of that of glTF files.
+- `light`: its `type` ("directional", "spot" or "point") and the engine's own settings by the engine's own names. For
+  three.js those of the shadow stand here too, `camera` holding left, right, top, bottom, near and far.
 - `shadowType` (three.js): "Basic", "PCF", "PCFSoft" or "VSM".
-- `generator` (Babylon.js): the shadow generator's settings, by their own names.
+- `generator` (Babylon.js): `mapSize`, `usefullFloatFirst`, and the shadow generator's settings by their own names;
+  `filter` and `filteringQuality` by the names of its constants, such as "PCF" and "HIGH".
 - `reversedDepthBuffer` (three.js): false.
 - `camera`: `view` and `projection` (4, 4) for column vectors, as `world_to_eye` and `eye_to_clip` of this library; or
   `position`, `target`, `up`, `fov` (vertical, degrees), `aspect`, `near`, `far`, from which the engine makes its own.
-- `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility.
-- `grid`: a list of settings (of `light`, or of `generator` for Babylon.js) that are changed for one picture each, on
-  top of those before.
+- `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility;
+  Babylon.js also has "random", the number that contact hardening turns its taps by.
+- `grid`: a list of settings, each drawn as one picture more: "bias", "normalBias", "radius", "blurSamples" and
+  "intensity" of the light's shadow for three.js, any of `generator` for Babylon.js. What one leaves out is as in the
+  job.
 
 Every image and map has its bottom row first, as OpenGL has.
 """
@@ -39,9 +44,12 @@ class Drawing(NamedTuple):
     """What the engine drew and used.
 
     - `arrays`: by name. `visibility` (h, w), float32, 1 where nothing is seen; `mesh` (h, w), its index, -1 for none;
-      `depth` (h, w), gl_FragCoord.z; `position` and `normal` (h, w, 3), world space, as interpolated; `map` (n, n),
-      or (6, n, n) under a point light, and more maps as the technique has them; `grid` (k, h, w), a visibility for
-      each settings; `picture` (h, w), uint8, drawn by the engine's unchanged shader.
+      `depth` (h, w), gl_FragCoord.z; `position` and `normal` (h, w, 3), world space, as interpolated; `grid` (k, h, w),
+      a visibility for each settings; `picture` (h, w), uint8, by the engine's unchanged shader: three.js'
+      ShadowMaterial, Babylon.js' StandardMaterial with its shading.
+    - The maps of three.js: `map` (n, n), or (6, n, n) under a point light: depth; with VSM also `map_vertical` and
+      `map_blurred` (n, n, 2), mean and deviation after each pass. Of Babylon.js: `map_depth` (PCF, PCSS),
+      `map_metric` (all but PCF) and `map_blurred`. Cube faces in OpenGL's order, as they lie in the texture.
     - `info`: matrices as flat lists of 16 with `clip = [x, y, z, 1] @ list.reshape(4, 4)`, near and far as used.
     - `messages`: what the engine wrote to the console.
     """
@@ -71,6 +79,8 @@ def missing() -> str | None:
 def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Drawing]:
     """Draws each job; the module's docstring says what a job is.
 
+    `timeout` is in seconds, for all jobs together.
+
     **Raises** `EngineError` if a program or package is missing, or the engine fails.
     """
     lack = missing()
@@ -78,11 +88,14 @@ def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Dra
         raise EngineError(lack)
     # Jobs of one engine follow each other, so that each engine is loaded once.
     order = sorted(range(len(jobs)), key=lambda i: jobs[i]["engine"])
-    with tempfile.TemporaryDirectory(prefix="engines-") as name:
+    with tempfile.TemporaryDirectory(prefix="engines-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        _write([jobs[i] for i in order], folder)
+        _write([{**jobs[i], "index": i} for i in order], folder)
         command = ["node", str(HERE / "draw.mjs"), name, str(_browser())]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise EngineError(f"{len(jobs)} jobs took more than {timeout:g} s; give `timeout` more") from error
         if done.returncode:
             raise EngineError(f"the engine failed: {done.stderr.strip()}")
         results = json.loads((folder / "results.json").read_text())

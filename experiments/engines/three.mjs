@@ -72,11 +72,15 @@ function makeLight(settings) {
   return light;
 }
 
-const ON_SHADOW = ["bias", "normalBias", "radius", "blurSamples", "intensity", "focus", "aspect"];
+const RECEIVING = ["bias", "normalBias", "radius", "blurSamples", "intensity"];
+const ON_SHADOW = [...RECEIVING, "focus", "aspect"];
 const ON_LIGHT = ["angle", "distance"];
+const KNOWN = [...ON_SHADOW, ...ON_LIGHT, "type", "position", "target", "mapSize", "camera"];
 
 function set(light, settings) {
   const { shadow } = light;
+  const unknown = Object.keys(settings).filter((name) => !KNOWN.includes(name));
+  if (unknown.length) throw new Error(`a light of three.js has no ${unknown}; expected some of ${KNOWN}`);
   for (const name of ON_SHADOW) if (settings[name] !== undefined) shadow[name] = settings[name];
   for (const name of ON_LIGHT) if (settings[name] !== undefined) light[name] = settings[name];
   if (settings.mapSize) shadow.mapSize.set(...[settings.mapSize].flat().concat(settings.mapSize).slice(0, 2));
@@ -208,10 +212,20 @@ async function saveGrid(renderer, scene, camera, job, light, save) {
   const target = floatTarget(width, height, 1);
   const texels = new Float32Array(width * height * 4);
   renderer.setRenderTarget(target);
+  const own = {};
+  for (const name of new Set(job.grid.flatMap(Object.keys))) {
+    if (!RECEIVING.includes(name)) throw new Error(`a grid cannot change ${name}; expected some of ${RECEIVING}`);
+    own[name] = light.shadow[name];
+  }
   const chunk = Math.max(1, Math.floor(4e6 / (width * height)));
   let kept = [];
   for (const [index, settings] of job.grid.entries()) {
-    set(light, settings);
+    const before = [light.shadow.radius, light.shadow.blurSamples];
+    set(light, { ...own, ...settings });
+    // Only the blurred map depends on a setting, and only on these two.
+    const isBlurredAnew = light.shadow.radius !== before[0] || light.shadow.blurSamples !== before[1];
+    light.shadow.autoUpdate = false;
+    light.shadow.needsUpdate = job.shadowType === "VSM" && isBlurredAnew;
     renderer.render(scene, camera);
     renderer.readRenderTargetPixels(target, 0, 0, width, height, texels);
     const visibility = new Float32Array(width * height);

@@ -75,7 +75,8 @@ def three_cases() -> dict[str, dict[str, Any]]:
     add("directional_pcf_both_intensity", "PCF", SUN, bias=-0.0015, normalBias=0.006, radius=2.5, intensity=0.7)
     add("directional_basic_default_sides", "Basic", SUN, DEFAULT)
     add("directional_pcf_default_sides", "PCF", SUN, DEFAULT, bias=0.001, radius=2.0)
-    add("directional_basic_double", "Basic", SUN, DOUBLE, bias=-0.0015)
+    # On closed meshes the nearest surface faces the light, unless the near plane cuts them open.
+    add("directional_basic_double", "Basic", SUN, DOUBLE, bias=-0.0015, camera=SMALL)
     add("directional_basic_mixed", "Basic", SUN, MIXED, bias=-0.0015)
     add("directional_pcf_mixed_normal_bias", "PCF", SUN, MIXED, normalBias=0.008)
     add("directional_pcf_frustum", "PCF", SUN, radius=3.0, bias=-0.003, camera=SMALL)

@@ -36,7 +36,8 @@ OUTPUTS = ["mesh", "position", "normal", "map"]
 def job(settings: dict[str, Any], meshes: dict[str, dict[str, np.ndarray]]) -> dict[str, Any]:
     """The settings with arrays in place of the meshes' names."""
     filled = [{**meshes[mesh["mesh"]], **mesh} for mesh in settings["meshes"]]
-    return {**settings, "meshes": filled, "outputs": OUTPUTS}
+    outputs = [*OUTPUTS, *(["random"] if settings.get("generator", {}).get("filter") == "PCSS" else [])]
+    return {**settings, "meshes": filled, "outputs": outputs}
 
 
 def stored_arrays(drawing: Drawing) -> dict[str, np.ndarray]:
@@ -47,13 +48,15 @@ def stored_arrays(drawing: Drawing) -> dict[str, np.ndarray]:
     arrays = drawing.arrays
     covered = arrays["mesh"] >= 0
     found = {
-        "visibility": np.round(arrays["visibility"].astype(np.float64) * VISIBILITY_STEPS).astype(np.uint16),
+        "visibility": np.round(arrays["visibility"].astype(np.float64).clip(0, 1) * VISIBILITY_STEPS).astype(np.uint16),
         "mesh": arrays["mesh"].astype(np.int8),
     }
     for name in set(arrays) - set(found):
         array = arrays[name]
         if name in ("position", "normal"):
             array = np.where(covered[..., None], array, np.float32(0))
+        if name == "random":
+            array = np.where(covered, array, np.float32(0))
         is_half = np.array_equal(array.astype(np.float16).astype(np.float32), array)
         found[name] = array.astype(np.float16) if is_half else pack(array)
         if not np.array_equal(unpack(found[name]).view(np.uint32), array.view(np.uint32)):
