@@ -33,8 +33,8 @@ from diffshadow.config import (
     Mistake,
     Place,
     build_fit,
+    build_fittable,
     build_scene,
-    build_shadow_mapping,
     load_config,
 )
 from diffshadow.study import style
@@ -164,7 +164,7 @@ def problem_of(drawn: Case, settings: Config | None = None, *, fitting: bool = T
     **Raises** `ConfigError` if no pixel's surface is seen by both camera and light.
     """
     settings = settings or drawn.settings
-    technique = build_shadow_mapping(settings, fitting=fitting)
+    technique = build_fittable(settings, fitting=fitting)
     problem = fit.TechniqueProblem.of(drawn.scene, technique, drawn.truth, surface=drawn.surface)
     if not bool(problem.mask.any()):
         what = "and the camera see no surface together; expected both to see the same part of the scene: move one"

@@ -24,6 +24,8 @@ from .sections._biases import BiasConfig as BiasConfig
 from .sections._biases import NoPlaneConfig as NoPlaneConfig
 from .sections._biases import PlaneConfig as PlaneConfig
 from .sections._biases import ReceiverPlaneConfig as ReceiverPlaneConfig
+from .sections._engines import EngineConfig as EngineConfig
+from .sections._engines import ThreeJsConfig as ThreeJsConfig
 from .sections._filters import BilinearConfig as BilinearConfig
 from .sections._filters import CastanoConfig as CastanoConfig
 from .sections._filters import ExponentialConfig as ExponentialConfig
@@ -84,6 +86,7 @@ from .whole._schema import Config as Config
 if TYPE_CHECKING:
     from .building._modules import FitPlan as FitPlan
     from .building._modules import build_fit as build_fit
+    from .building._modules import build_fittable as build_fittable
     from .building._modules import build_mesh as build_mesh
     from .building._modules import build_scene as build_scene
     from .building._modules import build_shading as build_shading
@@ -97,6 +100,7 @@ _NEED_JAX = frozenset(
         "build_mesh",
         "build_scene",
         "build_shading",
+        "build_fittable",
         "build_shadow_mapping",
         "build_technique",
     }

@@ -32,8 +32,11 @@ from .biases import ConstantBias as ConstantBias
 from .biases import NormalOffset as NormalOffset
 from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
+from .engines import AbstractEngineShadows as AbstractEngineShadows
 from .engines import EngineMap as EngineMap
 from .engines import ThreeJs as ThreeJs
+from .engines import ThreeJsLight as ThreeJsLight
+from .engines import three_js_code as three_js_code
 from .filters import AbstractFilter as AbstractFilter
 from .filters import Bilinear as Bilinear
 from .filters import Castano as Castano

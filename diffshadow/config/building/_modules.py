@@ -8,6 +8,7 @@ from ... import fit, geometry, shading, shadow
 from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
+from ..sections._engines import EngineConfig
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
@@ -106,6 +107,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
             return shadow.ShadowVolumes(method)
         case ProjectiveTextureConfig(resolution=resolution, blur=blur, kernel=kernel):
             return shadow.ProjectiveShadow(resolution, blur, kernel=kernel)
+        case EngineConfig():
+            return build_fittable(config, fitting=fitting)
     return build_shadow_mapping(config, fitting=fitting)
 
 
@@ -120,6 +123,16 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
     settings = shadow.MapSettings(**config.shadow_map.model_dump())
     with _blame(config, ("technique",)):
         return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
+
+
+def build_fittable(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping | shadow.AbstractEngineShadows:
+    """The technique of `config` that a fit changes: an engine's, or shadow mapping; otherwise as `build_technique`."""
+    section = config.technique
+    if not isinstance(section, EngineConfig):
+        return build_shadow_mapping(config, fitting=fitting)
+    with _blame(config, ("technique",)):
+        settings = section.model_dump(exclude={"type"})
+        return getattr(shadow, section.builds)(resolution=config.shadow_map.resolution, **settings)
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
@@ -151,7 +164,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
     """
-    if not isinstance(config.technique, MappedConfig):
+    if not isinstance(config.technique, MappedConfig | EngineConfig):
         raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
     if mistakes := mistakes_at(config.fit_faults(), config.origin):
         raise ConfigError(mistakes)

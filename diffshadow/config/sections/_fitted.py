@@ -8,6 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from .._errors import did_you_mean, listing
 from ._biases import BiasConfig, PlaneConfig
+from ._engines import EngineConfig
 from ._filters import FilterConfig
 from ._marks import Limits, bare, marked
 from ._poses import could_be_pose, is_pose, pose_faults, pose_of
@@ -28,11 +29,11 @@ def fit_paths(data: Any) -> dict[str, str]:
 
     - `data`: a configuration, or the unchecked data of one.
 
-    **Returns:** the dotted path of each number in the `ShadowMapping` that the configuration builds, by the key that
-    sets it; for example, `"bias.slope"` maps to `"bias.slope.value"`.
+    **Returns:** the dotted path of each number in the technique that the configuration builds, by the key that sets it;
+    for example, `"bias.slope"` maps to `"bias.slope.value"`.
     """
     return {
-        f"{holder}.{key}{entry}": f"{_FIELDS.get(holder, holder)}.{mark.path or key}{entry}"
+        f"{holder}.{key}{entry}": f"{_field(holder, section)}{mark.path or key}{entry}"
         for holder, section in _holders(data).items()
         for key, mark in _fitted_keys(section).items()
         for entry in _entries(section.model_fields[key], look(data, *holder.split("."), key))
@@ -130,8 +131,14 @@ _HOLDERS = {
     "filter": [*FILTERS.values()],
     "technique": [*_TECHNIQUES.values()],
 }
-# The fields of `ShadowMapping` that are called otherwise than the sections that build them.
-_FIELDS = {"technique": "layout"}
+
+
+def _field(holder: str, section: type[Section]) -> str:
+    """What precedes the names of a section's numbers in the technique that it builds."""
+    if issubclass(section, EngineConfig):
+        return ""
+    # The field of `ShadowMapping` that is called otherwise than its section.
+    return "layout." if holder == "technique" else f"{holder}."
 
 
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
@@ -144,6 +151,8 @@ def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
     plane = _PLANES.get(str(look(data, "bias", "plane", "type", default="none")), _PLANES["none"])
     technique = _TECHNIQUES.get(str(look(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
+    if issubclass(technique, EngineConfig):
+        return {"technique": technique}
     return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)], "technique": technique}
 
 
@@ -156,7 +165,10 @@ def _filter_type(data: Any) -> str:
 def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
     known = tuple(fit_paths(data))
     mend = did_you_mean(name, known, "name one of these")
-    return fault(f"cannot be fitted with filter type {_filter_type(data)!r}", listing(known), mend)
+    technique = _holders(data)["technique"]
+    kind = str(look(data, "technique", "type")) if issubclass(technique, EngineConfig) else None
+    of = f"filter type {_filter_type(data)!r}" if kind is None else f"technique type {kind!r}"
+    return fault(f"cannot be fitted with {of}", listing(known), mend)
 
 
 def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from ._biases import MOST_LAYERS
+from ._engines import ThreeJsConfig
 from ._section import (
     MOST_FACTOR,
     Conflict,
@@ -164,7 +165,8 @@ TechniqueConfig = Annotated[
     | Annotated[CascadesConfig, Tag("cascades")]
     | Annotated[PerspectiveWarpConfig, Tag("perspective_warp")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
-    | Annotated[ProjectiveTextureConfig, Tag("projective_texture")],
+    | Annotated[ProjectiveTextureConfig, Tag("projective_texture")]
+    | Annotated[ThreeJsConfig, Tag("three.js")],
     by_type("shadow_map"),
 ]
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .._errors import KeyPath, dotted
+from ..sections._engines import EngineConfig, ThreeJsConfig
 from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import is_searched, parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
@@ -35,12 +36,31 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
             if given:
                 message = "is given, and technique.type is perspective_warp, whose maps cannot have it"
                 yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
+    if isinstance(config.technique, EngineConfig):
+        yield from _foreign_to_engine(config, config.technique)
     if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")
+
+
+def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Conflict]:
+    """Faults of what an engine does not have."""
+    for key, light in config.scene.each_light.items():
+        path = ("scene", *key, "type")
+        if light.type not in ("directional", "spot", "point"):
+            yield path, fault(f"is {light.type}, which no engine has", "directional, spot or point", "change it")
+        elif isinstance(technique, ThreeJsConfig) and light.type == "point" and technique.shadow_type == "VSMShadowMap":
+            message = "is point, for which three.js draws no VSMShadowMap"
+            yield path, fault(message, "directional or spot", "change it, or technique.shadow_type")
+    count = len(config.scene.meshes)
+    for name in ("side", "shadow_side"):
+        sides = getattr(technique, name, None)
+        if isinstance(sides, tuple) and len(sides) != count:
+            message = f"has {len(sides)} entries, and the scene has {count} meshes"
+            yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
 
 
 def _wrong_factors(config: Parts, technique: MappedConfig) -> Iterator[Conflict]:
@@ -65,6 +85,9 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from _unused_in_layout(config)
     if not config.moves:
         return
+    if isinstance(config.technique, EngineConfig):
+        message = f"is {config.technique.type} in a fit of lights or meshes"
+        yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     for name in config.fit.parameters:
         if is_searched(config, name):
             what = fault("lays out the map in a fit of lights or meshes", "a fit of one or the other", "remove it")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from ..sections._engines import EngineConfig
 from ..sections._lights import LightConfig, PointLightConfig
 from ..sections._section import Conflict, fault
 from ..sections._technique import MappedConfig, ProjectiveTextureConfig
@@ -55,6 +56,8 @@ def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator
     match config.technique:
         case MappedConfig(layers=layers):
             path, (height, width) = ("shadow_map", "resolution"), config.shadow_map.resolution
+        case EngineConfig():
+            path, layers, (height, width) = ("shadow_map", "resolution"), 1, config.shadow_map.resolution
         case ProjectiveTextureConfig(resolution=(height, width)):
             path, layers = ("technique", "resolution"), 1
         case _:

@@ -1,4 +1,7 @@
 """Shadows as real-time engines draw them, in the engines' own names, units and defaults."""
 
+from ._abstract import AbstractEngineShadows as AbstractEngineShadows
+from ._code import ThreeJsLight as ThreeJsLight
+from ._code import three_js_code as three_js_code
 from ._engine_map import EngineMap as EngineMap
 from ._three import ThreeJs as ThreeJs

@@ -174,6 +174,7 @@ class _Fit(_Run):
     bounds: dict[str, _Bounds]
     solver: _Solver
     poses: _Poses | None = None
+    code: dict[str, str] = {}
 
     @model_validator(mode="after")
     def _agrees(self) -> "_Fit":

@@ -92,6 +92,13 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
     console.print(table)
 
 
+def print_code(console: Console, title: str, code: str) -> None:
+    """Prints lines of code under a title, so that they can be copied."""
+    console.print(Text(printable(title), "bold"))
+    for line in code.splitlines():
+        console.print(Text(printable(line)), soft_wrap=True)
+
+
 def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
     """Prints sentences under a table, prefixed with "warning: " if `warn`."""
     for line in map(printable, lines):

@@ -11,12 +11,13 @@ from rich.console import Console
 
 from ... import fit, shadow
 from ..._types import HostArray
-from ...config import Config, FitPlan, build_fit, build_shadow_mapping
+from ...config import Config, FitPlan, build_fit, build_fittable
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
 from . import _pose as poses
 from . import _record as record
+from ._engine import CODE, engine_code
 from ._progress import Stages
 from ._remarks import remarks
 from ._scene_remarks import scene_remarks
@@ -71,6 +72,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     table.print_lines(
         console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
     )
+    for key, code in engine_code(fitted.result.technique, fitted.mapped).items():
+        table.print_code(console, f"{CODE}, for {key}:", code)
     table.print_lines(console, fitted.remarks, warn=True)
     return folder
 
@@ -83,7 +86,7 @@ def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> Non
 def fit_technique(config: Config, stages: Stages) -> FittedRun:
     """Fits the parameters of `config`, and measures the images before and after."""
     loaded = load(config, stages)
-    plan, technique = build_fit(config, loaded.scene), build_shadow_mapping(config)
+    plan, technique = build_fit(config, loaded.scene), build_fittable(config)
     drawn = draw(config, loaded, technique, stages)
     if plan.arrangement is None:
         problems = [_problem(technique, each) for each in drawn]
@@ -181,6 +184,8 @@ def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, floa
 
         write_paths(draft / "paths.png", fitted.plan, drawn[0].scene, fitted.result)
     write_report(run)
+    if "code" in result:
+        (draft / CODE).write_text("\n".join(result["code"].values()))
     record.write_result(draft, result)
 
 
@@ -235,6 +240,7 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
             "seconds_running": result.seconds_running,
             "phases": phases,
         },
+        **({"code": code} if (code := engine_code(result.technique, fitted.mapped)) else {}),
         **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
