@@ -280,7 +280,7 @@ BROKEN = {
     "misspelt technique": (
         "technique: {type: shadow_volume}\n",
         "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, "
-        "shadow_volumes or projective_texture; did you mean 'shadow_volumes'?",
+        "shadow_volumes, projective_texture or three.js; did you mean 'shadow_volumes'?",
     ),
     "method of another technique": (
         "technique: {method: z_fail}\n",
@@ -403,6 +403,16 @@ BROKEN = {
         "technique: {type: cascades, count: 9}\n",
         "2: technique.count: is 9; expected a whole number at least 1 and at most 8; give such a value (the default is "
         "4)",
+    ),
+    "bias of shadow mapping in an engine": (
+        "technique: {type: three.js}\nfit: {parameters: {bias.constant: {lower: 0, upper: 9}}}\n",
+        "3: fit.parameters.bias.constant: cannot be fitted with technique type 'three.js'; expected technique.bias, "
+        "technique.normal_bias or technique.radius; name one of these",
+    ),
+    "sides of other meshes": (
+        "technique: {type: three.js, shadow_side: [front, back, front]}\n",
+        "2: technique.shadow_side: has 3 entries, and the scene has 1 mesh; expected one for each; give one for all, "
+        "or one for each",
     ),
     "silhouettes of a warped map": (
         "technique: {type: perspective_warp}\nshadow_map: {silhouettes: true}\n",

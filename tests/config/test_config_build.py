@@ -24,6 +24,7 @@ from diffshadow.config import (
 from diffshadow.config.sections._fitted import FILTERS
 from diffshadow.config.sections._marks import Limits, marked
 from diffshadow.fit import resolve
+from diffshadow.shadow import ThreeJs
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
 
@@ -453,6 +454,38 @@ def test_cascades_extend_as_far_as_the_filter_may_read():
 def test_cascades_and_warps_need_a_directional_light(kind):
     with pytest.raises(ConfigError, match=rf"scene\.light\.type: is spot, while technique\.type is {kind}"):
         parse_config(TINY + f"technique: {{type: {kind}}}\n", ["scene.light={type: spot}"])
+
+
+def test_an_engines_numbers_are_its_own():
+    text = (
+        TINY
+        + "technique: {type: three.js, bias: -0.002, radius: 3, side: double}\nshadow_map: {resolution: [64, 64]}\n"
+    )
+    text += "fit: {parameters: {technique.bias: {lower: -0.01, upper: 0}, technique.radius: {lower: 0, upper: 4}}}\n"
+    config = parse_config(text)
+    built = build_technique(config)
+    assert isinstance(built, ThreeJs)
+    assert (built.resolution, built.side, built.shadow_type) == ((64, 64), "double", "PCFShadowMap")
+    assert [p.where for p in build_fit(config).parameters] == ["bias", "radius"]
+    assert [float(resolve(built, path)) for path in fit_paths(config).values()] == [np.float32(-0.002), 0, 3]
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (
+            "scene.light={type: rectangle, position: [0, 3, 0]}",
+            "is rectangle, which no engine has; expected directional",
+        ),
+        ("scene.light={type: point, position: [0, 3, 0]}", "is point, for which three.js draws no VSMShadowMap"),
+        ("fit.parameters={scene.light.position.x: {lower: 0, upper: 1}}", r"is three\.js in a fit of lights or meshes"),
+    ],
+)
+def test_what_an_engine_lacks_is_refused(override, words):
+    text = TINY + "technique: {type: three.js, shadow_type: VSMShadowMap}\n"
+    light = [] if "scene.light=" in override else ["scene.light={type: spot, position: [0, 3, 0]}"]
+    with pytest.raises(ConfigError, match=words):
+        build_fit(parse_config(text, [*light, override]))
 
 
 def test_warped_maps_are_built_as_they_are_set():

@@ -563,6 +563,24 @@ def test_parameters_of_any_technique_can_be_fitted(technique, parameters):
     assert result["metrics"]["after"]["rmse"] <= result["metrics"]["before"]["rmse"]
 
 
+def test_fits_of_an_engine_leave_its_code():
+    made, said = run(
+        "technique={type: three.js, shadow_side: double, radius: 2}",
+        "fit.parameters={technique.bias: {lower: -0.05, upper: 0}, technique.radius: {lower: 0, upper: 4}}",
+        "fit.solver.max_steps=3",
+    )
+    result = result_of(made)
+    code = (made / "engine.js").read_text()
+    assert result["code"] == {"scene.light": code}
+    fitted = {name.removeprefix("technique."): value for name, value in result["fitted"].items()}
+    assert f"light.shadow.bias = {fitted['bias']:.7g};" in code
+    assert f"light.shadow.radius = {fitted['radius']:.7g};" in code
+    assert all(line in said for line in code.splitlines())
+    assert "material.shadowSide = THREE.DoubleSide;" in (made / "report.html").read_text()
+    assert result["metrics"]["after"]["rmse"] < 0.9 * result["metrics"]["before"]["rmse"]
+    assert (made / "shadow_map.png").exists()
+
+
 def test_progress_is_shown_to_a_terminal_only():
     out = text_io.StringIO()
     watched = Console(file=out, width=100, force_terminal=True, force_interactive=True, color_system=None)

@@ -59,7 +59,7 @@ def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Confl
     for name in ("side", "shadow_side"):
         sides = getattr(technique, name, None)
         if isinstance(sides, tuple) and len(sides) != count:
-            message = f"has {len(sides)} entries, and the scene has {count} meshes"
+            message = f"has {len(sides)} entries, and the scene has {count} mesh{'' if count == 1 else 'es'}"
             yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..._misc import dot, normalize
 from ..._types import Mask, Resolution
-from ...geometry import AbstractLight, MatrixLight, PointLight, Scene, View
+from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
 from .._compare import AbstractCompare
 from .._technique import AbstractTechnique
@@ -110,11 +110,11 @@ def engine_light(light: AbstractLight) -> AbstractLight:
     """
     if isinstance(light, PointLight | MatrixLight):
         return light
-    view = light.view()
-    if view.eye_to_clip.ndim > 2 or view.warp is not None:
+    if not isinstance(light, DirectionalLight | SpotLight):
         raise ValueError(
             f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
         )
+    view = light.view()
     matrix = np.asarray(view.world_to_eye, np.float64)
     eye, backward = -matrix[:3, :3].T @ matrix[:3, 3], matrix[2, :3].copy()
     if np.hypot(backward[0], backward[2]) < 1e-9:

@@ -40,6 +40,11 @@ class EngineMap(eqx.Module):
         height, width = self.depth.shape[-2:]
         return height, width
 
+    @property
+    def view(self) -> View:
+        """The projection it was drawn with."""
+        return _view_of(self.light)
+
     def of_pixels(self, surface: Surface) -> tuple[Float[Array, "h w 1"], Bool[Array, "h w"]]:
         """The factor of the normal bias at each pixel, (h, w, 1), and whether it sees a receiver, (h, w)."""
         face = jnp.maximum(surface.face, 0)
@@ -90,8 +95,7 @@ def map_of(casters: Casters, light: AbstractLight, resolution: Resolution, subpi
 
     - `subpixels`: steps to a texel, at whole numbers of which the rasterizer places vertices before it computes depth.
     """
-    view = cube_view(light) if isinstance(light, PointLight) else light.view()
-    clip = _snapped(view, casters.vertices, resolution, subpixels)
+    clip = _snapped(_view_of(light), casters.vertices, resolution, subpixels)
     return rasterize_depth(clip, casters.faces, resolution, cull="back")
 
 
@@ -105,6 +109,10 @@ def _snapped(
     steps = as_float(resolution[::-1]) * (subpixels / 2)
     placed = (jnp.round((clip[..., :2] / w + 1) * steps) / steps - 1) * w
     return jnp.concatenate([jnp.where(ahead, placed, clip[..., :2]), clip[..., 2:]], axis=-1)
+
+
+def _view_of(light: AbstractLight) -> View:
+    return cube_view(light) if isinstance(light, PointLight) else light.view()
 
 
 # For each face of a cube map, the directions of s, t and the view (OpenGL 4.6, table 8.19).

@@ -124,13 +124,13 @@ def difference_limit(lights: Sequence[LightImages], states: slice = slice(None))
 def write_from_light(folder: Path, end: str, from_light: Any) -> None:
     """Writes what a technique drew from a light: a shadow map or a texture. Shadow volumes have no image."""
     match from_light:
-        case shadow.ShadowMap():
+        case shadow.ShadowMap() | shadow.EngineMap():
             write_shadow_map(folder / f"shadow_map{end}.png", from_light)
         case shadow.ProjectiveTexture():
             write_texture(folder / f"texture{end}.png", from_light)
 
 
-def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap) -> None:
+def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap) -> None:
     """Writes the shadow map as distances along the light's axis; empty texels are blank."""
     view, depth = shadow_map.view, np.asarray(shadow_map.depth)
     distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)

@@ -82,12 +82,10 @@ def _render_summary(run: StoredRun) -> str:
     (_, errors) = run.errors[-1]
     settings = {row.key: row.value for row in run.settings}
     technique = settings["technique.type"]
-    name = (
-        f"{technique} with filter {settings['filter.type']}"
-        if technique in ("shadow_map", "cascades", "perspective_warp")
-        else technique
-    )
-    return f"{name.replace('_', ' ').capitalize()}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
+    name = f"{technique} with filter {settings['filter.type']}" if technique in _FILTERED else technique
+    # The names of engines are written as they are.
+    name = name if "." in technique else name.replace("_", " ").capitalize()
+    return f"{name}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
 
 
 def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -105,6 +105,7 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
     """The maps that the technique drew from each light, by name."""
     names = {
         shadow.ShadowMap: ("shadow_map_depth", "depth"),
+        shadow.EngineMap: ("shadow_map_depth", "depth"),
         shadow.ProjectiveTexture: ("texture_coverage", "coverage"),
     }
     kind = type(drawn[0].state)

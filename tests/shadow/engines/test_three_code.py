@@ -1,0 +1,102 @@
+"""Code for three.js: it makes the light that the settings hold for."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from engine_states import light_of
+from golden_engines import engine_golden
+
+from diffshadow.geometry import DirectionalLight, MatrixLight, PointLight, RectangleLight, SpotLight
+from diffshadow.shadow import ThreeJs, ThreeJsLight, three_js_code
+
+SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0)
+
+
+def basis(position, target) -> np.ndarray:
+    """Rows right, up and backward of three.js' `lookAt`, with +y up."""
+    backward = np.subtract(position, target)
+    backward /= np.linalg.norm(backward)
+    right = np.cross([0, 1, 0], backward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(backward, right), backward])
+
+
+def window(given: ThreeJsLight, points: np.ndarray, resolution) -> np.ndarray:
+    """Window coordinates (n, 3) of points, from the engine's settings alone."""
+    x, y, z = basis(given.position, given.target) @ (points - given.position).T
+    n, f = given.near, given.far
+    if given.window is not None:
+        left, right, top, bottom = (given.window[key] for key in ("left", "right", "top", "bottom"))
+        return np.stack([(x - left) / (right - left), (y - bottom) / (top - bottom), (-z - n) / (f - n)], axis=-1)
+    height, width = resolution
+    scale = 1 / math.tan(given.angle)
+    u, v = x / -z * scale / (given.aspect * width / height), y / -z * scale
+    return np.stack([u / 2 + 0.5, v / 2 + 0.5, f * (-z - n) / (-z * (f - n))], axis=-1)
+
+
+@pytest.mark.parametrize("resolution", [(64, 64), (32, 64)])
+@pytest.mark.parametrize("light", [SUN, SpotLight((1, 3, 2), (-0.4, -1, -0.3), 30.0, 0.5, 9.0)], ids=["sun", "spot"])
+def test_the_engines_light_sees_what_the_librarys_sees(light, resolution):
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    clip = np.asarray(light.view().clip(jnp.asarray(points, jnp.float32)))
+    expected = clip[:, :3] / clip[:, 3:] / 2 + 0.5
+    found = window(ThreeJsLight.of(light, resolution), points, resolution)
+    # The far plane is elsewhere only by rounding; a directional light's near plane is where the light is put.
+    np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=1e-5)
+    if isinstance(light, SpotLight):
+        np.testing.assert_allclose(found[:, 2], expected[:, 2], atol=1e-5)
+    else:
+        slope = np.polyfit(expected[:, 2], found[:, 2], 1)
+        np.testing.assert_allclose(slope, [1, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["directional_pcf_oblong", "spot_pcf_oblong_focus", "point_pcf_distance"])
+def test_a_light_of_the_engine_comes_back(name):
+    golden = engine_golden("three", name)
+    settings, info = golden.settings["light"], golden.info
+    size = settings["mapSize"]
+    width, height = size if isinstance(size, list) else (size, size)
+    found = ThreeJsLight.of(light_of(golden), (height, width))
+    assert found.far - found.near == pytest.approx(info["far"] - info["near"], rel=1e-5)
+    if found.window is not None:
+        assert found.window == pytest.approx({key: settings["camera"][key] for key in found.window}, abs=1e-5)
+    if found.angle is not None:
+        # The engine multiplies the angle by the focus.
+        assert found.angle == pytest.approx(settings["angle"] * settings["focus"], rel=1e-5)
+        assert found.aspect == pytest.approx(settings["aspect"], rel=1e-5)
+    if found.target is None:
+        assert found.position == pytest.approx(settings["position"])
+
+
+def test_code_says_what_a_bias_amounts_to():
+    technique = ThreeJs(bias=-0.001, normal_bias=0.02, radius=2.0, resolution=(64, 128), shadow_side="double")
+    code = three_js_code(technique, SUN, (1.0, 5.0))
+    assert "light.shadow.bias = -0.001;  // 0.006 world units towards the light" in code
+    assert "light.shadow.normalBias = 0.02;  // world units, 0.64 texels" in code
+    assert "light.shadow.mapSize.set(128, 64);" in code
+    assert "material.shadowSide = THREE.DoubleSide;" in code
+    lamp = PointLight((0, 1, 0), 0.5, 10.0)
+    code = three_js_code(technique, lamp, (1.0, 2.0))
+    # b D d² / (f n) at both distances.
+    assert "-0.001;  // 0.0019 world units at the distance 1, 0.0076 at 2" in code
+    assert "target" not in code
+
+
+def test_zero_has_no_sign():
+    code = three_js_code(ThreeJs(bias=-0.0, normal_bias=-1e-30, shadow_type="BasicShadowMap"), SUN, (1.0, 5.0))
+    assert "bias = 0;" in code
+    assert "normalBias = -1e-30;" in code
+    assert "radius" not in code
+
+
+def test_lights_that_the_engine_lacks_are_named():
+    view = SUN.view()
+    oblique = np.array(SpotLight((1, 3, 2), (0, -1, 0), 30.0, 0.5, 9.0).view().eye_to_clip)
+    oblique[0, 2] = 0.3
+    with pytest.raises(ValueError, match="off its axis"):
+        three_js_code(ThreeJs(), MatrixLight(view.world_to_eye, oblique), (1.0, 2.0))
+    area = RectangleLight((0, 3, 0), (0, -1, 0), (1.0, 1.0), 45.0, 0.1, 9.0)
+    with pytest.raises(ValueError, match="RectangleLight; expected a directional, spot, point or matrix light"):
+        three_js_code(ThreeJs(), area, (1.0, 2.0))
