@@ -111,7 +111,12 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
                 "within_1_255_at_engine": float(same.mean()),
             }
         )
-    summary: dict[str, Any] = {"config": str(config), "engine": drawing.info["version"], "pixels": int(mask.sum())}
+    summary: dict[str, Any] = {
+        "config": str(config),
+        "overrides": list(overrides),
+        "engine": drawing.info["version"],
+        "pixels": int(mask.sum()),
+    }
     if grid:
         errors = [error(picture) for picture in pictures[len(STATES) :]]
         best = int(np.argmin(errors))
