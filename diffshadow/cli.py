@@ -149,6 +149,26 @@ def validate(config: Path, /, *overrides: str) -> None:
 
 
 @app.command
+def convert(config: Path, /, *overrides: str) -> None:
+    """Prints the bias of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
+
+    Example: `diffshadow convert configs/quickstart.yaml bias.constant=1.5 bias.normal_offset=1`
+
+    Parameters
+    ----------
+    config
+        YAML file with technique type shadow_map.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
+    """
+    settings = load_config(config, overrides)
+    _keep_compiled_programs()
+    from . import study
+
+    study.convert(settings, console=_console())
+
+
+@app.command
 def sweep(
     config: Path,
     /,

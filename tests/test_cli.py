@@ -1,6 +1,7 @@
 """The command line: exit codes, messages, and how soon they come."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -249,6 +250,18 @@ def test_validate_finds_what_only_building_shows(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"error: {file}:3: scene.meshes.0: ")
+
+
+def test_convert_speaks_the_units_of_engines(capsys):
+    small = "scene.camera.resolution=[64, 64]", "shadow_map.resolution=[64, 64]", "scene.meshes.0.path=builtin:box"
+    bias = "bias={constant: 0.01, unit: depth, slope: 0, normal_offset: 1}"
+    assert run("convert", QUICKSTART, bias, *small) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"three\.js +light\.shadow\.bias +-0\.01 ", out)
+    assert re.search(r"Babylon\.js +generator\.bias \(PCF\) +0\.02 ", out)
+    assert re.search(r"Bevy .*not verified against the engine", out)
+    assert run("convert", QUICKSTART, "technique.type=shadow_volumes", *small) == 2
+    assert "technique.type: is shadow_volumes; expected shadow_map" in capsys.readouterr().err
 
 
 def test_validate_takes_techniques_that_cannot_be_fitted(capsys):

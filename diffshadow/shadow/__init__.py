@@ -34,8 +34,10 @@ from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
 from .engines import AbstractEngineShadows as AbstractEngineShadows
 from .engines import EngineMap as EngineMap
+from .engines import EngineSetting as EngineSetting
 from .engines import ThreeJs as ThreeJs
 from .engines import ThreeJsLight as ThreeJsLight
+from .engines import engine_settings as engine_settings
 from .engines import three_js_code as three_js_code
 from .filters import AbstractFilter as AbstractFilter
 from .filters import Bilinear as Bilinear

@@ -3,5 +3,7 @@
 from ._abstract import AbstractEngineShadows as AbstractEngineShadows
 from ._code import ThreeJsLight as ThreeJsLight
 from ._code import three_js_code as three_js_code
+from ._convert import EngineSetting as EngineSetting
+from ._convert import engine_settings as engine_settings
 from ._engine_map import EngineMap as EngineMap
 from ._three import ThreeJs as ThreeJs

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from ...config import printable
 from ...fit import Parameter
+from ...shadow import EngineSetting
 
 ERRORS = {
     "rmse": "RMSE",
@@ -90,6 +91,16 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
             table.add_row(*(words(cell) for cell in row))
         table.add_section()
     console.print(table)
+
+
+def print_settings(console: Console, title: str, settings: Sequence[EngineSetting]) -> None:
+    """Prints the settings of engines, one on each line."""
+    lines = [
+        f"  {each.engine:<12}{each.setting:<37}{each.value:>11.4g}  {each.note}"
+        + ("" if each.is_verified else "; not verified against the engine")
+        for each in settings
+    ]
+    print_code(console, title, "\n".join(lines))
 
 
 def print_code(console: Console, title: str, code: str) -> None:

@@ -1,0 +1,62 @@
+"""Settings of engines: one bias in their units."""
+
+import math
+
+import pytest
+
+from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
+from diffshadow.shadow import engine_settings
+
+SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 4.0), -3.0, 5.0)
+SPOT = SpotLight((1, 3, 2), (-0.4, -1, -0.3), 45.0, 0.5, 10.0)
+LAMP = PointLight((0, 2, 0), 0.5, 10.0)
+SHIFT, TEXELS, SIZE = 0.02, 1.5, (100, 100)
+# n f / (D d²) at d = 2.
+SLOPE = 0.5 * 10 / (9.5 * 4)
+
+
+def values(light, distance=2.0) -> dict[tuple[str, str], float]:
+    return {(each.engine, each.setting): each.value for each in engine_settings(light, SIZE, SHIFT, TEXELS, distance)}
+
+
+@pytest.mark.parametrize(
+    ("light", "engine", "setting", "expected"),
+    [
+        (SUN, "three.js", "light.shadow.bias", -SHIFT / 8),
+        (SPOT, "three.js", "light.shadow.bias", -SHIFT * SLOPE),
+        (LAMP, "three.js", "light.shadow.bias", -SHIFT * SLOPE),
+        (SUN, "three.js", "light.shadow.normalBias", TEXELS * 4 / 100),
+        (SPOT, "three.js", "light.shadow.normalBias", TEXELS * 4 / 100),
+        (SUN, "Babylon.js", "generator.bias (PCF)", 2 * SHIFT / 8),
+        (SPOT, "Babylon.js", "generator.bias (PCF)", 2 * SHIFT * SLOPE),
+        (SPOT, "Babylon.js", "generator.bias (NONE, POISSON, ESM)", SHIFT / 9.5),
+        (LAMP, "Babylon.js", "generator.bias (PCF)", SHIFT / 10.5),
+        (SUN, "Godot 4", "shadow_bias", 100 * SHIFT / 8),
+        (SPOT, "Godot 4", "shadow_bias", 2.5 * SHIFT / 2),
+        (LAMP, "Godot 4", "shadow_bias", SHIFT),
+        (SUN, "Bevy", "shadow_depth_bias", SHIFT),
+        (SPOT, "Bevy", "shadow_normal_bias", TEXELS / math.sqrt(2)),
+        (SUN, "Filament", "normalBias", 2 * TEXELS),
+        (SPOT, "Filament", "normalBias", TEXELS),
+        (SUN, "Unity URP", "shadowBias (depth)", SHIFT / 0.04),
+        (LAMP, "Unity URP", "shadowNormalBias", 0),
+    ],
+)
+def test_a_shift_in_an_engines_unit(light, engine, setting, expected):
+    assert values(light)[engine, setting] == pytest.approx(expected, rel=1e-5)
+
+
+def test_only_engines_that_were_run_are_verified():
+    for light in (SUN, SPOT, LAMP):
+        verified = {each.engine for each in engine_settings(light, SIZE, SHIFT, TEXELS, 2.0) if each.is_verified}
+        assert verified == {"three.js", "Babylon.js"}
+
+
+def test_no_bias_is_no_bias_everywhere():
+    for each in engine_settings(SUN, SIZE, 0.0, 0.0, 2.0):
+        assert str(each.value) == "0.0"
+
+
+def test_a_place_behind_the_light_is_refused():
+    with pytest.raises(ValueError, match=r"distance is -1.0; expected world units in front"):
+        engine_settings(SPOT, SIZE, SHIFT, TEXELS, -1.0)
