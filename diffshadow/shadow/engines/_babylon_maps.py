@@ -50,7 +50,9 @@ def box_blurred(image: Float[Array, "h w"], size: Resolution, step: Scalar, offs
     return _blurred(image, size, step, np.stack([x, y], -1), np.full(x.size, 1 / x.size))
 
 
-def kernel_blurred(image: Float[Array, "h w"], size: Resolution, step: Scalar, kernel: float, rounded: Any) -> Array:
+def kernel_blurred(
+    image: Float[Array, "h w"], size: Resolution, step: Scalar, kernel: float | int, rounded: Any
+) -> Array:
     """A Gaussian blur along x and then along y; `rounded` is what a map stores of each pass."""
     places, shares = _gaussian(kernel)
     for axis in np.eye(2):
@@ -69,7 +71,7 @@ def _blurred(image: Array, size: Resolution, step: Scalar, taps: HostArray, shar
     return lax.scan(add, jnp.zeros_like(u), (jnp.asarray(taps, u.dtype), jnp.asarray(shares, u.dtype)))[0]
 
 
-def _gaussian(kernel: float) -> tuple[HostArray, HostArray]:
+def _gaussian(kernel: float | int) -> tuple[HostArray, HostArray]:
     """Places, in texels, and shares of the taps. Each reads two texels of the kernel at once, between them."""
     ideal = round(kernel)
     # The engine's nearest kernel: odd, with an even number of texels on either side of the centre, and at least 3.

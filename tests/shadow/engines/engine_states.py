@@ -41,7 +41,7 @@ def right_handed(view: np.ndarray, projection: np.ndarray) -> MatrixLight:
     view[[0, 2]] *= -1
     projection[0, 2:] *= -1
     projection[:, 2] *= -1
-    return MatrixLight(view, projection, projection[3, 3] == 0)
+    return MatrixLight(view, projection, bool(projection[3, 3] == 0))
 
 
 def surface_of(golden: EngineGolden) -> Surface:
