@@ -33,6 +33,9 @@ from .biases import NormalOffset as NormalOffset
 from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
 from .engines import AbstractEngineShadows as AbstractEngineShadows
+from .engines import BabylonFilter as BabylonFilter
+from .engines import BabylonJs as BabylonJs
+from .engines import BabylonQuality as BabylonQuality
 from .engines import EngineMap as EngineMap
 from .engines import EngineSetting as EngineSetting
 from .engines import ThreeJs as ThreeJs

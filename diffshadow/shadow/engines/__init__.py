@@ -1,6 +1,9 @@
 """Shadows as real-time engines draw them, in the engines' own names, units and defaults."""
 
 from ._abstract import AbstractEngineShadows as AbstractEngineShadows
+from ._babylon import BabylonFilter as BabylonFilter
+from ._babylon import BabylonJs as BabylonJs
+from ._babylon import BabylonQuality as BabylonQuality
 from ._code import ThreeJsLight as ThreeJsLight
 from ._code import three_js_code as three_js_code
 from ._convert import EngineSetting as EngineSetting

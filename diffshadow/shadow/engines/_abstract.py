@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._misc import dot, normalize
-from ..._types import Mask, Resolution
+from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
 from .._compare import AbstractCompare
@@ -19,7 +19,7 @@ from ._engine_map import Casters, EngineMap, Side, map_of, per_face
 class Place(eqx.Module):
     """Where receivers lie in the light's window.
 
-    - `u`, `v`, `z`: (h, w), window coordinates from 0 to 1; z is the depth.
+    - `u`, `v`, `z`: (h, w), window coordinates from 0 to 1; z is the depth. u runs to the left if the map is mirrored.
     - `ahead`: (h, w), whether they are in front of the light; elsewhere the others are meaningless.
     - `depth_per_texel`: (h, w), window depth per width of a texel, the unit of a soft compare.
     """
@@ -31,12 +31,15 @@ class Place(eqx.Module):
     depth_per_texel: Float[Array, "h w"]
 
     @classmethod
-    def of(cls, points: Float[Array, "h w 3"], view: View, resolution: Resolution) -> "Place":
+    def of(
+        cls, points: Float[Array, "h w 3"], view: View, resolution: Resolution, is_mirrored: bool = False
+    ) -> "Place":
         """Of `points` (h, w, 3), world units."""
         clip = view.clip(points)
         ahead = clip[..., 3] > 0
         w = jnp.where(ahead, clip[..., 3], 1)
-        u, v, z = (clip[..., k] / w * 0.5 + 0.5 for k in range(3))
+        across = -0.5 if is_mirrored else 0.5
+        u, v, z = (clip[..., k] / w * half + 0.5 for k, half in enumerate((across, 0.5, 0.5)))
         distance = jnp.maximum(view.distance(points), view.near) if view.is_perspective else view.distance(points)
         per_texel = view.texel_size(distance, resolution) * view.depth_slope(distance)
         return cls(u, v, z, ahead, per_texel)
@@ -64,19 +67,29 @@ class AbstractEngineShadows(AbstractTechnique):
         """Whether the number at the dotted path `name` changes the map."""
         return False
 
-    def drawn(self, scene: Scene, sides: Sequence[Side], offset: Sequence[float], casts: Sequence[bool]) -> EngineMap:
-        """The map of the scene's only light.
+    def drawn(
+        self,
+        scene: Scene,
+        light: AbstractLight,
+        sides: Sequence[Side],
+        offset: Sequence[float],
+        casts: Sequence[bool],
+        is_mirrored: bool = False,
+        push: Scalar | float = 0.0,
+    ) -> EngineMap:
+        """The map of `light`.
 
-        **Arguments:**, for each mesh:
+        **Arguments:**
 
-        - `sides`: which of its faces cast.
-        - `offset`: the factor of its normal bias.
-        - `casts`: whether it casts.
+        - `light`: as `engine_light` returns it.
+        - `sides`: for each mesh, which of its faces cast.
+        - `offset`: for each mesh, the factor of its normal bias.
+        - `casts`: for each mesh, whether it casts.
+        - `is_mirrored`, `push`: see `map_of`.
         """
-        light = engine_light(scene.light)
         chosen = [(mesh, side) for mesh, side, does in zip(scene.meshes, sides, casts, strict=True) if does]
         casters = Casters.of(*zip(*chosen, strict=True))
-        depth = map_of(casters, light, self.resolution, self.subpixels)
+        depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)
         return EngineMap(depth, light, per_face(offset, scene), per_face([True] * len(scene.meshes), scene))
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
@@ -101,10 +114,12 @@ def within(state: EngineMap, surface: Surface) -> Mask:
     return place.in_window & (place.z >= 0) & (place.z <= 1)
 
 
-def engine_light(light: AbstractLight) -> AbstractLight:
+def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
     """`light` with the axes that an engine's camera at its place has, whose up direction is +y.
 
-    If it looks straight up or down, engines move its axis by a little along z.
+    **Arguments:**
+
+    - `nudge`: what the engine adds to the z of the axis towards the light if the light looks straight up or down.
 
     **Raises** `ValueError` for an area light.
     """
@@ -118,7 +133,7 @@ def engine_light(light: AbstractLight) -> AbstractLight:
     matrix = np.asarray(view.world_to_eye, np.float64)
     eye, backward = -matrix[:3, :3].T @ matrix[:3, 3], matrix[2, :3].copy()
     if np.hypot(backward[0], backward[2]) < 1e-9:
-        backward[2] += 1e-4
+        backward[2] += nudge
     backward /= np.linalg.norm(backward)
     right = np.cross([0.0, 1.0, 0.0], backward)
     right /= np.linalg.norm(right)

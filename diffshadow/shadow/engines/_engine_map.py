@@ -1,7 +1,7 @@
 """What an engine draws from a light: which faces cast, and the depths that they leave in the map."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._misc import as_float
-from ..._types import HostArray, Resolution
+from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
 from ...raster import Surface, rasterize_depth
 
@@ -23,16 +23,20 @@ class EngineMap(eqx.Module):
     """The depth that a light sees, and what an engine knows of the meshes.
 
     - `depth`: (h, w), window depth, 1 where the light sees nothing; row 0 is the bottom row. Of a point light
-        (6, h, w), the faces of a cube map in OpenGL's order and orientation.
+        (6, h, w), the faces of a cube map in OpenGL's order and orientation. Babylon.js' maps are mirrored, see
+        `map_of`.
     - `light`: the light it was drawn from.
     - `offset`: (f,), for each face of the scene's mesh, the factor of its normal bias.
     - `receives`: (f,), whether the face receives shadows.
+    - `blurred`: (height, width) of the blurred map that the engine makes of this one; None if it makes none, or one of
+        the same size.
     """
 
     depth: Float[Array, "*l h w"]
     light: AbstractLight
     offset: Float[Array, " f"] = eqx.field(converter=as_float)
     receives: Bool[Array, " f"] = eqx.field(converter=jnp.asarray)
+    blurred: Resolution | None = eqx.field(static=True, default=None)
 
     @property
     def resolution(self) -> Resolution:
@@ -69,18 +73,18 @@ class Casters(NamedTuple):
         return cls(whole.vertices, jnp.asarray(np.concatenate([drawn, padding])))
 
 
-def each_of(sides: Sides, meshes: Sequence[Mesh]) -> tuple[Side, ...]:
-    """The side of each of `meshes`.
+def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
+    """The value of each of `meshes`; `what` names them in errors.
 
     **Raises** `ValueError` unless there is one for all, or one for each.
     """
-    if isinstance(sides, str):
-        return (sides,) * len(meshes)
-    if len(sides) != len(meshes):
+    if not isinstance(values, tuple):
+        return (values,) * len(meshes)
+    if len(values) != len(meshes):
         raise ValueError(
-            f"there are {len(sides)} sides, and the scene has {len(meshes)} meshes; expected one for all, or one each"
+            f"there are {len(values)} {what}, and the scene has {len(meshes)} meshes; expected one for all, or one each"
         )
-    return sides
+    return values
 
 
 def per_face(values: Sequence[float | bool], scene: Scene) -> HostArray:
@@ -88,22 +92,40 @@ def per_face(values: Sequence[float | bool], scene: Scene) -> HostArray:
     return np.repeat(values, [mesh.faces.shape[0] for mesh in scene.meshes])
 
 
-def map_of(casters: Casters, light: AbstractLight, resolution: Resolution, subpixels: int) -> Float[Array, "*l h w"]:
+def map_of(
+    casters: Casters,
+    light: AbstractLight,
+    resolution: Resolution,
+    subpixels: int,
+    is_mirrored: bool = False,
+    push: Scalar | float = 0.0,
+) -> Float[Array, "*l h w"]:
     """The depth that `light` sees.
 
     **Arguments:**
 
     - `subpixels`: steps to a texel, at whole numbers of which the rasterizer places vertices before it computes depth.
+    - `is_mirrored`: draws what a left-handed camera sees: x runs the other way, and in a cube map the world's y does.
+    - `push`: how far casters are pushed away from the light when the near and far planes clip them, in clip depth from
+        -1 to 1. Depths are those without it.
     """
-    clip = _snapped(_view_of(light), casters.vertices, resolution, subpixels)
-    return rasterize_depth(clip, casters.faces, resolution, cull="back")
+    view = cube_view(light, is_mirrored) if isinstance(light, PointLight) else light.view()
+    flip = is_mirrored and not isinstance(light, PointLight)
+    push = as_float(push)
+    clip = _snapped(view, casters.vertices, resolution, subpixels, flip, push)
+    # In a mirror, corners go the other way round.
+    faces = casters.faces[:, ::-1] if is_mirrored else casters.faces
+    depth = rasterize_depth(clip, faces, resolution, cull="back")
+    return jnp.where(depth < 1, depth - push / 2, 1)
 
 
 @eqx.filter_jit
 def _snapped(
-    view: View, vertices: Float[Array, "v 3"], resolution: Resolution, subpixels: int
+    view: View, vertices: Float[Array, "v 3"], resolution: Resolution, subpixels: int, flip: bool, push: Scalar
 ) -> Float[Array, "*l v 4"]:
     clip = view.clip_vertices(vertices)
+    clip = clip.at[..., 2].add(push * clip[..., 3])
+    clip = clip * jnp.array([-1.0, 1.0, 1.0, 1.0]) if flip else clip
     ahead = clip[..., 3:] > 0
     w = jnp.where(ahead, clip[..., 3:], 1)
     steps = as_float(resolution[::-1]) * (subpixels / 2)
@@ -129,9 +151,10 @@ CUBE = np.array(
 )
 
 
-def cube_view(light: PointLight) -> View:
-    """The six views of a cube map, each of exactly 90 degrees."""
+def cube_view(light: PointLight, is_mirrored: bool = False) -> View:
+    """The six views of a cube map, each of exactly 90 degrees; `is_mirrored`: with the world's y turned over."""
     rows = jnp.asarray(CUBE) * jnp.array([1.0, 1.0, -1.0])[:, None]
+    rows = rows * jnp.array([1.0, -1.0, 1.0]) if is_mirrored else rows
     moved = -jnp.sum(rows * light.position, axis=-1)
     world_to_eye = jnp.zeros((6, 4, 4)).at[:, :3, :3].set(rows).at[:, :3, 3].set(moved).at[:, 3, 3].set(1)
     sides = jnp.array([-1.0, 1.0])

@@ -13,7 +13,7 @@ from ...geometry import PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
 from ..biases._abstract import check_choice
-from ._abstract import AbstractEngineShadows, Place
+from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._engine_map import EngineMap, Side, Sides, each_of
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
@@ -25,6 +25,8 @@ _GOLDEN_ANGLE = 2.399963229728653
 _NOISE = 52.9829189
 # The side that casts, of each side of a material: the renderer's own table.
 _OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
+# Added to the axis of a light that looks straight up or down.
+_NUDGE = 1e-4
 _LEAST_VARIANCE = 1e-7
 # Light bleeding below this bound is cut off.
 _BLEEDING = 0.3
@@ -88,11 +90,12 @@ class ThreeJs(AbstractEngineShadows):
                 "the light is a point light, for which three.js draws no VSMShadowMap; expected BasicShadowMap or "
                 "PCFShadowMap: change shadow_type"
             )
-        side = each_of(self.side, scene.meshes)
+        side = each_of(self.side, scene.meshes, "sides")
         default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
-        casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes)
+        casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes, "sides")
         casts = [True] * len(side) if is_variance or scene.casts is None else scene.casts
-        return self.drawn(scene, casting, [-1.0 if one == "back" else 1.0 for one in side], casts)
+        offset = [-1.0 if one == "back" else 1.0 for one in side]
+        return self.drawn(scene, engine_light(scene.light, _NUDGE), casting, offset, casts)
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -23,6 +23,8 @@ def light_of(golden: EngineGolden) -> Any:
         return PointLight(info["lightPosition"], info["near"], info["far"])
     near, far = info["near"], info["far"]
     projection = matrix(info["lightProjection"])
+    if golden.engine == "babylon":
+        return right_handed(matrix(info["lightView"]), projection)
     is_parallel = projection[3, 3] == 1
     # Without reversed depth, which the preset adds itself.
     projection[2] = (
@@ -31,6 +33,15 @@ def light_of(golden: EngineGolden) -> Any:
         else [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)]
     )
     return MatrixLight(matrix(info["lightView"]), projection, not is_parallel)
+
+
+def right_handed(view: np.ndarray, projection: np.ndarray) -> MatrixLight:
+    """What sees the mirror image of a left-handed camera, whose eye looks along +z."""
+    view, projection = view.copy(), projection.copy()
+    view[[0, 2]] *= -1
+    projection[0, 2:] *= -1
+    projection[:, 2] *= -1
+    return MatrixLight(view, projection, bool(projection[3, 3] == 0))
 
 
 def surface_of(golden: EngineGolden) -> Surface:

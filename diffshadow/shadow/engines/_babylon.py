@@ -1,0 +1,400 @@
+"""The shadows of Babylon.js (9.34, `ShadowGenerator` on WebGL2)."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete, dot, normalize, safe_norm
+from ..._types import HostArray, Resolution, Scalar, Visibility
+from ...geometry import AbstractLight, Mesh, PointLight, Scene
+from ...raster import Surface
+from .._compare import AbstractCompare, HardCompare
+from ..biases._abstract import check_choice
+from ._abstract import AbstractEngineShadows, Place, engine_light
+from ._babylon_maps import (
+    MOST_EXPONENT,
+    as_half,
+    box_blurred,
+    exponential,
+    kernel_blurred,
+    metric_in_cube,
+    metric_in_window,
+)
+from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
+from ._engine_map import EngineMap, Side, each_of
+from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+
+BabylonFilter = Literal[
+    "NONE",
+    "POISSONSAMPLING",
+    "EXPONENTIALSHADOWMAP",
+    "BLUREXPONENTIALSHADOWMAP",
+    "CLOSEEXPONENTIALSHADOWMAP",
+    "BLURCLOSEEXPONENTIALSHADOWMAP",
+    "PCF",
+    "PCSS",
+]
+BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
+Compared = Callable[[Array], Array]
+
+# Added to the axis towards a light that looks straight up or down.
+_NUDGE = -1e-13
+# The greater end of the falloff's step, which keeps it from dividing by 0.
+_EDGE = 1.00000012
+# Of contact hardening's penumbra, in texels.
+_LEAST_PENUMBRA = 10.0
+_PI = 3.1415926
+
+
+class BabylonJs(AbstractEngineShadows):
+    """The shadows of Babylon.js 9.34, as its `ShadowGenerator` draws them on WebGL2.
+
+    Fields are named after the generator's. The metric is linear in depth: (d - n) / (f - n) at the distance d along the
+    axis of a directional or spot light, (r + n) / (f + n) at the distance r of a point light, with near n and far f, in
+    the engine `light.shadowMinZ` and `light.shadowMaxZ`.
+
+    - `bias`: added to the depth of casters as the map is drawn: positive values push them away from the light. In
+        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, half of which is in window depth. For
+        the blocker search of `PCSS` both are added.
+    - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
+        light, in world units. It changes the map, so it has no derivative.
+    - `darkness`: the visibility that a full shadow leaves, from 0 to 1.
+    - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
+        or how many times fewer texels the blurred map has, where it has no derivative.
+    - `depth_scale`: the steepness of exponential maps.
+    - `frustum_edge_falloff`: the width of the border in which shadows fade out, from 0 to 1, the half width of the map.
+        It is a circle's, so that the corners of the map are lit.
+    - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS`, over the width of the map.
+    - `filter`: the generator's `FILTER_` constant.
+    - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
+    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
+        Gaussian, how far the box reaches to each side in texels, and which one is used.
+    - `force_back_faces_only`: whether back faces cast. The engine does it for meshes with its own, clockwise winding,
+        and does nothing for others, such as those of its glTF loader: leave it out for these.
+    - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
+    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default they hold half floats, whose steps are
+        2^-11 for metrics of 1/2 and more, ten times the default bias.
+    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
+
+    Under a point light the engine draws `PCF` and `PCSS` as `POISSONSAMPLING`, and exponential maps without their blur.
+
+    The bias is added to a map that holds depths without it, so it has a derivative and needs no new map. Only in `PCF`
+    and `PCSS` does it also move casters across the near and far planes, which clip them: there the map keeps the
+    casters of the bias that it was drawn with.
+
+    Half floats have the derivative of what they round. The radius of `POISSONSAMPLING` has one through its bilinear
+    taps. In the blocker search of `PCSS` a soft compare weighs blockers; that there is none is decided by less than 1.
+
+    The rotation of `PCSS` depends on the sine of the device: pixels differ from those of another, and means agree.
+
+    **Raises** `ValueError` for an unknown filter or quality, a map that is not square, a blur scale that is not
+    positive, or a negative blur kernel or box offset.
+    """
+
+    bias: Scalar = eqx.field(converter=as_float, default=5e-5)
+    normal_bias: Scalar = eqx.field(converter=as_float, default=0.0)
+    darkness: Scalar = eqx.field(converter=as_float, default=0.0)
+    blur_scale: Scalar = eqx.field(converter=as_float, default=2.0)
+    depth_scale: Scalar = eqx.field(converter=as_float, default=50.0)
+    frustum_edge_falloff: Scalar = eqx.field(converter=as_float, default=0.0)
+    contact_hardening_light_size_uv_ratio: Scalar = eqx.field(converter=as_float, default=0.1)
+    compare: AbstractCompare = HardCompare()
+    filter: BabylonFilter = eqx.field(static=True, default="NONE")
+    quality: BabylonQuality = eqx.field(static=True, default="HIGH")
+    blur_kernel: float | int = eqx.field(static=True, default=1)
+    blur_box_offset: int = eqx.field(static=True, default=1)
+    use_kernel_blur: bool = eqx.field(static=True, default=False)
+    force_back_faces_only: bool = eqx.field(static=True, default=False)
+    back_face_culling: bool | tuple[bool, ...] = eqx.field(static=True, default=True)
+    float_maps: bool = eqx.field(static=True, default=False)
+    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+    subpixels: int = eqx.field(static=True, default=256)
+
+    def __check_init__(self):
+        check_choice("Babylon.js' filter", self.filter, BabylonFilter.__args__)
+        check_choice("Babylon.js' quality", self.quality, BabylonQuality.__args__)
+        if self.resolution[0] != self.resolution[1]:
+            raise ValueError(f"Babylon.js' map has {self.resolution} texels; expected a square one")
+        scale = concrete(self.blur_scale)
+        if scale is not None and not scale > 0:
+            raise ValueError(f"Babylon.js' blur_scale is {scale}; expected more than 0")
+        if not self.blur_kernel >= 0:
+            raise ValueError(f"Babylon.js' blur_kernel is {self.blur_kernel}; expected 0 or more texels")
+        if self.blur_box_offset < 0:
+            raise ValueError(f"Babylon.js' blur_box_offset is {self.blur_box_offset}; expected 0 or more texels")
+
+    def lays_out(self, name: str) -> bool:
+        return name == "normal_bias" or (name == "blur_scale" and self.filter.startswith("BLUR"))
+
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
+        """The map of the scene's only light, with depths without bias. It does not depend on `surface`.
+
+        A light is drawn as Babylon.js draws one at the same place: with the frustum of ours, whose up direction becomes
+        +y. The engine's cameras are left-handed. So its map is the mirror image of what ours would see: texels run from
+        right to left, and `orthoLeft` and `orthoRight` are those of ours with their signs changed, in each other's
+        place. `angle` of a spot light is its full cone in radians. In cube maps the world's y runs the other way.
+
+        **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
+        """
+        light = engine_light(scene.light, _NUDGE)
+        shown: Side = "back" if self.force_back_faces_only else "front"
+        culling = each_of(self.back_face_culling, scene.meshes, "entries of back_face_culling")
+        sides: list[Side] = [shown if is_culled else "double" for is_culled in culling]
+        meshes = [shrunk(mesh, light, self.normal_bias) for mesh in scene.meshes]
+        casts = [True] * len(meshes) if scene.casts is None else scene.casts
+        moved = dataclasses.replace(scene, meshes=meshes)
+        push = self.bias if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight) else 0.0
+        state = self.drawn(moved, light, sides, [0.0] * len(meshes), casts, is_mirrored=True, push=push)
+        if not self.filter.startswith("BLUR") or isinstance(light, PointLight):
+            return state
+        size = max(int(self.resolution[0] / float(self.blur_scale)), 1)
+        return dataclasses.replace(state, blurred=(size, size))
+
+    def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        What lies beside the light's frustum is lit, and with `PCF` and `PCSS` also what lies before or beyond it; with
+        other filters what lies beyond it stays in shadow. Faces turned away from the light are compared as all others.
+        """
+        return _visibility(self, state, surface)
+
+
+def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
+    """`mesh` with vertices moved against their normals by `normal_bias` times the sine of the angle to `light`."""
+    if concrete(normal_bias) == 0:
+        return mesh
+    # A vertex with several normals moves to several places.
+    vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
+    normals = mesh.corner_normals.reshape(-1, 3)
+    cosine = dot(normals, normalize(light.towards(vertices)))
+    sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0))
+    moved = vertices - normals * (normal_bias * sine)[:, None]
+    faces = jnp.arange(len(vertices)).reshape(-1, 3)
+    return Mesh(moved, faces, mesh.corner_normals, mesh.albedo)
+
+
+@eqx.filter_jit
+def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visibility:
+    _, receives = state.of_pixels(surface)
+    of = _in_cube if isinstance(state.light, PointLight) else _in_window
+    return jnp.where(receives, of(settings, state, surface.position), 1)
+
+
+def _in_window(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    view = state.light.view()
+    place = Place.of(position, view, state.resolution, is_mirrored=True)
+    distance, span = view.distance(position), view.far - view.near
+    metric = (distance - view.near) / span if view.is_perspective else place.z
+    per_texel = view.texel_size(jnp.maximum(distance, view.near), state.resolution) / span
+    inside = place.in_window
+    if settings.filter in ("PCF", "PCSS"):
+        inside &= (metric >= 0) & (metric <= 1)
+    u, v = (jnp.where(inside, at, 0.5) for at in (place.u, place.v))
+    if settings.filter == "PCF":
+        lit = _tent(settings, _pushed(settings, state.depth), u, v, _strictly(settings, place))
+        value = _darkened(settings, lit)
+    elif settings.filter == "PCSS":
+        turn = _PI * _random(view.clip(position))
+        lit = _contact_hardening(settings, state, u, v, metric, per_texel, _strictly(settings, place), turn)
+        value = _darkened(settings, lit)
+    else:
+        value = _by_metric(settings, state, u, v, jnp.clip(metric, 0, 1), per_texel)
+    x, y = 2 * u - 1, 2 * v - 1
+    return jnp.where(inside, value + (1 - value) * _falloff(settings, x * x + y * y), 1)
+
+
+def _by_metric(settings: BabylonJs, state: EngineMap, u: Array, v: Array, metric: Array, per_texel: Array) -> Array:
+    color = _color(settings, metric_in_window(state.depth, state.light.view()), state.depth < 1)
+    compared = _compared(settings, metric, per_texel)
+    if settings.filter == "NONE":
+        return _darkened(settings, compared(nearest(color, u, v)))
+    if settings.filter == "POISSONSAMPLING":
+        radius = settings.blur_scale / state.resolution[1]
+        tap = lambda at: compared(bilinear(color, u + at[0] * radius, v + at[1] * radius, _same))
+        return jnp.minimum(1, _mean(tap, POISSON, u.shape) + settings.darkness)
+    if state.blurred is not None:
+        step = settings.blur_scale / state.resolution[1]
+        if settings.use_kernel_blur:
+            color = kernel_blurred(color, state.blurred, step, settings.blur_kernel, _stored(settings))
+        else:
+            color = _stored(settings)(box_blurred(color, state.blurred, step, settings.blur_box_offset))
+    return _of_exponential(settings, bilinear(color, u, v, _same), metric)
+
+
+def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    light = state.light
+    assert isinstance(light, PointLight)
+    towards = position - light.position
+    distance = safe_norm(towards)
+    metric = jnp.clip((distance + light.near) / (light.near + light.far), 0, 1)
+    # The map's y runs the other way.
+    unit = towards / jnp.where(distance > 0, distance, 1)[..., None] * jnp.array([1.0, -1.0, 1.0])
+    size = state.depth.shape[-1]
+    _, _, _, along = place_in_cube(towards)
+    per_texel = 2 * jnp.maximum(along, light.near) / size / (light.near + light.far)
+    compared = _compared(settings, metric, per_texel)
+    color = _color(settings, metric_in_cube(state.depth, light), state.depth < 1)
+    if settings.filter == "NONE":
+        return _darkened(settings, compared(nearest_in_cube(color, unit)))
+    bordered = with_borders(color)
+    if settings.filter in ("POISSONSAMPLING", "PCF", "PCSS"):
+        radius = settings.blur_scale / size
+        tap = lambda at: compared(bilinear_in_cube(bordered, unit + at * radius, _same))
+        return jnp.minimum(1, _mean(tap, POISSON_CUBE, distance.shape) + settings.darkness)
+    return _of_exponential(settings, bilinear_in_cube(bordered, unit, _same), metric)
+
+
+# --- What maps hold ---
+
+
+def _color(settings: BabylonJs, metric: Array, is_drawn: Array) -> Array:
+    """The map's colour: the biased metric or its exponential, as it is stored."""
+    biased = jnp.where(is_drawn, metric + settings.bias, 1)
+    if settings.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP"):
+        biased = exponential(biased, settings.depth_scale, is_drawn)
+    return _stored(settings)(biased)
+
+
+def _pushed(settings: BabylonJs, depth: Array) -> Array:
+    """The map's window depth; what the bias pushes beyond the far plane is clipped away."""
+    return jnp.where(depth < 1, jnp.minimum(depth + settings.bias / 2, 1), 1)
+
+
+def _color_of_pushed(settings: BabylonJs, state: EngineMap) -> Array:
+    """The colour beside a depth map: the metric of what the bias has moved, plus the bias."""
+    view = state.light.view()
+    near, far = view.near, view.far
+    metric = metric_in_window(state.depth, view)
+    # The bias moves clip depth by itself times w, and the metric is clip depth over its range.
+    share = (near + metric * (far - near)) / (near + far) if view.is_perspective else 0.5
+    is_drawn = _pushed(settings, state.depth) < 1
+    return _stored(settings)(jnp.where(is_drawn, metric + (1 + share) * settings.bias, 1))
+
+
+def _stored(settings: BabylonJs) -> Callable[[Array], Array]:
+    return _same if settings.float_maps else as_half
+
+
+# --- Filters ---
+
+
+def _compared(settings: BabylonJs, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
+    """What the compare of a stored value with the receiver's gives. The hard one is the engine's: equal is lit, or
+    shadowed if it `is_strict`."""
+    compare = settings.compare
+    if isinstance(compare, HardCompare):
+        compare = HardCompare("less" if is_strict else "less_equal")
+    return lambda stored: compare(stored, receiver, per_texel)
+
+
+def _strictly(settings: BabylonJs, place: Place) -> Compared:
+    """The texture unit's compare of window depths."""
+    return _compared(settings, place.z, place.depth_per_texel, is_strict=True)
+
+
+def _tent(settings: BabylonJs, depth: Array, u: Array, v: Array, compared: Compared) -> Array:
+    """A tent over 2, 4 or 6 texels, of 1, 4 or 9 bilinear compares (Castaño, "Shadow mapping summary", 2013)."""
+    if settings.quality == "LOW":
+        return bilinear(depth, u, v, compared)
+    height, width = depth.shape
+    (weights_x, places_x), (weights_y, places_y) = (
+        _tent_taps(at * size + 0.5, settings.quality) for at, size in ((u, width), (v, height))
+    )
+    count = len(weights_x)
+
+    def add(total: Array, k: Array) -> tuple[Array, None]:
+        i, j = k % count, k // count
+        tap = bilinear(depth, places_x[i] / width, places_y[j] / height, compared)
+        return total + weights_x[i] * weights_y[j] * tap, None
+
+    total = lax.scan(add, jnp.zeros_like(u), jnp.arange(count * count, dtype=jnp.int32))[0]
+    return total / (16 if settings.quality == "MEDIUM" else 144)
+
+
+def _tent_taps(at: Array, quality: BabylonQuality) -> tuple[Array, Array]:
+    """Weights and places, in texels, of the taps along one axis."""
+    whole = jnp.floor(lax.stop_gradient(at))
+    s = at - whole
+    if quality == "MEDIUM":
+        weights = [3 - 2 * s, 1 + 2 * s]
+        offsets = [(2 - s) / weights[0] - 1, s / weights[1] + 1]
+    else:
+        weights = [4 - 3 * s, jnp.full_like(s, 7), 1 + 3 * s]
+        offsets = [(3 - 2 * s) / weights[0] - 2, (3 + s) / 7, s / weights[2] + 2]
+    return jnp.stack(weights), jnp.stack([whole - 0.5 + offset for offset in offsets])
+
+
+def _contact_hardening(
+    settings: BabylonJs,
+    state: EngineMap,
+    u: Array,
+    v: Array,
+    metric: Array,
+    per_texel: Array,
+    compared: Compared,
+    turn: Array,
+) -> Array:
+    """Percentage-closer soft shadows (Fernando 2005); the farther the blockers, the lighter."""
+    color, depth = _color_of_pushed(settings, state), _pushed(settings, state.depth)
+    ratio = settings.contact_hardening_light_size_uv_ratio
+    is_lit = _compared(settings, metric, per_texel)
+
+    def search(sums: tuple[Array, Array], at: Array) -> tuple[tuple[Array, Array], None]:
+        texel = nearest(color, u + at[0] * ratio, v + at[1] * ratio)
+        blocks = 1 - is_lit(texel)
+        return (sums[0] + blocks, sums[1] + blocks * texel), None
+
+    searched = as_float(POISSON_32[: 32 if settings.quality == "HIGH" else 16])
+    blockers, total = lax.scan(search, (jnp.zeros_like(u), jnp.zeros_like(u)), searched)[0]
+    is_blocked = blockers >= 1
+    behind = metric - total / jnp.where(is_blocked, blockers, 1)
+    radius = (behind + _LEAST_PENUMBRA / state.resolution[1]) * ratio
+    cosine, sine = jnp.cos(turn) * radius, jnp.sin(turn) * radius
+
+    def tap(at: Array) -> Array:
+        x, y = at[0], at[1]
+        return bilinear(depth, u + x * cosine - y * sine, v + y * cosine + x * sine, compared)
+
+    taps = {"LOW": POISSON_32[:16], "MEDIUM": POISSON_32, "HIGH": POISSON_64}[settings.quality]
+    lit = _mean(tap, taps, u.shape)
+    return jnp.where(is_blocked, lit + (1 - lit) * behind, 1)
+
+
+def _random(clip: Float[Array, "h w 4"]) -> Float[Array, "h w"]:
+    """The engine's pseudo-random number at clip coordinates, from 0 to 1."""
+    t = 43758.5453 * jnp.sin(12.9898 * -clip[..., 0] + 78.233 * clip[..., 1])
+    return t - jnp.floor(t)
+
+
+def _of_exponential(settings: BabylonJs, texel: Array, metric: Array) -> Array:
+    """Visibility from an exponential map, or from a map of the metric that is compared exponentially (close)."""
+    scale, darkness = settings.depth_scale, settings.darkness
+    if "CLOSE" in settings.filter:
+        return jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, -scale * (metric - texel))), darkness, 1)
+    return 1 - jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, scale * metric)) * texel, 0, 1 - darkness)
+
+
+def _falloff(settings: BabylonJs, squared: Array) -> Array:
+    """How far shadows have faded out, from 0 to 1, at a squared distance from the map's centre."""
+    low = 1 - settings.frustum_edge_falloff
+    share = jnp.clip((jnp.clip(squared, 0, 1) - low) / (_EDGE - low), 0, 1)
+    return share * share * (3 - 2 * share)
+
+
+def _darkened(settings: BabylonJs, lit: Array) -> Array:
+    return lit + (1 - lit) * settings.darkness
+
+
+def _mean(tap: Compared, taps: HostArray, shape: tuple[int, ...]) -> Array:
+    """The mean of `tap` over `taps` (n, d)."""
+    add = lambda total, at: (total + tap(at), None)
+    return lax.scan(add, jnp.zeros(shape), as_float(taps))[0] / len(taps)
+
+
+def _same(x: Array) -> Array:
+    return x

@@ -1,0 +1,89 @@
+"""The colours of Babylon.js' maps: depth as a metric, its exponential, and what the blurs make of them."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..._misc import with_gradient_of
+from ..._types import HostArray, Resolution, Scalar
+from ...geometry import PointLight, View
+from ._textures import bilinear
+
+# Exponents of more would overflow a float.
+MOST_EXPONENT = 87.0
+
+
+def metric_in_window(depth: Float[Array, "h w"], view: View) -> Float[Array, "h w"]:
+    """(d - n) / (f - n) of window `depth`, d the distance along the axis: window depth itself in a parallel view."""
+    if not view.is_perspective:
+        return depth
+    return view.near * depth / (view.far - depth * (view.far - view.near))
+
+
+def metric_in_cube(depth: Float[Array, "6 n n"], light: PointLight) -> Float[Array, "6 n n"]:
+    """(r + n) / (f + n) of window `depth`, r the distance to the light."""
+    near, far = light.near, light.far
+    size = depth.shape[-1]
+    across = (jnp.arange(size) + 0.5) * (2 / size) - 1
+    # Of the texel's centre, per unit of distance along the face's axis.
+    length = jnp.sqrt(1 + across * across + across[:, None] ** 2)
+    return (near * far / (far - depth * (far - near)) * length + near) / (far + near)
+
+
+def as_half(x: Array) -> Array:
+    """Rounded to a half float, with the derivative of `x`."""
+    return with_gradient_of(x, x.astype(jnp.float16).astype(x.dtype))
+
+
+def exponential(metric: Array, depth_scale: Scalar, is_drawn: Array) -> Array:
+    """exp(-k metric), from 0 to 1; 0 where nothing is drawn."""
+    return jnp.where(is_drawn, jnp.clip(jnp.exp(-jnp.minimum(MOST_EXPONENT, depth_scale * metric)), 0, 1), 0)
+
+
+def box_blurred(image: Float[Array, "h w"], size: Resolution, step: Scalar, offset: int) -> Array:
+    """The mean of (2 offset + 1)² bilinear taps `step` apart, at each texel of a map of `size`."""
+    reach = np.arange(-offset, offset + 1)
+    x, y = (part.ravel() for part in np.meshgrid(reach, reach, indexing="ij"))
+    return _blurred(image, size, step, np.stack([x, y], -1), np.full(x.size, 1 / x.size))
+
+
+def kernel_blurred(
+    image: Float[Array, "h w"], size: Resolution, step: Scalar, kernel: float | int, rounded: Any
+) -> Array:
+    """A Gaussian blur along x and then along y; `rounded` is what a map stores of each pass."""
+    places, shares = _gaussian(kernel)
+    for axis in np.eye(2):
+        image = rounded(_blurred(image, size, step, places[:, None] * axis, shares))
+    return image
+
+
+def _blurred(image: Array, size: Resolution, step: Scalar, taps: HostArray, shares: HostArray) -> Array:
+    height, width = size
+    v, u = jnp.broadcast_arrays(((jnp.arange(height) + 0.5) / height)[:, None], (jnp.arange(width) + 0.5) / width)
+
+    def add(total: Array, tap: tuple[Array, Array]) -> tuple[Array, None]:
+        (x, y), share = tap
+        return total + share * bilinear(image, u + x * step, v + y * step, lambda texel: texel), None
+
+    return lax.scan(add, jnp.zeros_like(u), (jnp.asarray(taps, u.dtype), jnp.asarray(shares, u.dtype)))[0]
+
+
+def _gaussian(kernel: float | int) -> tuple[HostArray, HostArray]:
+    """Places, in texels, and shares of the taps. Each reads two texels of the kernel at once, between them."""
+    ideal = round(kernel)
+    # The engine's nearest kernel: odd, with an even number of texels on either side of the centre, and at least 3.
+    near = (k for k in (ideal, ideal - 1, ideal + 1, ideal - 2, ideal + 2) if k > 0 and k % 2 and k // 2 % 2 == 0)
+    count = max(next(near, ideal), 3)
+    share = np.exp(-4.5 * (2 * np.arange(count) / (count - 1) - 1) ** 2)
+    share /= share.sum()
+    centre = (count - 1) // 2
+    first, second = share[0:centre:2], share[1 : centre + 1 : 2]
+    places = np.arange(0, centre, 2) - centre + second / (first + second)
+    if centre % 2:
+        # Of 3 texels, the centre belongs to both pairs.
+        second = second / 2
+        return np.r_[places, -places], np.r_[first + second, first + second]
+    return np.r_[0, places, -places], np.r_[share[centre], first + second, first + second]

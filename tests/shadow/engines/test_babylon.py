@@ -1,0 +1,284 @@
+"""Babylon.js' shadows against pictures that Babylon.js drew."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from engine_states import agreement, read_back, receives, scene_of, surface_of
+from golden_engines import engine_golden, engine_goldens
+
+from diffshadow.geometry import DirectionalLight, Mesh, SpotLight
+from diffshadow.shadow import BabylonJs
+from diffshadow.shadow.engines import _abstract, _babylon, _engine_map
+from diffshadow.shadow.engines._abstract import Place
+
+CASES = engine_goldens("babylon")
+ENOUGH = 0.999
+ENOUGH_BY_OWN_MAP = 0.998
+# The near plane cuts casters open, and the engine's rasterizer places the corners of the cut at whole steps too: 4
+# texels along the cut differ, each of which 36 texels' receivers read.
+CUT_OPEN = {"directional_pcf_frustum_falloff": 0.99}
+# Blurred in place: the engine overwrites the map that it blurs, so there is none to read back.
+READ_BACK = [name for name in CASES if not name.endswith("in_place")]
+NAMES = {
+    "bias": "bias",
+    "normalBias": "normal_bias",
+    "darkness": "darkness",
+    "blurScale": "blur_scale",
+    "depthScale": "depth_scale",
+    "frustumEdgeFalloff": "frustum_edge_falloff",
+    "contactHardeningLightSizeUVRatio": "contact_hardening_light_size_uv_ratio",
+    "filter": "filter",
+    "filteringQuality": "quality",
+    "blurKernel": "blur_kernel",
+    "blurBoxOffset": "blur_box_offset",
+    "useKernelBlur": "use_kernel_blur",
+    "forceBackFacesOnly": "force_back_faces_only",
+    "usefullFloatFirst": "float_maps",
+}
+
+
+def preset(golden) -> BabylonJs:
+    """The engine's settings."""
+    given = dict(golden.settings["generator"])
+    size = given.pop("mapSize")
+    culling = tuple(mesh.get("backFaceCulling", True) for mesh in golden.settings["meshes"])
+    settings = {NAMES[name]: value for name, value in given.items()}
+    return BabylonJs(**settings, back_face_culling=culling, resolution=(size, size), subpixels=16)
+
+
+def depth_of(golden, technique) -> np.ndarray:
+    """Window depth without bias, from the engine's own map."""
+    info, bias = golden.info, float(technique.bias)
+    near, far = info["near"], info["far"]
+    if "map_depth" in golden.arrays:
+        depth = golden.arrays["map_depth"]
+        return np.where(depth < 1, depth - bias / 2, 1).astype(np.float32)
+    color = golden.arrays["map_metric"].astype(np.float64)
+    is_drawn = color != 1
+    if technique.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP"):
+        is_drawn = color > 0
+        color = -np.log(np.where(is_drawn, color, 1)) / float(technique.depth_scale)
+    metric = color - bias
+    if color.ndim == 3:
+        across = (np.arange(color.shape[-1]) + 0.5) * 2 / color.shape[-1] - 1
+        distance = (metric * (near + far) - near) / np.sqrt(1 + across**2 + across[:, None] ** 2)
+        depth = far * (distance - near) / ((far - near) * distance)
+    elif golden.settings["light"]["type"] == "spot":
+        depth = metric * far / (near + metric * (far - near))
+    else:
+        depth = metric
+    return np.where(is_drawn, depth, 1).astype(np.float32)
+
+
+def from_read_back(golden, technique, drawn_with=None):
+    """Visibility from the engine's own map, which it drew `drawn_with` these settings."""
+    offset = [0.0] * len(golden.settings["meshes"])
+    state = read_back(golden, depth_of(golden, drawn_with or technique), offset)
+    if "map_blurred" in golden.arrays:
+        size = int(technique.resolution[0] / float(technique.blur_scale))
+        state = dataclasses.replace(state, blurred=(size, size))
+    return visibility(golden, technique, state)
+
+
+def from_own_map(golden, technique):
+    """Visibility from a map that the library draws, at the engine's receivers."""
+    drawn = technique.prepare(scene_of(golden))
+    offset = jnp.zeros(len(golden.settings["meshes"]))
+    state = dataclasses.replace(drawn, offset=offset, receives=jnp.asarray(receives(golden)))
+    return visibility(golden, technique, state)
+
+
+def visibility(golden, technique, state):
+    """Visibility with the engine's pseudo-random numbers, which depend on its device."""
+    surface = surface_of(golden)
+    if "random" not in golden.arrays:
+        return technique.visibility(state, surface)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_babylon, "_random", lambda clip: jnp.asarray(golden.arrays["random"]))
+        return traced_again(technique, state, surface)
+
+
+def traced_again(technique, state, surface):
+    """Visibility by the module as it is now."""
+    return eqx.filter_jit(lambda *given: _babylon._visibility.__wrapped__(*given))(technique, state, surface)
+
+
+@pytest.mark.parametrize("name", READ_BACK)
+def test_the_engines_map_gives_the_engines_picture(name):
+    golden = engine_golden("babylon", name)
+    assert agreement(golden, from_read_back(golden, preset(golden))) >= ENOUGH
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_own_map_gives_the_engines_picture(name):
+    golden = engine_golden("babylon", name)
+    assert agreement(golden, from_own_map(golden, preset(golden))) >= CUT_OPEN.get(name, ENOUGH_BY_OWN_MAP)
+
+
+def test_the_own_map_is_the_engines_where_the_near_plane_cuts():
+    golden = engine_golden("babylon", "directional_pcf_frustum_falloff")
+    technique = preset(golden)
+    drawn = np.asarray(technique.prepare(scene_of(golden)).depth)
+    pushed = np.where(drawn < 1, drawn + float(technique.bias) / 2, 1)
+    assert (np.abs(pushed - golden.arrays["map_depth"]) > 1e-4).sum() <= 4
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if "pcss" in name])
+def test_means_agree_with_our_own_random_numbers(name):
+    golden = engine_golden("babylon", name)
+    technique = preset(golden)
+    ours = np.asarray(technique.visibility(technique.prepare(scene_of(golden)), surface_of(golden)))
+    counted = golden.arrays["mesh"] >= 0
+    height, width = counted.shape
+    sums = lambda image: image.reshape(height // 8, 8, width // 8, 8).sum(axis=(1, 3))
+    count = sums(counted)
+    off = np.abs(sums(np.where(counted, ours - golden.arrays["visibility"], 0))) / np.maximum(count, 1)
+    assert off[count >= 32].max() < 0.02
+
+
+def own_light(golden):
+    """The library's light at the place of the engine's."""
+    light = golden.settings["light"]
+    if light["type"] == "spot":
+        half_cone = np.rad2deg(light["angle"]) / 2
+        return SpotLight(light["position"], light["direction"], half_cone, light["shadowMinZ"], light["shadowMaxZ"])
+    position, direction = np.array(light["position"]), np.array(light["direction"])
+    left, right, top, bottom = (light[f"ortho{side}"] for side in ("Left", "Right", "Top", "Bottom"))
+    upright = direction[0] or direction[2]
+    across = np.cross([0, 1, 0] if upright else [0, 0, 1], direction)
+    across = across / np.linalg.norm(across)
+    up = np.cross(direction, across) / np.linalg.norm(direction)
+    center = position + (left + right) / 2 * across + (top + bottom) / 2 * up
+    return DirectionalLight(direction, center, [right - left, top - bottom], light["shadowMinZ"], light["shadowMaxZ"])
+
+
+@pytest.mark.parametrize(
+    "name", ["directional_none_bias", "directional_pcf_frustum_falloff", "directional_pcf_overhead", "spot_pcf_bias"]
+)
+def test_a_light_of_ours_is_drawn_as_the_engine_draws_it(name):
+    golden = engine_golden("babylon", name)
+    technique, scene = preset(golden), scene_of(golden)
+    state = technique.prepare(dataclasses.replace(scene, lights=own_light(golden)))
+    points = golden.arrays["position"][golden.arrays["mesh"] >= 0]
+    ours = np.asarray(state.light.view().clip(jnp.asarray(points))) * [-1, 1, 1, 1]
+    theirs = np.c_[points, np.ones(len(points))] @ np.reshape(golden.info["shadowMatrix"], (4, 4))
+    np.testing.assert_allclose(ours, theirs, atol=3e-6)
+
+
+# --- The pictures can tell a wrong preset ---
+
+TOLD_BELOW = 0.998
+changed = lambda name, factor: lambda one: dataclasses.replace(one, **{name: getattr(one, name) * factor})
+CHANGES = {
+    "bias": changed("bias", 0.9),
+    "bias's sign": changed("bias", -1),
+    "normal bias": changed("normal_bias", 0.9),
+    "normal bias's sign": changed("normal_bias", -1),
+    "darkness": changed("darkness", 0.9),
+    "falloff": changed("frustum_edge_falloff", 0.9),
+    "blur scale": changed("blur_scale", 0.9),
+    "depth scale": changed("depth_scale", 0.9),
+    "light size": changed("contact_hardening_light_size_uv_ratio", 0.9),
+    "kernel": lambda one: dataclasses.replace(one, blur_kernel=12),
+    "box": lambda one: dataclasses.replace(one, blur_box_offset=one.blur_box_offset + 1),
+    "which blur": lambda one: dataclasses.replace(one, use_kernel_blur=not one.use_kernel_blur, blur_kernel=8),
+    "quality": lambda one: dataclasses.replace(one, quality="MEDIUM" if one.quality != "MEDIUM" else "HIGH"),
+    "half floats": lambda one: dataclasses.replace(one, float_maps=not one.float_maps),
+    "culling": lambda one: dataclasses.replace(one, back_face_culling=not one.back_face_culling[0]),
+    "back faces": lambda one: dataclasses.replace(one, force_back_faces_only=not one.force_back_faces_only),
+}
+KINDS = {
+    "directional_none": {
+        "bias", "bias's sign", "normal bias", "normal bias's sign", "darkness", "falloff", "half floats", "culling",
+        "back faces",
+    },
+    "directional_poisson": {"bias", "bias's sign", "darkness", "blur scale"},
+    "directional_pcf": {
+        "bias", "bias's sign", "normal bias", "normal bias's sign", "darkness", "falloff", "quality", "back faces",
+    },
+    "directional_pcss": {"bias", "bias's sign", "darkness", "light size", "quality", "half floats"},
+    "directional_esm": {"bias", "bias's sign", "depth scale", "half floats"},
+    "directional_blur_esm": {
+        "bias", "bias's sign", "darkness", "blur scale", "depth scale", "half floats", "kernel", "box", "which blur",
+    },
+    "directional_close_esm": {"bias", "bias's sign", "depth scale", "half floats"},
+    "directional_blur_close_esm": {
+        "bias", "bias's sign", "blur scale", "depth scale", "kernel", "box", "which blur", "half floats",
+    },
+    "spot_none": {"bias", "bias's sign", "half floats"},
+    "spot_poisson": {"bias", "bias's sign", "blur scale"},
+    "spot_pcf": {"bias", "bias's sign", "normal bias", "normal bias's sign", "quality"},
+    "spot_pcss": {"bias", "bias's sign", "light size", "quality"},
+    "spot_close_esm": {"bias", "bias's sign", "depth scale"},
+    "point_none": {"bias", "bias's sign", "normal bias", "normal bias's sign"},
+    "point_p": {"bias", "bias's sign", "blur scale"},
+    "point_esm": {"bias", "bias's sign", "depth scale"},
+    "point_close_esm": {"bias", "bias's sign", "depth scale"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_changed_setting_is_told_apart(kind):
+    missed = set(KINDS[kind])
+    for name in (name for name in CASES if name.startswith(kind)):
+        golden = engine_golden("babylon", name)
+        right = preset(golden)
+        for what in sorted(missed):
+            if agreement(golden, from_own_map(golden, CHANGES[what](right))) < TOLD_BELOW:
+                missed.remove(what)
+    assert not missed
+
+
+def without_a_mirror(*given, **_):
+    return _engine_map.map_of(*given[:4])
+
+
+def read_from_the_left(points, view, resolution, is_mirrored):
+    return Place.of(points, view, resolution)
+
+
+def along_the_axis(depth, light):
+    near, far = light.near, light.far
+    return (near * far / (far - depth * (far - near)) + near) / (near + far)
+
+
+def with_the_bias_once(settings, state):
+    metric = _babylon.metric_in_window(state.depth, state.light.view())
+    return _babylon._color(settings, metric, state.depth < 1)
+
+
+def by_the_whole_normal(mesh, light, normal_bias):
+    vertices = mesh.vertices[mesh.faces] - normal_bias * mesh.corner_normals
+    return Mesh(vertices.reshape(-1, 3), np.arange(vertices.shape[0] * 3).reshape(-1, 3), mesh.corner_normals)
+
+
+HIDDEN = {
+    "mirrored map": (_abstract, "map_of", without_a_mirror, "directional_none_bias"),
+    "mirrored cube map": (_abstract, "map_of", without_a_mirror, "point_none_bias"),
+    "mirrored look-up": (_babylon, "Place", SimpleNamespace(of=read_from_the_left), "spot_pcf_bias"),
+    "direction of the taps": (_babylon, "POISSON", _babylon.POISSON * [-1, 1], "directional_poisson"),
+    "direction of a cube's taps": (_babylon, "POISSON_CUBE", _babylon.POISSON_CUBE * [1, -1, 1], "point_poisson"),
+    "half floats": (_babylon, "as_half", lambda x: x, "directional_none_half_float"),
+    "half floats of exponentials": (_babylon, "as_half", lambda x: x, "directional_esm_half_float"),
+    "linear depth": (_babylon, "metric_in_window", lambda depth, view: depth, "spot_none_bias"),
+    "radial depth": (_babylon, "metric_in_cube", along_the_axis, "point_none_bias"),
+    "1.5 times the bias": (_babylon, "_color_of_pushed", with_the_bias_once, "directional_pcss_high"),
+    "least penumbra": (_babylon, "_LEAST_PENUMBRA", 0.0, "directional_pcss_high"),
+    "sine of normal bias": (_babylon, "shrunk", by_the_whole_normal, "directional_none_normal_bias"),
+}
+
+
+@pytest.mark.parametrize("what", HIDDEN)
+def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
+    module, term, value, name = HIDDEN[what]
+    golden = engine_golden("babylon", name)
+    right = preset(golden)
+    # The functions that are replaced are traced again.
+    monkeypatch.setattr(type(right), "visibility", lambda *given: traced_again(*given))
+    assert agreement(golden, from_own_map(golden, right)) >= ENOUGH_BY_OWN_MAP
+    monkeypatch.setattr(module, term, value)
+    assert agreement(golden, from_own_map(golden, right)) < TOLD_BELOW
