@@ -1,13 +1,13 @@
-"""Does a fit's result hold in the engine itself? Draws a scene before and after its fit with the real three.js.
+"""Does a fit's result hold in the engine itself? Draws a scene before and after its fit with the real engine.
 
     python experiments/in_the_engine.py configs/three_js.yaml
-    python experiments/in_the_engine.py configs/three_js.yaml scene.light.elevation=60 --grid 9
+    python experiments/in_the_engine.py configs/babylon_js.yaml scene.light.elevation=60 --grid 9
 
-Fits the configuration, whose technique is three.js, and then draws the same scene with the engine in headless Chromium:
-with the engine's defaults, with the values before the fit, and with the fitted ones. The table compares what the
-library predicts with what the engine draws, and both with the ray-traced truth. Pixels are equal if their visibility
-differs by at most 1/255: of the library's own picture, and of one at the receivers that the engine's camera sees, which
-places vertices at coarser steps.
+Fits the configuration, whose technique is three.js or babylon.js, and then draws the same scene with that engine in
+headless Chromium: with the engine's defaults, with the values before the fit, and with the fitted ones. The table
+compares what the library predicts with what the engine draws, and both with the ray-traced truth. Pixels are equal if
+their visibility differs by at most 1/255: of the library's own picture, and of one at the receivers that the engine's
+camera sees, which places vertices at coarser steps.
 
 With `--grid`, the engine also draws a grid over the bounds of all fitted parameters, and the fit's error in the engine
 is compared with the least of the grid. Chromium draws without graphics hardware and places vertices at steps of 1/16
@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import _common as common
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
@@ -32,8 +31,8 @@ from rich.console import Console
 from rich.table import Table
 
 from diffshadow import fit
-from diffshadow.config import ThreeJsConfig
-from diffshadow.shadow import ThreeJs, ThreeJsLight
+from diffshadow.config import EngineConfig
+from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
 from diffshadow.study import style
 
 NAME = "in_the_engine"
@@ -41,7 +40,8 @@ SUBPIXELS = "technique.subpixels=16"
 """What Chromium does without graphics hardware."""
 NEAR = 1 / 255
 STATES = ("defaults", "before", "after")
-SETTINGS = ("bias", "normal_bias", "radius")
+
+Engine = ThreeJs | BabylonJs
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
@@ -53,7 +53,7 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
     Parameters
     ----------
     config
-        YAML file with the fit; its technique must be three.js.
+        YAML file with the fit; its technique must be three.js or babylon.js.
     overrides
         KEY=VALUE pairs that replace values of the file.
     grid
@@ -64,100 +64,98 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
     console = Console(highlight=False)
     common.expect("grid", grid, grid == 0 or 2 <= grid <= 32, "0, or 2 to 32 points")
     to = () if output is None else (f"output={output}",)
-    settings = common.load(config, (*overrides, SUBPIXELS, *to))
-    if not isinstance(settings.technique, ThreeJsConfig):
-        what = f"is {settings.technique.type}; expected three.js, which can be drawn here: change it"
+    settings = common.load(config, overrides)
+    if not isinstance(settings.technique, EngineConfig):
+        what = f"is {settings.technique.type}; expected three.js or babylon.js, which can be drawn here: change it"
         raise common.mistake(settings, "technique.type", what)
+    settings = common.load(config, (*overrides, SUBPIXELS, *to))
     lack = missing()
     if lack is not None:
         raise common.mistake(settings, "technique.type", lack)
     case = common.draw(settings)
     problem = common.problem_of(case)
     result = common.run_fit(settings, problem)
-    after = result.technique
-    assert isinstance(after, ThreeJs)
-    names = list(result.fitted)
-    with_values = lambda values: fit.with_values(after, [name.removeprefix("technique.") for name in names], values)
-    plain = ThreeJs()
-    defaults = eqx.tree_at(_numbers, after, _numbers(plain))
-    techniques = {"defaults": defaults, "before": with_values(jnp.array([*result.initial.values()])), "after": after}
-    bounds = [settings.fit.parameters[name] for name in names]
+    after: Any = result.technique
+    names = [name.removeprefix("technique.") for name in result.fitted]
+    with_values = lambda values: fit.with_values(after, names, jnp.array(values))
+    techniques = {
+        "defaults": with_values([float(getattr(type(after)(), name)) for name in names]),
+        "before": with_values([*result.initial.values()]),
+        "after": after,
+    }
+    bounds = settings.fit.parameters.values()
     # The last varies fastest. With VSM, the engine blurs a map once for each radius.
     points = [np.linspace(each.lower, each.upper, grid) for each in bounds]
     cells = list(itertools.product(*points)) if grid else []
-    on_grid = [with_values(jnp.array(cell)) for cell in cells]
-    console.print("drawing with three.js")
-    (drawing,) = draw([_job(case, after, [*techniques.values(), *on_grid])])
-    pictures = drawing.arrays["grid"]
+    console.print(f"drawing with {settings.technique.type}")
+    drawn = [*techniques.values(), *map(with_values, cells)]
+    (drawing,) = draw([_job(case, after, drawn)])
+    pictures = drawing.arrays["grid"].clip(0, 1)
     mask = np.asarray(problem.mask) & (drawing.arrays["mesh"] >= 0)
     surface = dataclasses.replace(
         case.surface,
         position=jnp.asarray(drawing.arrays["position"]),
         interpolated_normal=jnp.asarray(drawing.arrays["normal"]),
     )
-    there = dataclasses.replace(problem, surface=surface)
     error = lambda picture: float(np.sqrt(np.mean((picture - case.truth.visibility)[mask] ** 2)))
     rows = []
     for name, picture in zip(STATES, pictures, strict=False):
-        predicted, at_engines = (common.visibility(each, techniques[name]) for each in (problem, there))
+        technique = techniques[name]
+        own = problem.laid_out(technique)
+        there = dataclasses.replace(own, surface=surface)
+        predicted, at_engines = (common.visibility(each, technique) for each in (own, there))
         close, same = (np.abs(image - picture)[mask] <= NEAR for image in (predicted, at_engines))
         rows.append(
             {
                 "state": name,
-                **dict(zip(SETTINGS, map(float, _numbers(techniques[name])), strict=True)),
+                **{key: float(getattr(technique, key)) for key in names},
                 "rmse_engine": error(picture),
                 "rmse_predicted": error(predicted),
                 "within_1_255": float(close.mean()),
                 "within_1_255_at_engine": float(same.mean()),
             }
         )
-    summary: dict[str, Any] = {
-        "config": str(config),
-        "overrides": list(overrides),
-        "engine": drawing.info["version"],
-        "pixels": int(mask.sum()),
-    }
+    summary: dict[str, Any] = {"config": str(config), "overrides": list(overrides), "engine": drawing.info["version"]}
     if grid:
         errors = [error(picture) for picture in pictures[len(STATES) :]]
         best = int(np.argmin(errors))
-        summary |= {
-            "grid_best": errors[best],
-            "grid_at": dict(zip(names, map(float, cells[best]), strict=True)),
-            "ratio": rows[-1]["rmse_engine"] / errors[best],
-        }
-    _show(console, rows, summary)
-    made = _picture(case.truth.visibility, dict(zip(STATES, pictures, strict=False)), mask, rows)
+        at = dict(zip(names, map(float, cells[best]), strict=True))
+        summary |= {"grid_best": errors[best], "grid_at": at, "ratio": rows[-1]["rmse_engine"] / errors[best]}
+    _show(console, names, rows, summary)
+    shown = dict(zip(STATES, pictures, strict=False))
+    made = _picture(settings.technique.type, case.truth.visibility, shown, mask, rows)
     folder = common.write(settings, NAME, made, rows, summary)
     console.print(str(folder), soft_wrap=True)
     return {**summary, "rows": rows, "folder": str(folder)}
 
 
-def _numbers(technique: ThreeJs) -> list[Any]:
-    """What a fit of three.js may change."""
-    return [technique.bias, technique.normal_bias, technique.radius]
-
-
-def _job(case: common.Case, technique: ThreeJs, settings: list[ThreeJs]) -> dict[str, Any]:
-    """The scene as the driver takes it, with a drawing for each of `settings`."""
-    scene = case.scene
-    light = ThreeJsLight.of(scene.light, technique.resolution)
-    height, width = technique.resolution
-    camera = scene.camera.view()
-    sides = lambda given: [given] * len(scene.meshes) if given is None or isinstance(given, str) else list(given)
+def _job(case: common.Case, technique: Engine, drawn: list[Engine]) -> dict[str, Any]:
+    """The scene as the driver takes it, with a drawing for each of `drawn`."""
+    scene, camera = case.scene, case.scene.camera.view()
+    own = _three_js if isinstance(technique, ThreeJs) else _babylon_js
+    rows, columns = case.surface.mask.shape
+    settings, materials = own(EngineLight.of(scene.light, technique.resolution), technique)
     meshes = []
     for i, mesh in enumerate(scene.meshes):
         vertices, normals, faces = vertex_normals(mesh.vertices, mesh.faces, mesh.corner_normals)
-        meshes.append(
-            {
-                "vertices": vertices,
-                "normals": normals,
-                "faces": faces,
-                "casts": scene.casts is None or scene.casts[i],
-                "side": sides(technique.side)[i],
-                "shadowSide": sides(technique.shadow_side)[i],
-            }
-        )
-    given: dict[str, Any] = {
+        casts = scene.casts is None or scene.casts[i]
+        material = {key: value[i] if isinstance(value, tuple) else value for key, value in materials.items()}
+        meshes.append({"vertices": vertices, "normals": normals, "faces": faces, "casts": casts, **material})
+    return {
+        "width": columns,
+        "height": rows,
+        "meshes": meshes,
+        "camera": {"view": np.asarray(camera.world_to_eye), "projection": np.asarray(camera.eye_to_clip)},
+        "outputs": ["mesh", "position", "normal"],
+        "grid": [_shadow(each) for each in drawn],
+        **settings,
+    }
+
+
+def _three_js(light: EngineLight, technique: ThreeJs) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is three.js' own of a job, and of its meshes."""
+    height, width = technique.resolution
+    given = {
         "type": light.type,
         "position": light.position,
         "mapSize": [width, height],
@@ -166,54 +164,79 @@ def _job(case: common.Case, technique: ThreeJs, settings: list[ThreeJs]) -> dict
         **({} if light.angle is None else {"angle": light.angle, "aspect": light.aspect}),
         **_shadow(technique),
     }
-    rows, columns = case.surface.mask.shape
-    return {
+    settings = {
         "engine": "three",
-        "width": columns,
-        "height": rows,
-        "meshes": meshes,
         "light": given,
         "shadowType": technique.shadow_type.removesuffix("ShadowMap"),
         "reversedDepthBuffer": technique.reversed_depth,
-        "camera": {"view": np.asarray(camera.world_to_eye), "projection": np.asarray(camera.eye_to_clip)},
-        "outputs": ["mesh", "position", "normal"],
-        "grid": [_shadow(each) for each in settings],
+    }
+    return settings, {"side": technique.side, "shadowSide": technique.shadow_side}
+
+
+def _babylon_js(light: EngineLight, technique: BabylonJs) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is Babylon.js' own of a job, and of its meshes."""
+    given: dict[str, Any] = {"type": light.type, "position": light.position}
+    given |= {"shadowMinZ": light.near, "shadowMaxZ": light.far}
+    if light.target is not None:
+        given["direction"] = np.subtract(light.target, light.position).tolist()
+    if light.angle is not None:
+        given["angle"] = 2 * light.angle
+    if light.window is not None:
+        # The engine's camera is left-handed: its x runs the other way.
+        left, right, top, bottom = (light.window[key] for key in ("left", "right", "top", "bottom"))
+        given |= {"orthoLeft": -right, "orthoRight": -left, "orthoTop": top, "orthoBottom": bottom}
+        given |= {"autoUpdateExtends": False, "shadowOrthoScale": 0.0}
+    generator = {
+        "mapSize": technique.resolution[0],
+        "usefullFloatFirst": technique.float_maps,
+        "filter": technique.filter,
+        "filteringQuality": technique.quality,
+        "forceBackFacesOnly": technique.force_back_faces_only,
+        **_shadow(technique),
+    }
+    return {"engine": "babylon", "light": given, "generator": generator}, {
+        "backFaceCulling": technique.back_face_culling
     }
 
 
-def _shadow(technique: ThreeJs) -> dict[str, Any]:
-    """light.shadow's own settings."""
+def _shadow(technique: Engine) -> dict[str, Any]:
+    """The shadow's own settings by the engine's names."""
+    if isinstance(technique, ThreeJs):
+        return {
+            "bias": float(technique.bias),
+            "normalBias": float(technique.normal_bias),
+            "radius": float(technique.radius),
+            "intensity": float(technique.intensity),
+            "blurSamples": technique.blur_samples,
+        }
     return {
         "bias": float(technique.bias),
         "normalBias": float(technique.normal_bias),
-        "radius": float(technique.radius),
-        "intensity": float(technique.intensity),
-        "blurSamples": technique.blur_samples,
+        "darkness": float(technique.darkness),
+        "blurScale": float(technique.blur_scale),
+        "blurKernel": technique.blur_kernel,
+        "blurBoxOffset": technique.blur_box_offset,
+        "useKernelBlur": technique.use_kernel_blur,
+        "depthScale": float(technique.depth_scale),
+        "frustumEdgeFalloff": float(technique.frustum_edge_falloff),
+        "contactHardeningLightSizeUVRatio": float(technique.contact_hardening_light_size_uv_ratio),
     }
 
 
-def _show(console: Console, rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:
+def _show(console: Console, names: list[str], rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:
     """Prints the errors, and how well they were predicted."""
     table = Table()
     table.add_column("", no_wrap=True)
-    for title in (
-        "bias",
-        "normalBias",
-        "radius",
-        "RMSE, engine",
-        "RMSE, predicted",
-        "equal",
-        "equal, at its receivers",
-    ):
+    for title in (*names, "RMSE, engine", "RMSE, predicted", "equal", "equal, at its receivers"):
         table.add_column(title, justify="right")
     for row in rows:
-        numbers = [f"{row[key]:.4g}" for key in SETTINGS]
+        numbers = [f"{row[key]:.3g}" for key in names]
         errors = [f"{row[key]:.4f}" for key in ("rmse_engine", "rmse_predicted")]
         shares = [f"{row[key]:.2%}" for key in ("within_1_255", "within_1_255_at_engine")]
         table.add_row(row["state"], *numbers, *errors, *shares)
     console.print(table)
     if "ratio" in summary:
-        at = ", ".join(f"{name.removeprefix('technique.')} {value:.4g}" for name, value in summary["grid_at"].items())
+        at = ", ".join(f"{name} {value:.4g}" for name, value in summary["grid_at"].items())
         console.print(
             f"the least error of the engine's grid is {summary['grid_best']:.4f}, at {at}; the fit's is "
             f"{summary['ratio']:.3f} times as large"
@@ -221,19 +244,19 @@ def _show(console: Console, rows: list[dict[str, Any]], summary: dict[str, Any])
 
 
 def _picture(
-    truth: np.ndarray, pictures: dict[str, np.ndarray], mask: np.ndarray, rows: list[dict[str, Any]]
+    engine: str, truth: np.ndarray, pictures: dict[str, np.ndarray], mask: np.ndarray, rows: list[dict[str, Any]]
 ) -> Figure:
     """The truth beside what the engine draws."""
-    panels = {"ray-traced": truth} | pictures
+    titles = {row["state"]: f"{engine}, {row['state']}, RMSE {row['rmse_engine']:.4f}" for row in rows}
+    panels = {"ray-traced": truth} | {titles[state]: picture for state, picture in pictures.items()}
     height, width = truth.shape
     made, axes = common.figure(2.9 * len(panels), 2.9 * height / width + 0.3, 1, len(panels))
-    errors = {row["state"]: f", RMSE {row['rmse_engine']:.4f}" for row in rows}
-    for one, (name, image) in zip(axes, panels.items(), strict=True):
+    for one, (title, image) in zip(axes, panels.items(), strict=True):
         shown = np.where(mask, image, np.nan)
         one.imshow(shown, origin="lower", cmap="gray", vmin=0, vmax=1, interpolation="nearest")
         one.set_xticks([])
         one.set_yticks([])
-        style.title(one, f"{'' if name == 'ray-traced' else 'three.js, '}{name}{errors.get(name, '')}")
+        style.title(one, title)
     return made
 
 

@@ -24,6 +24,7 @@ from .sections._biases import BiasConfig as BiasConfig
 from .sections._biases import NoPlaneConfig as NoPlaneConfig
 from .sections._biases import PlaneConfig as PlaneConfig
 from .sections._biases import ReceiverPlaneConfig as ReceiverPlaneConfig
+from .sections._engines import BabylonJsConfig as BabylonJsConfig
 from .sections._engines import EngineConfig as EngineConfig
 from .sections._engines import ThreeJsConfig as ThreeJsConfig
 from .sections._filters import BilinearConfig as BilinearConfig

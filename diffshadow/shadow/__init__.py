@@ -36,12 +36,12 @@ from .engines import AbstractEngineShadows as AbstractEngineShadows
 from .engines import BabylonFilter as BabylonFilter
 from .engines import BabylonJs as BabylonJs
 from .engines import BabylonQuality as BabylonQuality
+from .engines import EngineLight as EngineLight
 from .engines import EngineMap as EngineMap
 from .engines import EngineSetting as EngineSetting
 from .engines import ThreeJs as ThreeJs
-from .engines import ThreeJsLight as ThreeJsLight
+from .engines import engine_code as engine_code
 from .engines import engine_settings as engine_settings
-from .engines import three_js_code as three_js_code
 from .filters import AbstractFilter as AbstractFilter
 from .filters import Bilinear as Bilinear
 from .filters import Castano as Castano

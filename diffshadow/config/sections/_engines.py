@@ -57,3 +57,52 @@ class ThreeJsConfig(EngineConfig):
         description="material.shadowSide of all meshes, or of each; default: the other side, in VSMShadowMap the same",
     )
     reversed_depth: bool = Field(default=False, description="whether the renderer has reversedDepthBuffer")
+
+
+class BabylonJsConfig(EngineConfig):
+    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
+    square."""
+
+    builds: ClassVar[str] = "BabylonJs"
+
+    type: Literal["babylon.js"] = "babylon.js"
+    filter: Literal[
+        "NONE",
+        "POISSONSAMPLING",
+        "EXPONENTIALSHADOWMAP",
+        "BLUREXPONENTIALSHADOWMAP",
+        "CLOSEEXPONENTIALSHADOWMAP",
+        "BLURCLOSEEXPONENTIALSHADOWMAP",
+        "PCF",
+        "PCSS",
+    ] = Field(default="NONE", description="the generator's FILTER_ constant")
+    quality: Literal["HIGH", "MEDIUM", "LOW"] = Field(
+        default="HIGH", description="filteringQuality, for filters PCF and PCSS"
+    )
+    bias: Annotated[float, Field(ge=-1, le=1), Unit("parts of the depth range"), Fitted()] = Field(
+        default=5e-5, description="bias: pushes casters away from the light"
+    )
+    normal_bias: Annotated[_Length, Fitted(searched=True)] = Field(
+        default=0.0, description="normalBias: how far casters' vertices move against their normals"
+    )
+    darkness: Fraction = Field(default=0.0, description="darkness: the visibility in full shadow")
+    blur_scale: Annotated[float, Field(gt=0, le=1024), Unit("texels"), Fitted()] = Field(
+        default=2.0, description="blurScale: radius of POISSONSAMPLING, or size of a map over that of its blur"
+    )
+    depth_scale: Annotated[float, Field(gt=0, le=1000), Fitted()] = Field(
+        default=50.0, description="depthScale: steepness of exponential maps"
+    )
+    frustum_edge_falloff: Fraction = Field(
+        default=0.0, description="frustumEdgeFalloff: width of the border in which shadows fade out"
+    )
+    contact_hardening_light_size_uv_ratio: Annotated[Fraction, Fitted()] = Field(
+        default=0.1, description="contactHardeningLightSizeUVRatio: radius of PCSS over the map's width"
+    )
+    blur_kernel: int = Field(default=1, ge=0, le=256, description="blurKernel, with use_kernel_blur")
+    blur_box_offset: int = Field(default=1, ge=0, le=64, description="blurBoxOffset, without use_kernel_blur")
+    use_kernel_blur: bool = Field(default=False, description="useKernelBlur: whether the blur is a Gaussian")
+    force_back_faces_only: bool = Field(default=False, description="forceBackFacesOnly: whether only back faces cast")
+    back_face_culling: bool | Annotated[tuple[bool, ...], as_list] = Field(
+        default=True, description="material.backFaceCulling of all meshes, or of each"
+    )
+    float_maps: bool = Field(default=False, description="usefullFloatFirst: floats rather than half floats in the map")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from ._biases import MOST_LAYERS
-from ._engines import ThreeJsConfig
+from ._engines import BabylonJsConfig, ThreeJsConfig
 from ._section import (
     MOST_FACTOR,
     Conflict,
@@ -166,7 +166,8 @@ TechniqueConfig = Annotated[
     | Annotated[PerspectiveWarpConfig, Tag("perspective_warp")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
     | Annotated[ProjectiveTextureConfig, Tag("projective_texture")]
-    | Annotated[ThreeJsConfig, Tag("three.js")],
+    | Annotated[ThreeJsConfig, Tag("three.js")]
+    | Annotated[BabylonJsConfig, Tag("babylon.js")],
     by_type("shadow_map"),
 ]
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .._errors import KeyPath, dotted
-from ..sections._engines import EngineConfig, ThreeJsConfig
+from ..sections._engines import BabylonJsConfig, EngineConfig, ThreeJsConfig
 from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import is_searched, parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
@@ -56,7 +56,11 @@ def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Confl
             message = "is point, for which three.js draws no VSMShadowMap"
             yield path, fault(message, "directional or spot", "change it, or technique.shadow_type")
     count = len(config.scene.meshes)
-    for name in ("side", "shadow_side"):
+    height, width = config.shadow_map.resolution
+    if isinstance(technique, BabylonJsConfig) and height != width:
+        message = f"is {[height, width]}, and technique.type is babylon.js, whose maps are square"
+        yield ("shadow_map", "resolution"), fault(message, "two equal numbers", "change it")
+    for name in ("side", "shadow_side", "back_face_culling"):
         sides = getattr(technique, name, None)
         if isinstance(sides, tuple) and len(sides) != count:
             message = f"has {len(sides)} entries, and the scene has {count} mesh{'' if count == 1 else 'es'}"

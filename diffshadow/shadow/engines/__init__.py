@@ -4,9 +4,9 @@ from ._abstract import AbstractEngineShadows as AbstractEngineShadows
 from ._babylon import BabylonFilter as BabylonFilter
 from ._babylon import BabylonJs as BabylonJs
 from ._babylon import BabylonQuality as BabylonQuality
-from ._code import ThreeJsLight as ThreeJsLight
-from ._code import three_js_code as three_js_code
+from ._code import engine_code as engine_code
 from ._convert import EngineSetting as EngineSetting
 from ._convert import engine_settings as engine_settings
 from ._engine_map import EngineMap as EngineMap
+from ._light import EngineLight as EngineLight
 from ._three import ThreeJs as ThreeJs

@@ -1,77 +1,31 @@
 """Fitted settings as the code that one pastes into a program that uses the engine."""
 
-import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from ..._types import Resolution
-from ...geometry import AbstractLight, MatrixLight, PointLight
-from ._abstract import engine_light
+from ...geometry import AbstractLight
+from ._babylon import BabylonJs
+from ._light import EngineLight
 from ._three import ThreeJs
 
-# Where the near plane of a directional light's camera is put: the light itself is far away.
-_NEAR = 1.0
 
-
-class ThreeJsLight(NamedTuple):
-    """A light and its shadow camera, as three.js has them.
-
-    - `type`: `"directional"`, `"spot"` or `"point"`.
-    - `position`, `target`: world coordinates; a point light has no target.
-    - `near`, `far`: of the shadow camera, world units.
-    - `window`: left, right, top and bottom of a directional light's camera, world units.
-    - `angle`, `aspect`: of a spot light's cone, in radians from its axis, and of `light.shadow`.
-    """
-
-    type: str
-    position: list[float]
-    near: float
-    far: float
-    target: list[float] | None = None
-    window: dict[str, float] | None = None
-    angle: float | None = None
-    aspect: float | None = None
-
-    @classmethod
-    def of(cls, light: AbstractLight, resolution: Resolution) -> "ThreeJsLight":
-        """three.js' settings for `light` with a map of `resolution`.
-
-        **Raises** `ValueError` for a perspective camera that is off its axis, and what `engine_light` raises.
-        """
-        light = engine_light(light)
-        if isinstance(light, PointLight):
-            return cls("point", _numbers(light.position), float(light.near), float(light.far))
-        assert isinstance(light, MatrixLight)
-        view = light.view()
-        pose, projection = (np.asarray(matrix, np.float64) for matrix in (view.world_to_eye, view.eye_to_clip))
-        eye, forward = -pose[:3, :3].T @ pose[:3, 3], -pose[2, :3]
-        near, far = float(view.near), float(view.far)
-        if light.is_perspective:
-            if projection[:2, 2].any():
-                raise ValueError("the light's window is off its axis; expected one in the middle, as of a spot light")
-            height, width = resolution
-            aspect = projection[1, 1] / projection[0, 0] * height / width
-            angle = math.atan(1 / projection[1, 1])
-            return cls("spot", _numbers(eye), near, far, _numbers(eye + forward), None, angle, aspect)
-        middle, half = -projection[:2, 3] / np.diag(projection)[:2], 1 / np.diag(projection)[:2]
-        (left, bottom), (right, top) = middle - half, middle + half
-        back = _NEAR - near
-        position = eye - back * forward
-        window = {"left": left, "right": right, "top": top, "bottom": bottom}
-        window = {name: float(value) for name, value in window.items()}
-        return cls("directional", _numbers(position), _NEAR, far + back, _numbers(eye), window)
-
-
-def three_js_code(settings: ThreeJs, light: AbstractLight, distances: tuple[float, float]) -> str:
+def engine_code(settings: ThreeJs | BabylonJs, light: AbstractLight, distances: tuple[float, float]) -> str:
     """JavaScript that sets `settings` for `light`, with comments on where they hold.
 
     **Arguments:**
 
     - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
+
+    **Raises** what `EngineLight.of` raises.
     """
-    given = ThreeJsLight.of(light, settings.resolution)
+    given = EngineLight.of(light, settings.resolution)
+    if isinstance(settings, ThreeJs):
+        lines = _three_js(settings, given, distances)
+    else:
+        lines = _babylon_js(settings, given, distances)
+    return "\n".join([*lines, ""])
+
+
+def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, float]) -> list[str]:
     height, width = settings.resolution
     bias, normal_bias = float(settings.bias), float(settings.normal_bias)
     lines = [
@@ -105,22 +59,88 @@ def three_js_code(settings: ThreeJs, light: AbstractLight, distances: tuple[floa
     for name, side in (("side", settings.side), ("shadowSide", settings.shadow_side)):
         if isinstance(side, str):
             lines += [f"material.{name} = THREE.{sides[side]};"]
-    return "\n".join([*_where_it_holds(given), *lines, ""])
+    return [*_where_it_holds("three.js r187, WebGLRenderer", given.type == "directional"), *lines]
 
 
-def _where_it_holds(light: ThreeJsLight) -> list[str]:
-    if light.type == "directional":
-        scale = "bias is a part of far - near: with another range, multiply it by the old range over the new one"
+def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float, float]) -> list[str]:
+    bias, is_point = float(settings.bias), given.type == "point"
+    name = settings.filter
+    lines = [f"light.position = {_vector(given.position)};"]
+    if given.target is not None:
+        direction = [to - at for at, to in zip(given.position, given.target, strict=True)]
+        lines += [f"light.direction = {_vector(direction)};"]
+    if given.angle is not None:
+        lines += [f"light.angle = {_text(2 * given.angle)};  // radians, the full cone"]
+    if given.window is not None:
+        # The engine's camera is left-handed: its x runs the other way.
+        left, right, top, bottom = (given.window[key] for key in ("left", "right", "top", "bottom"))
+        lines += ["light.autoUpdateExtends = false;", "light.shadowOrthoScale = 0;"]
+        window = {"orthoLeft": -right, "orthoRight": -left, "orthoTop": top, "orthoBottom": bottom}
+        lines += [f"light.{key} = {_text(value)};" for key, value in window.items()]
+    maps = "true" if settings.float_maps else "false"
+    lines += [
+        f"light.shadowMinZ = {_text(given.near)};",
+        f"light.shadowMaxZ = {_text(given.far)};",
+        f"const generator = new BABYLON.ShadowGenerator({settings.resolution[0]}, light, {maps});",
+        f"generator.filter = BABYLON.ShadowGenerator.FILTER_{name};",
+    ]
+    if name in ("PCF", "PCSS"):
+        lines += [f"generator.filteringQuality = BABYLON.ShadowGenerator.QUALITY_{settings.quality};"]
+    by_depth = name in ("PCF", "PCSS") and not is_point
+    if by_depth:
+        # Depth from -1 to 1, half of which is window depth; of casters, as negative bias would be of receivers.
+        amount = _in_world(given, -bias / 2, distances)
     else:
-        scale = "bias is window depth, which depends on near and far: with others, fit it again"
+        span = given.near + given.far if is_point else given.far - given.near
+        amount = f"{_text(bias * span)} world units"
+    normal = _in_texels(given, float(settings.normal_bias), settings.resolution[1])
+    lines += [
+        f"generator.bias = {_text(bias)};  // {amount}",
+        f"generator.normalBias = {_text(float(settings.normal_bias))};  // world units{normal}",
+    ]
+    if float(settings.darkness):
+        lines += [f"generator.setDarkness({_text(float(settings.darkness))});"]
+    if name == "POISSONSAMPLING" or name.startswith("BLUR") or (is_point and not name.endswith("MAP")):
+        lines += [f"generator.blurScale = {_text(float(settings.blur_scale))};"]
+    if name.startswith("BLUR"):
+        lines += [f"generator.useKernelBlur = {'true' if settings.use_kernel_blur else 'false'};"]
+        kernel = (
+            ("blurKernel", settings.blur_kernel)
+            if settings.use_kernel_blur
+            else (
+                "blurBoxOffset",
+                settings.blur_box_offset,
+            )
+        )
+        lines += [f"generator.{kernel[0]} = {kernel[1]};"]
+    if name.endswith("EXPONENTIALSHADOWMAP"):
+        lines += [f"generator.depthScale = {_text(float(settings.depth_scale))};"]
+    if name == "PCSS":
+        ratio = _text(float(settings.contact_hardening_light_size_uv_ratio))
+        lines += [f"generator.contactHardeningLightSizeUVRatio = {ratio};"]
+    if float(settings.frustum_edge_falloff):
+        lines += [f"generator.frustumEdgeFalloff = {_text(float(settings.frustum_edge_falloff))};"]
+    is_linear = given.type == "directional" or not by_depth
+    return [*_where_it_holds("Babylon.js 9.34, ShadowGenerator on WebGL2", is_linear), *lines]
+
+
+def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
+    if is_linear:
+        scale = "Bias is a part of the depth range: with another range, multiply it by the old range over the new one."
+    else:
+        scale = "Bias is window depth, which depends on near and far: with others, fit it again."
     return [
-        "// three.js r187, WebGLRenderer.",
-        f"// Holds for this map size, near and far. {scale[0].upper()}{scale[1:]}.",
+        f"// {engine}.",
+        f"// Holds for this map size, near and far. {scale}",
         "// With another map size, normalBias goes with the size of a texel.",
     ]
 
 
-def _in_world(light: ThreeJsLight, bias: float, distances: tuple[float, float]) -> str:
+def _vector(values: Sequence[float]) -> str:
+    return f"new BABYLON.Vector3({', '.join(map(_text, values))})"
+
+
+def _in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -> str:
     """The shift towards the light that a bias amounts to."""
     depth = light.far - light.near
     if light.type == "directional":
@@ -131,14 +151,10 @@ def _in_world(light: ThreeJsLight, bias: float, distances: tuple[float, float]) 
     return f"{_text(shifts[0])} world units at the distance {near}, {_text(shifts[1])} at {far}"
 
 
-def _in_texels(light: ThreeJsLight, length: float, width: int) -> str:
+def _in_texels(light: EngineLight, length: float, width: int) -> str:
     if light.window is None or length == 0:
         return ""
     return f", {_text(length / (light.window['right'] - light.window['left']) * width)} texels"
-
-
-def _numbers(values: Any) -> list[float]:
-    return [float(value) for value in values]
 
 
 def _text(value: float) -> str:

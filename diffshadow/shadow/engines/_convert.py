@@ -63,7 +63,7 @@ def engine_settings(
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
     """
-    light = engine_light(light)
+    light = engine_light(light, 1e-13)
     if not light.is_directional and not distance > 0:
         raise ValueError(f"the distance is {distance}; expected world units in front of the light")
     if isinstance(light, PointLight):

@@ -10,7 +10,7 @@ from ..._types import HostArray, VectorMap
 from ...config import Config, ConfigError, Mistake, build_shadow_mapping
 from ...geometry import AbstractLight, PointLight
 from ...raster import draw_surface
-from ...shadow import FittableTechnique, Receiver, ThreeJs, engine_settings, receiver, three_js_code
+from ...shadow import BabylonJs, FittableTechnique, Receiver, ThreeJs, engine_code, engine_settings, receiver
 from ..pages import _table as table
 from ._progress import Stages
 from ._setup import Drawn, load
@@ -19,11 +19,11 @@ CODE = "engine.js"
 """The file in a run's folder that holds the code."""
 
 
-def engine_code(technique: FittableTechnique, drawn: Sequence[Drawn]) -> dict[str, str]:
+def code_of(technique: FittableTechnique, drawn: Sequence[Drawn]) -> dict[str, str]:
     """The code for each light, by its key; none if the technique is no engine's."""
-    if not isinstance(technique, ThreeJs):
+    if not isinstance(technique, ThreeJs | BabylonJs):
         return {}
-    return {each.key: three_js_code(technique, each.scene.light, _distances(each)) for each in drawn}
+    return {each.key: engine_code(technique, each.scene.light, _distances(each)) for each in drawn}
 
 
 def _distances(drawn: Drawn) -> tuple[float, float]:

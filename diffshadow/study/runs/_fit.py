@@ -17,7 +17,7 @@ from ..files._stored import stored, to_bytes
 from ..pages import _table as table
 from . import _pose as poses
 from . import _record as record
-from ._engine import CODE, engine_code
+from ._engine import CODE, code_of
 from ._progress import Stages
 from ._remarks import remarks
 from ._scene_remarks import scene_remarks
@@ -72,7 +72,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
     table.print_lines(
         console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
     )
-    for key, code in engine_code(fitted.result.technique, fitted.mapped).items():
+    for key, code in code_of(fitted.result.technique, fitted.mapped).items():
         table.print_code(console, f"{CODE}, for {key}:", code)
     table.print_lines(console, fitted.remarks, warn=True)
     return folder
@@ -240,7 +240,7 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
             "seconds_running": result.seconds_running,
             "phases": phases,
         },
-        **({"code": code} if (code := engine_code(result.technique, fitted.mapped)) else {}),
+        **({"code": code} if (code := code_of(result.technique, fitted.mapped)) else {}),
         **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},

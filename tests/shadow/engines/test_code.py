@@ -9,7 +9,7 @@ from engine_states import light_of
 from golden_engines import engine_golden
 
 from diffshadow.geometry import DirectionalLight, MatrixLight, PointLight, RectangleLight, SpotLight
-from diffshadow.shadow import ThreeJs, ThreeJsLight, three_js_code
+from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs, engine_code
 
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0)
 
@@ -23,7 +23,7 @@ def basis(position, target) -> np.ndarray:
     return np.stack([right, np.cross(backward, right), backward])
 
 
-def window(given: ThreeJsLight, points: np.ndarray, resolution) -> np.ndarray:
+def window(given: EngineLight, points: np.ndarray, resolution) -> np.ndarray:
     """Window coordinates (n, 3) of points, from the engine's settings alone."""
     x, y, z = basis(given.position, given.target) @ (points - given.position).T
     n, f = given.near, given.far
@@ -42,7 +42,7 @@ def test_the_engines_light_sees_what_the_librarys_sees(light, resolution):
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     clip = np.asarray(light.view().clip(jnp.asarray(points, jnp.float32)))
     expected = clip[:, :3] / clip[:, 3:] / 2 + 0.5
-    found = window(ThreeJsLight.of(light, resolution), points, resolution)
+    found = window(EngineLight.of(light, resolution), points, resolution)
     # The far plane is elsewhere only by rounding; a directional light's near plane is where the light is put.
     np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=1e-5)
     if isinstance(light, SpotLight):
@@ -58,7 +58,7 @@ def test_a_light_of_the_engine_comes_back(name):
     settings, info = golden.settings["light"], golden.info
     size = settings["mapSize"]
     width, height = size if isinstance(size, list) else (size, size)
-    found = ThreeJsLight.of(light_of(golden), (height, width))
+    found = EngineLight.of(light_of(golden), (height, width))
     assert found.far - found.near == pytest.approx(info["far"] - info["near"], rel=1e-5)
     if found.window is not None:
         assert found.window == pytest.approx({key: settings["camera"][key] for key in found.window}, abs=1e-5)
@@ -72,20 +72,42 @@ def test_a_light_of_the_engine_comes_back(name):
 
 def test_code_says_what_a_bias_amounts_to():
     technique = ThreeJs(bias=-0.001, normal_bias=0.02, radius=2.0, resolution=(64, 128), shadow_side="double")
-    code = three_js_code(technique, SUN, (1.0, 5.0))
+    code = engine_code(technique, SUN, (1.0, 5.0))
     assert "light.shadow.bias = -0.001;  // 0.006 world units towards the light" in code
     assert "light.shadow.normalBias = 0.02;  // world units, 0.64 texels" in code
     assert "light.shadow.mapSize.set(128, 64);" in code
     assert "material.shadowSide = THREE.DoubleSide;" in code
     lamp = PointLight((0, 1, 0), 0.5, 10.0)
-    code = three_js_code(technique, lamp, (1.0, 2.0))
+    code = engine_code(technique, lamp, (1.0, 2.0))
     # b D d² / (f n) at both distances.
     assert "-0.001;  // 0.0019 world units at the distance 1, 0.0076 at 2" in code
     assert "target" not in code
 
 
+def test_babylons_window_is_the_mirror_image():
+    offset = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0).view()
+    projection = np.array(offset.eye_to_clip)
+    projection[0, 3] = -0.25
+    light = MatrixLight(offset.world_to_eye, projection)
+    given = EngineLight.of(light, (64, 64)).window
+    code = engine_code(BabylonJs(bias=0.01, filter="PCF", resolution=(64, 64)), light, (1.0, 5.0))
+    assert given["left"] == pytest.approx(-1.5)
+    assert "light.orthoLeft = -2.5;" in code
+    assert "light.orthoRight = 1.5;" in code
+    # Half of Babylon.js' bias is window depth, in PCF.
+    assert "generator.bias = 0.01;  // 0.03 world units towards the light" in code
+    code = engine_code(BabylonJs(bias=0.01, filter="NONE", resolution=(64, 64), float_maps=True), light, (1.0, 5.0))
+    assert "generator.bias = 0.01;  // 0.06 world units" in code
+    assert "new BABYLON.ShadowGenerator(64, light, true)" in code
+    spot = SpotLight((1, 3, 2), (-0.4, -1, -0.3), 30.0, 0.5, 9.0)
+    code = engine_code(BabylonJs(filter="BLUREXPONENTIALSHADOWMAP", resolution=(64, 64)), spot, (1.0, 5.0))
+    assert f"light.angle = {np.radians(60):.7g};" in code
+    assert "generator.blurBoxOffset = 1;" in code
+    assert "generator.depthScale = 50;" in code
+
+
 def test_zero_has_no_sign():
-    code = three_js_code(ThreeJs(bias=-0.0, normal_bias=-1e-30, shadow_type="BasicShadowMap"), SUN, (1.0, 5.0))
+    code = engine_code(ThreeJs(bias=-0.0, normal_bias=-1e-30, shadow_type="BasicShadowMap"), SUN, (1.0, 5.0))
     assert "bias = 0;" in code
     assert "normalBias = -1e-30;" in code
     assert "radius" not in code
@@ -96,7 +118,7 @@ def test_lights_that_the_engine_lacks_are_named():
     oblique = np.array(SpotLight((1, 3, 2), (0, -1, 0), 30.0, 0.5, 9.0).view().eye_to_clip)
     oblique[0, 2] = 0.3
     with pytest.raises(ValueError, match="off its axis"):
-        three_js_code(ThreeJs(), MatrixLight(view.world_to_eye, oblique), (1.0, 2.0))
+        engine_code(ThreeJs(), MatrixLight(view.world_to_eye, oblique), (1.0, 2.0))
     area = RectangleLight((0, 3, 0), (0, -1, 0), (1.0, 1.0), 45.0, 0.1, 9.0)
     with pytest.raises(ValueError, match="RectangleLight; expected a directional, spot, point or matrix light"):
-        three_js_code(ThreeJs(), area, (1.0, 2.0))
+        engine_code(ThreeJs(), area, (1.0, 2.0))
