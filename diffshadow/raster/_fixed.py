@@ -23,15 +23,17 @@ SUBPIXELS = 1 << SUBPIXEL_BITS
 """Steps to a pixel, at whole numbers of which vertices are drawn."""
 
 # Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
-# within 2²¹, and 256 of them within 2²⁹.
+# within 2²¹, and 256 of them within 2²⁹. In a virtual map, nothing within the map is clipped: with up to
+# `MOST_VIRTUAL` pixels a side they are within 2²², and the sum of two times 255 is still less than 2³¹.
 GUARD_BAND = 4096
-# Beyond this an edge function cannot change sign within a block of 32 x 32 pixels (2²¹ · 2 · 32 = 2²⁷).
+MOST_VIRTUAL = 16384
+# Beyond this an edge function cannot change sign within a block of 16 x 16 pixels (2²² · 2 · 16 = 2²⁷).
 _FAR = 1 << 29
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Window coordinates in pixels, rounded to the nearest sub-pixel."""
-    limit = float(2 * GUARD_BAND * SUBPIXELS)
+    limit = float(MOST_VIRTUAL * SUBPIXELS)
     return jnp.round(jnp.clip(window * SUBPIXELS, -limit, limit)).astype(jnp.int32)
 
 

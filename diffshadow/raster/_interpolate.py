@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import safe_divide, take, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
+from ..geometry import Tile
 
 # A pixel centre may lie outside its face by the half sub-pixel of snapping. For a sliver that can be many times its
 # width; beyond this share of the face's height the point is pulled back onto the face.
@@ -32,10 +33,13 @@ CornerValues = Callable[[FaceMap], list[list[Array]]]
 
 
 class Rows(NamedTuple):
-    """Part of an image: its first row, and the height of the whole image."""
+    """Part of an image: its first row, and the height of the whole image; if it is narrower than the image, also its
+    first column, and the width of the whole."""
 
     first: Int[Array, ""] | int
-    height: int
+    height: int | Int[Array, ""]
+    left: Int[Array, ""] | int = 0
+    width: int | Int[Array, ""] | None = None
 
 
 def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND) -> Any:
@@ -56,6 +60,12 @@ def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: i
     bands = face.reshape(-1, rows, width), jnp.arange(0, height, rows, dtype=jnp.int32)
     found = lax.map(lambda part: function(part[0], Rows(part[1], height)), bands)
     return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
+
+
+def by_tiles(function: Callable[[FaceMap, Rows], Any], face: Int[Array, "l h w"], tile: Tile) -> Any:
+    """`function` of the face maps (l, h, w) of tiles of a virtual image, one after the other; as `by_bands`."""
+    of_tile = lambda part: function(part[0], Rows(part[1][1], part[2], part[1][0], part[2]))
+    return lax.map(of_tile, (face, tile.origin, tile.size))
 
 
 def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> CornerValues:
@@ -122,9 +132,17 @@ def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics
 def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, " w"], Float[Array, "h 1"]]:
     """Normalized device coordinates of the pixel centres in some rows of an image."""
     height, width = shape
-    X = (jnp.arange(width, dtype=dtype) + 0.5) * (2 / width) - 1
+    column = rows.left + jnp.arange(width, dtype=jnp.int32)
     row = rows.first + jnp.arange(height, dtype=jnp.int32)
-    return X, ((row.astype(dtype) + 0.5) * (2 / rows.height) - 1)[:, None]
+    centre = lambda index, size: (index.astype(dtype) + 0.5) * (2.0 / size) - 1
+    return centre(column, width if rows.width is None else rows.width), centre(row, rows.height)[:, None]
+
+
+def _broadcast_centres(
+    shape: tuple[int, ...], rows: Rows, dtype: Any
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    X, Y = _centres(shape, rows, dtype)
+    return jnp.broadcast_to(X, shape), jnp.broadcast_to(Y, shape)
 
 
 def interpolate(at: Barycentrics, attribute: Float[Array, "v c"], faces: Faces) -> Float[Array, "h w c"]:
@@ -167,18 +185,24 @@ def _depth(at: Barycentrics, from_far: CornerValues) -> DepthMap:
     return jnp.where(at.mask, 1 + safe_divide(z, w) * 0.5, 1)
 
 
-def visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces) -> DepthMap:
+def visible_depth(
+    face: Int[Array, "*l h w"], clip: ClipVertices, faces: Faces, tile: Tile | None = None
+) -> Float[Array, "*l h w"]:
     """Window depth of the faces that the pixels see, (h, w); 1 where nothing is seen.
 
     It equals `interpolate_depth` with the `barycentrics` of the same clip coordinates, and takes less time to
     differentiate: depth is linear in the window, so the derivative at a pixel follows from three of its face. A pixel
     whose centre was pulled back onto its face has the derivative of the face's middle.
 
-    **Arguments:** as for `barycentrics`.
+    **Arguments:** as for `barycentrics`, and
+
+    - `tile`: of face maps (l, h, w) of several tiles of a virtual image, which part each is.
     """
+    over = by_bands if tile is None else lambda part, face: by_tiles(part, face, tile)
     if faces.shape[0] > face.size:
         # Most faces are not seen, so their planes would cost more than they save.
-        return interpolate_depth(barycentrics(face, clip, faces), clip, faces)
+        depth_of = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), clip, faces)
+        return depth_of(face, None) if tile is None else over(depth_of, face)
     from_far = _from_far(clip)
     values = corner_values(lax.stop_gradient(from_far), faces, face.size)
 
@@ -186,8 +210,11 @@ def visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces) -> DepthMap:
         at, on_face = _locate(face, values, rows)
         return _depth(at, values), on_face
 
-    depth, on_face = by_bands(band, face)
-    X, Y = _centres(face.shape, Rows(0, face.shape[0]), clip.dtype)
+    depth, on_face = over(band, face)
+    if tile is None:
+        X, Y = _centres(face.shape, Rows(0, face.shape[0]), clip.dtype)
+    else:
+        X, Y = over(lambda face, rows: _broadcast_centres(face.shape, rows, clip.dtype), face)
     plane = jax.tree.map(lambda values: take(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
     linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
     return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)
