@@ -51,6 +51,7 @@ class Technique(NamedTuple):
 TECHNIQUES = {
     "plain": Technique("one map", "{type: shadow_map}"),
     "warped": Technique("LiSPSM", "{type: perspective_warp, depths: surface}"),
+    "pages": Technique("pages", "{type: resolution_matched, level_bias: -8}"),
     **{
         f"cascades{count}": Technique(
             f"{count} cascades", f"{{type: cascades, count: {count}, depths: surface, stabilize: false}}", count

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import take
 
 Whole = Int[Array, "*n"]
+Broadcast = Int[Array, "*#n"]
 
 
 class Tile(NamedTuple):
@@ -74,7 +75,7 @@ class Pages(eqx.Module):
         return int(_starts(levels)[-1]) + 1
 
     @staticmethod
-    def number(levels: int, level: Whole, row: Whole, column: Whole) -> Whole:
+    def number(levels: int, level: Broadcast, row: Broadcast, column: Broadcast) -> Int[Array, "..."]:
         """A page's number, of those of all levels, given its row and column in its level."""
         return take(jnp.asarray(_starts(levels)), level) + row * _across(levels, level) + column
 
@@ -99,14 +100,16 @@ class Pages(eqx.Module):
         inside = lambda k: jnp.clip(k * self.page - self.gutter, 0, size - self.side)
         return Tile(jnp.stack([inside(self.column), inside(self.row)], axis=-1), size)
 
-    def finest(self) -> Int[Array, "c c"]:
-        """The layer of the finest resident page over each page of level 0."""
-        used = jnp.arange(self.level.shape[0]) < self.count
+    def table(self) -> Int[Array, " n"]:
+        """The layer of each page of all levels, by its `number`; -1 where it is not resident."""
+        layers = jnp.arange(self.level.shape[0], dtype=jnp.int32)
         number = Pages.number(self.levels, self.level, self.row, self.column)
         table = jnp.full(Pages.total(self.levels), -1, jnp.int32)
-        layers = jnp.arange(self.level.shape[0], dtype=jnp.int32)
-        table = table.at[jnp.where(used, number, table.size)].set(layers, mode="drop")
-        return finest_of(table, self.levels)
+        return table.at[jnp.where(layers < self.count, number, table.size)].set(layers, mode="drop")
+
+    def finest(self) -> Int[Array, "c c"]:
+        """The layer of the finest resident page over each page of level 0."""
+        return finest_of(self.table(), self.levels)
 
 
 def side_of(page: int, gutter: int) -> int:

@@ -33,39 +33,35 @@ CornerValues = Callable[[FaceMap], list[list[Array]]]
 
 
 class Rows(NamedTuple):
-    """Part of an image: its first row, and the height of the whole image; if it is narrower than the image, also its
-    first column, and the width of the whole."""
+    """Part of an image: its first row, and the height of the whole image; for an image of square tiles of a virtual
+    image, one above the other, what each shows."""
 
     first: Int[Array, ""] | int
-    height: int | Int[Array, ""]
-    left: Int[Array, ""] | int = 0
-    width: int | Int[Array, ""] | None = None
+    height: int
+    tile: Tile | None = None
 
 
-def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND) -> Any:
+def by_bands(
+    function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND, tile: Tile | None = None
+) -> Any:
     """`function` of a face map (h, w), evaluated in bands of rows, one after the other.
 
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
     - `band`: the most pixels of a band of several rows.
+    - `tile`: of an image of square tiles, see `Rows`.
 
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
     if height * width <= band:
-        return function(face, Rows(0, height))
+        return function(face, Rows(0, height, tile))
     # The most rows that divide the height.
     rows = next(n for n in range(max(band // width, 1), 0, -1) if height % n == 0)
     bands = face.reshape(-1, rows, width), jnp.arange(0, height, rows, dtype=jnp.int32)
-    found = lax.map(lambda part: function(part[0], Rows(part[1], height)), bands)
+    found = lax.map(lambda part: function(part[0], Rows(part[1], height, tile)), bands)
     return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
-
-
-def by_tiles(function: Callable[[FaceMap, Rows], Any], face: Int[Array, "l h w"], tile: Tile) -> Any:
-    """`function` of the face maps (l, h, w) of tiles of a virtual image, one after the other; as `by_bands`."""
-    of_tile = lambda part: function(part[0], Rows(part[1][1], part[2], part[1][0], part[2]))
-    return lax.map(of_tile, (face, tile.origin, tile.size))
 
 
 def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> CornerValues:
@@ -129,20 +125,16 @@ def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics
     return Barycentrics(face, mask, jnp.stack(weights, axis=-1)), on_face
 
 
-def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, " w"], Float[Array, "h 1"]]:
+def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, "*n w"], Float[Array, "h 1"]]:
     """Normalized device coordinates of the pixel centres in some rows of an image."""
     height, width = shape
-    column = rows.left + jnp.arange(width, dtype=jnp.int32)
-    row = rows.first + jnp.arange(height, dtype=jnp.int32)
+    column = jnp.arange(width, dtype=jnp.int32)
+    row = (rows.first + jnp.arange(height, dtype=jnp.int32))[:, None]
     centre = lambda index, size: (index.astype(dtype) + 0.5) * (2.0 / size) - 1
-    return centre(column, width if rows.width is None else rows.width), centre(row, rows.height)[:, None]
-
-
-def _broadcast_centres(
-    shape: tuple[int, ...], rows: Rows, dtype: Any
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    X, Y = _centres(shape, rows, dtype)
-    return jnp.broadcast_to(X, shape), jnp.broadcast_to(Y, shape)
+    if rows.tile is None:
+        return centre(column, width), centre(row, rows.height)
+    left, bottom, size = (take(values, row // width) for values in (*rows.tile.origin.T, rows.tile.size))
+    return centre(left + column, size), centre(bottom + row % width, size)
 
 
 def interpolate(at: Barycentrics, attribute: Float[Array, "v c"], faces: Faces) -> Float[Array, "h w c"]:
@@ -196,13 +188,18 @@ def visible_depth(
 
     **Arguments:** as for `barycentrics`, and
 
-    - `tile`: of face maps (l, h, w) of several tiles of a virtual image, which part each is.
+    - `tile`: of face maps (l, h, w) of square tiles of a virtual image, which part each is.
     """
-    over = by_bands if tile is None else lambda part, face: by_tiles(part, face, tile)
+    if tile is not None:
+        flat = face.reshape(-1, face.shape[-1])
+        return _visible_depth(flat, clip, faces, tile).reshape(face.shape)
+    return _visible_depth(face, clip, faces, None)
+
+
+def _visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces, tile: Tile | None) -> DepthMap:
     if faces.shape[0] > face.size:
         # Most faces are not seen, so their planes would cost more than they save.
-        depth_of = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), clip, faces)
-        return depth_of(face, None) if tile is None else over(depth_of, face)
+        return interpolate_depth(barycentrics(face, clip, faces, Rows(0, face.shape[0], tile)), clip, faces)
     from_far = _from_far(clip)
     values = corner_values(lax.stop_gradient(from_far), faces, face.size)
 
@@ -210,11 +207,8 @@ def visible_depth(
         at, on_face = _locate(face, values, rows)
         return _depth(at, values), on_face
 
-    depth, on_face = over(band, face)
-    if tile is None:
-        X, Y = _centres(face.shape, Rows(0, face.shape[0]), clip.dtype)
-    else:
-        X, Y = over(lambda face, rows: _broadcast_centres(face.shape, rows, clip.dtype), face)
+    depth, on_face = by_bands(band, face, tile=tile)
+    X, Y = _centres(face.shape, Rows(0, face.shape[0], tile), clip.dtype)
     plane = jax.tree.map(lambda values: take(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
     linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
     return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)

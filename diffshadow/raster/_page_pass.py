@@ -22,6 +22,9 @@ from ._compact import Groups, group
 from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, DrawPass, Write
 
+# Where the pages that a face touches may be resident is known for so many cells a side.
+_CELLS = 64
+
 
 class Pairs(NamedTuple):
     """The pairs of faces and pages of a level.
@@ -32,7 +35,6 @@ class Pairs(NamedTuple):
         level if these are fewer.
     - `ends`: (f,), the number of pairs up to each face and with it, in the order of the level's groups.
     - `starts`, `counts`: (c,), where the pairs of each class begin, and how many they are.
-    - `table`: (t,), the layer of each page of the level, by row and column; -1 where it is not resident.
     - `first`, `resident`: the first layer of the level, and how many layers it has.
     """
 
@@ -43,7 +45,6 @@ class Pairs(NamedTuple):
     ends: Int[Array, " f"]
     starts: Int[Array, " c"]
     counts: Int[Array, " c"]
-    table: Int[Array, " t"]
     first: Int[Array, ""]
     resident: Int[Array, ""]
 
@@ -78,6 +79,7 @@ class PagedDrawing:
         self.clip, self.faces, self.pages = clip, faces, pages
         self.cull: Cull = cull
         self.test, self.polygon_offset = test, polygon_offset
+        self.table = pages.table()
         # Here, since buffers of faces are drawn in 64-bit mode.
         levels = jnp.arange(pages.levels, dtype=jnp.int32)
         self.levels = lax.map(lambda level: _binned(clip, faces, pages, level, cull), levels)
@@ -110,7 +112,7 @@ class _LevelPass(DrawPass):
         self.pages, self.pairs = whole.pages, level.pairs
         size = self.pages.size(level.level)
         self.origins = self.pages.tile.origin
-        self.across = jnp.maximum(self.pages.across >> level.level, 1)
+        self.level, self.table = level.level, whole.table
         super().__init__(triangles, (size, size), whole.cull, whole.test, whole.polygon_offset)
 
     @property
@@ -129,10 +131,11 @@ class _LevelPass(DrawPass):
             take(values, face) for values in (pairs.left, pairs.bottom, pairs.columns, pairs.lengths)
         )
         within = pair - (take(pairs.ends, owner) - count)
-        page = (bottom + within // columns) * self.across + left + within % columns
+        row, column = bottom + within // columns, left + within % columns
+        page = Pages.number(self.pages.levels, self.level, row, column)
         # Faces that touch more pages than are resident go through those.
         by_page = used & (count < pairs.resident)
-        layer = jnp.where(by_page, take(pairs.table, jnp.where(by_page, page, 0)), pairs.first + within)
+        layer = jnp.where(by_page, take(self.table, jnp.where(by_page, page, 0)), pairs.first + within)
         return Chunk(face, used & (layer >= 0), jnp.where(used, jnp.maximum(layer, 0), 0))
 
     def _box(self, corners: Corners, layer: Array | None) -> Box:
@@ -161,11 +164,13 @@ def _binned(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""
 
 
 def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], cull: Cull) -> Level:
-    most, mine = pages.across, _of_level(pages, level)
-    across, size = jnp.maximum(most >> level, 1), pages.size(level)
+    mine = _of_level(pages, level)
+    across, size = jnp.maximum(pages.across >> level, 1), pages.size(level)
     resident = jnp.sum(mine, dtype=jnp.int32)
-    # How many pages are resident below and to the left of each corner of pages.
-    corner = jnp.where(mine, pages.row + 1, most + 1), pages.column + 1
+    # How many cells with resident pages are below and to the left of each corner of cells, of one or more pages each.
+    most = min(pages.across, _CELLS)
+    pages_to_cell = jnp.maximum(across // most, 1)
+    corner = jnp.where(mine, pages.row // pages_to_cell + 1, most + 1), pages.column // pages_to_cell + 1
     within = jnp.zeros((most + 1, most + 1), jnp.int32).at[corner].set(1, mode="drop")
     within = jnp.cumsum(jnp.cumsum(within, axis=0, dtype=jnp.int32), axis=1, dtype=jnp.int32).reshape(-1)
 
@@ -180,8 +185,11 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
 
     x, y, z, box, of_class = classify(clip, faces, (size, size), cull)
     left, bottom, right, top = touched(box)
+    first_x, first_y, last_x, last_y = (
+        page // pages_to_cell for page in (left, bottom, right + pages_to_cell, top + pages_to_cell)
+    )
     up_to = lambda row, column: take(within, row * (most + 1) + column)
-    touches = up_to(top + 1, right + 1) - up_to(bottom, right + 1) - up_to(top + 1, left) + up_to(bottom, left) > 0
+    touches = up_to(last_y, last_x) - up_to(first_y, last_x) - up_to(last_y, first_x) + up_to(first_y, first_x) > 0
     # What has to be clipped may lie in any page.
     clipped = of_class == CLIPPED
     groups = group(jnp.where(clipped | touches, of_class, NOTHING), CLASSES)
@@ -193,11 +201,8 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     before = jnp.concatenate([jnp.zeros(1, jnp.int32), ends])
     starts = take(before, groups.starts)
     counts = take(before, groups.starts + groups.counts) - starts
-    layers = jnp.arange(mine.shape[0], dtype=jnp.int32)
-    table = jnp.full(most * most, -1, jnp.int32)
-    table = table.at[jnp.where(mine, pages.row * across + pages.column, most * most)].set(layers, mode="drop")
     first = jnp.argmax(mine).astype(jnp.int32)
-    pairs = Pairs(left, bottom, columns, lengths, ends, starts, counts, table, first, resident)
+    pairs = Pairs(left, bottom, columns, lengths, ends, starts, counts, first, resident)
     return Level(level, x, y, z, groups, pairs)
 
 

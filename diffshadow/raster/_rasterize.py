@@ -54,7 +54,7 @@ def rasterize(
     cull: Cull = "none",
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
-    behind: Int[Array, "*b h w"] | None = None,
+    behind: Int[Array, "*l h w"] | None = None,
     pages: Pages | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.

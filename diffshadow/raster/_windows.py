@@ -13,7 +13,7 @@ face. That takes half the time of a second pass that looks for the face whose de
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +53,7 @@ class Chunk(NamedTuple):
     layer: Int[Array, " n"] | None
 
 
+@runtime_checkable
 class Drawing(Protocol):
     """Draws something into buffers."""
 
@@ -203,10 +204,10 @@ class DrawPass(Drawing):
         fixed, box = corners.snapped(), self._box(corners, layer)
         drawn = (source >= 0) & draws(*fixed, box, self.cull)
         origin_x, origin_y = self._origin(layer)
-        left, bottom = (box.left - origin_x) // BLOCK, (box.bottom - origin_y) // BLOCK
-        columns = jnp.maximum((box.right - origin_x) // BLOCK - left + 1, 1)
+        left, bottom = box.left - origin_x, box.bottom - origin_y
+        columns = jnp.maximum((box.right - box.left) // BLOCK + 1, 1)
         # The blocks of all boxes are numbered: a triangle's numbers end before its entry of `ends`.
-        lengths = jnp.where(drawn, columns * ((box.top - origin_y) // BLOCK - bottom + 1), 0)
+        lengths = jnp.where(drawn, columns * ((box.top - box.bottom) // BLOCK + 1), 0)
         ends = jnp.cumsum(lengths, dtype=jnp.int32)
 
         def candidates(number: Array, buffer: Array) -> Array:
@@ -214,8 +215,8 @@ class DrawPass(Drawing):
             exists = block < ends[-1]
             owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
             within, across = block - take(ends - lengths, owner), take(columns, owner)
-            x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
-            x, y = (jnp.where(exists, tile * BLOCK, 0) for tile in (x, y))
+            x, y = take(left, owner) + within % across * BLOCK, take(bottom, owner) + within // across * BLOCK
+            x, y = (jnp.where(exists, low, 0) for low in (x, y))
             own, own_plane, of_layer = jax.tree.map(lambda values: take(values, owner), (corners, plane, layer))
             form = self._form(own, own_plane, x, y, of_layer)
             return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)

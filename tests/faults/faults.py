@@ -1240,7 +1240,7 @@ _SHADOW = (
     ),
     _fault(
         "aliasing: texels to a pixel",
-        "shadow/_aliasing.py",
+        "shadow/_jacobian.py",
         "_divided(pixels, texels)",
         "_divided(texels, pixels)",
         "test_aliasing.py",
@@ -1373,22 +1373,22 @@ _FIT = (
     _fault(
         "small triangles: whole chunks alone",
         "raster/_windows.py",
-        "(groups.counts[:LARGE] + length - 1) // length",
-        "groups.counts[:LARGE] // length",
+        "(self._counts[:LARGE] + length - 1) // length",
+        "self._counts[:LARGE] // length",
         "test_raster.py",
     ),
     _fault(
         "large triangles: every batch is the first",
         "raster/_windows.py",
-        "groups.chunk(LARGE, number, FAN * at_once)",
-        "groups.chunk(LARGE, 0, FAN * at_once)",
+        "self._chunk(LARGE, number, FAN * at_once)",
+        "self._chunk(LARGE, 0, FAN * at_once)",
         "test_raster.py",
     ),
     _fault(
         "clipped triangles: every batch is the first",
         "raster/_windows.py",
-        "groups.chunk(CLIPPED, number - large, at_once)",
-        "groups.chunk(CLIPPED, 0, at_once)",
+        "self._chunk(CLIPPED, number - large, at_once)",
+        "self._chunk(CLIPPED, 0, at_once)",
         "test_raster.py",
     ),
     _fault(

@@ -24,6 +24,7 @@ class PagedLight(AbstractFittedLight):
     - `bias`: the bias of levels at which pages are resident. It is the layout's own, unless that asked for more pages
         than there are layers.
     - `raised`: by how many levels it was raised, so that all pages have a layer.
+    - `too_coarse`: the share in [0, 1] of the points that need a finer level than the finest.
     """
 
     light: AbstractLight
@@ -34,6 +35,7 @@ class PagedLight(AbstractFittedLight):
     requested: Int[Array, ""]
     bias: Scalar
     raised: Scalar
+    too_coarse: Scalar
 
     @property
     def capacity(self) -> int:

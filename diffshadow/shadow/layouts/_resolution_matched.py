@@ -52,7 +52,7 @@ class ResolutionMatched(AbstractFittedLayout):
     silhouettes cannot be resolution-matched.
 
     - `page`: side of a page, in texels, without its gutter; a power of two from 16 to 1024.
-    - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 16384, and from 2 to 1024
+    - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 65536, and from 2 to 1024
         pages. Points that need more are looked up at level 0.
     - `norm`: `"area"` matches the area of a texel to that of a pixel, `"worst"` the longest extent to a pixel's side,
         so that nothing is undersampled, with more texels.
@@ -77,7 +77,7 @@ class ResolutionMatched(AbstractFittedLayout):
     def __init__(
         self,
         page: int = 64,
-        finest: int = 8192,
+        finest: int = 16384,
         *,
         norm: LevelNorm = "area",
         level_bias: float = 0.0,
@@ -195,8 +195,10 @@ def _paged_light(
     requested = jnp.sum(resident_at(jnp.int32(0)), dtype=jnp.int32)
     pages = Pages.of(resident_at(step), layout.page, layout.gutter, levels, capacity)
     raised = as_float(step) / _STEPS
+    bias = layout.level_bias + raised
+    beyond = jnp.sum(needs & (needed + bias < 0)) / jnp.maximum(jnp.sum(needs), 1)
     return PagedLight(
-        light, camera.view(), end, pages, pages.finest(), requested, as_float(layout.level_bias) + raised, raised
+        light, camera.view(), as_float(end), pages, pages.finest(), requested, bias, raised, as_float(beyond)
     )
 
 

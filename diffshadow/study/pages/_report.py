@@ -12,7 +12,7 @@ from ._table import ERRORS, UNITS, noise_text, number
 # Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
 # Techniques whose name alone does not say what is drawn.
-_FILTERED = ("shadow_map", "cascades", "perspective_warp")
+_FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 # If this many parameters precede the last one, the summary counts them instead of naming them.
 _MANY = 3
 _HEADINGS = {
@@ -81,11 +81,7 @@ def _render_summary(run: StoredRun) -> str:
     (_, errors) = run.errors[-1]
     settings = {row.key: row.value for row in run.settings}
     technique = settings["technique.type"]
-    name = (
-        f"{technique} with filter {settings['filter.type']}"
-        if technique in ("shadow_map", "cascades", "perspective_warp")
-        else technique
-    )
+    name = f"{technique} with filter {settings['filter.type']}" if technique in _FILTERED else technique
     return f"{name.replace('_', ' ').capitalize()}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
 
 
