@@ -264,7 +264,7 @@ def test_a_bias_is_raised_until_all_pages_fit_and_nothing_is_left_out():
     requested = int(light.requested)
     assert requested == int(light.pages.count) > 10
     side = layout.layer_resolution((1, 1))[0]
-    for capacity in (requested, requested - 1, requested // 3, 2, 1):
+    for capacity in (requested, requested - 1, 1):
         short = layout.light(scene.light, scene.camera, (side, capacity * side), surface)
         count, raised = int(short.pages.count), float(short.raised)
         assert short.capacity == capacity >= count >= 1

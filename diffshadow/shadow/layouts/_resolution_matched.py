@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import as_float, dot, normalize
+from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
 from ...raster import MOST_VIRTUAL, Surface
@@ -67,11 +67,11 @@ class ResolutionMatched(AbstractFittedLayout):
     """
 
     shadow_distance: Scalar | None
+    level_bias: Scalar
     depths: DepthRange = eqx.field(static=True)
     page: int = eqx.field(static=True)
     finest: int = eqx.field(static=True)
     norm: LevelNorm = eqx.field(static=True)
-    level_bias: float = eqx.field(static=True)
     margin: float = eqx.field(static=True)
 
     def __init__(
@@ -80,11 +80,11 @@ class ResolutionMatched(AbstractFittedLayout):
         finest: int = 16384,
         *,
         norm: LevelNorm = "area",
-        level_bias: float = 0.0,
+        level_bias: float | Scalar = 0.0,
         shadow_distance: float | Scalar | None = None,
         margin: float = 8.0,
     ):
-        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, float(level_bias)
+        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_float(level_bias)
         self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
         self.depths, self.margin = "surface", float(margin)
 
@@ -96,10 +96,10 @@ class ResolutionMatched(AbstractFittedLayout):
         ):
             if not (least <= value <= most and value & (value - 1) == 0):
                 raise ValueError(f"the pages' {name} is {value}; expected a power of two from {least} to {most} texels")
-        if not abs(self.level_bias) <= MOST_LEVEL_BIAS:
+        bias = concrete(self.level_bias)
+        if bias is not None and not abs(bias) <= MOST_LEVEL_BIAS:
             raise ValueError(
-                f"the pages' level_bias is {self.level_bias:g}; expected {-MOST_LEVEL_BIAS:g} to {MOST_LEVEL_BIAS:g} "
-                "levels"
+                f"the pages' level_bias is {float(bias):g}; expected {-MOST_LEVEL_BIAS:g} to {MOST_LEVEL_BIAS:g} levels"
             )
         if not self.margin <= self.page // 2:
             raise ValueError(
@@ -178,10 +178,11 @@ def _paged_light(
     cells = jnp.full(across * across, jnp.inf, bounded.dtype).at[cell].min(bounded, mode="drop")
     cells = cells.reshape(across, across)
 
+    own_bias = lax.stop_gradient(layout.level_bias)
     # The least step of the bias at which all pages fit. At the last step only the root is left.
-    resident_at = lambda step: _resident(cells, layout.level_bias + step.astype(cells.dtype) / _STEPS, levels)
+    resident_at = lambda step: _resident(cells, own_bias + step.astype(cells.dtype) / _STEPS, levels)
     fits = lambda step: jnp.sum(resident_at(step), dtype=jnp.int32) <= capacity
-    most = math.ceil((2 * levels - layout.level_bias) * _STEPS)
+    most = math.ceil((2 * levels + MOST_LEVEL_BIAS) * _STEPS)
 
     def halve(bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
@@ -190,12 +191,12 @@ def _paged_light(
         return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
 
     # Most often no step is needed.
-    bounds = jnp.int32(0), jnp.where(fits(jnp.int32(0)), 0, max(most, 0)).astype(jnp.int32)
+    bounds = jnp.int32(0), jnp.where(fits(jnp.int32(0)), 0, most).astype(jnp.int32)
     _, step = lax.while_loop(lambda bounds: bounds[0] < bounds[1], halve, bounds)
     requested = jnp.sum(resident_at(jnp.int32(0)), dtype=jnp.int32)
     pages = Pages.of(resident_at(step), layout.page, layout.gutter, levels, capacity)
     raised = as_float(step) / _STEPS
-    bias = layout.level_bias + raised
+    bias = own_bias + raised
     beyond = jnp.sum(needs & (needed + bias < 0)) / jnp.maximum(jnp.sum(needs), 1)
     return PagedLight(
         light, camera.view(), as_float(end), pages, pages.finest(), requested, bias, raised, as_float(beyond)
