@@ -413,8 +413,8 @@ BROKEN = {
     ),
     "filter wider than a gutter": (
         "technique: {type: resolution_matched, page: 16}\nfilter: {type: pcf, radius: 9}\n",
-        "3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected at "
-        "most 7; enlarge technique.page, or lower it",
+        "3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected "
+        "at most 7; enlarge technique.page, or lower it",
     ),
     "nothing to fit": (
         "fit: {parameters: {}}\n",

@@ -1239,6 +1239,41 @@ _SHADOW = (
         "test_cascades.py",
     ),
     _fault(
+        "virtual maps: a page's place is not subtracted",
+        "shadow/_receiver.py",
+        "x - view.tile.origin[..., 0]",
+        "x",
+        "test_resolution_matched.py",
+    ),
+    _fault(
+        "virtual maps: pages without gutters",
+        "geometry/_pages.py",
+        "k * self.page - self.gutter, 0",
+        "k * self.page, 0",
+        "test_resolution_matched.py",
+    ),
+    _fault(
+        "virtual maps: faces that touch a gutter alone are not drawn",
+        "raster/_page_pass.py",
+        "(low - pages.gutter) // pages.page",
+        "low // pages.page",
+        "test_resolution_matched.py",
+    ),
+    _fault(
+        "virtual maps: levels are rounded up",
+        "shadow/layouts/_resolution_matched.py",
+        "jnp.floor(cells + bias)",
+        "jnp.ceil(cells + bias)",
+        "test_resolution_matched.py",
+    ),
+    _fault(
+        "virtual maps: memory for pages is not looked at",
+        "shadow/layouts/_resolution_matched.py",
+        "dtype=jnp.int32) <= capacity",
+        "dtype=jnp.int32) <= 1 << 30",
+        "test_resolution_matched.py",
+    ),
+    _fault(
         "aliasing: texels to a pixel",
         "shadow/_jacobian.py",
         "_divided(pixels, texels)",
@@ -1366,8 +1401,8 @@ _FIT = (
     _fault(
         "bands of rows: all are the image's first",
         "raster/_interpolate.py",
-        "row = rows.first + jnp.arange(",
-        "row = jnp.arange(",
+        "(rows.first + jnp.arange(",
+        "(jnp.arange(",
         "test_raster_gradients.py",
     ),
     _fault(
@@ -1429,7 +1464,7 @@ _FIT = (
     _fault(
         "shadow mapping: the map of the default settings",
         "shadow/_shadow_mapping.py",
-        "self.map.draw(casters, light, edges=edges)",
+        "settings.draw(casters, light, edges=edges)",
         "MapSettings().draw(casters, light, edges=edges)",
         "test_technique.py",
     ),
