@@ -17,7 +17,10 @@ from diffshadow.geometry import (
     PinholeCamera,
     Scene,
     cell_of,
+    library_mesh,
     merge,
+    scaling,
+    translation,
 )
 from diffshadow.raster import draw_surface, rasterize
 from diffshadow.shadow import (
@@ -63,7 +66,9 @@ def paged(light, camera, chosen) -> PagedLight:
 
 
 def scene_and_surface():
-    mesh, camera = floor_and_card(), side_camera()
+    # Large faces, and small ones, of which some touch a page's gutter alone.
+    ball = library_mesh("sphere", subdivisions=1).transformed(translation(jnp.array([-1.2, 0.8, 0.8])) @ scaling(1.6))
+    mesh, camera = merge([floor_and_card(), ball]), side_camera()
     return Scene(mesh, camera, sun(mesh)), draw_surface(mesh, camera)
 
 
