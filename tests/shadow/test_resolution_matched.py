@@ -135,7 +135,7 @@ OTHER_STEPS = {
     "variance": VarianceShadowMap(radius=3.0),
     "moments": MomentShadowMap(radius=3.0),
 }
-ROUNDING = 2e-6
+ROUNDING = 1e-5
 _FEW = ("percentage closer", "bilinear", "soft")
 BIASES = {"slope": Bias(0.5, 1.0), "plane": Bias(0.5, plane=ReceiverPlane(), normal_offset=0.7)}
 
