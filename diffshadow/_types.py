@@ -29,5 +29,8 @@ TexelMap = Float[Array, "h w 2"]
 Resolution = tuple[int, int]
 """(height, width), in pixels of an image or texels of a shadow map."""
 
+Viewport = tuple[int | Int[Array, ""], int | Int[Array, ""]]
+"""A resolution that may be known only when a program runs."""
+
 HostArray = ndarray
 """An array in the host's memory, where files and Embree want it."""

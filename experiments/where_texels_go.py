@@ -3,9 +3,9 @@
     python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/room.yaml
     python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
 
-Draws each configuration's scene with one map, with 2, 3 and 4 cascades, and with a map that is warped towards the
-camera (light space perspective shadow maps), all with the same number of texels. Cascades and the warp cover the depths
-that the camera sees, not the empty space before them. Every technique has its best settings:
+Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with a map that is warped towards the camera
+(light space perspective shadow maps), and with pages of a virtual map, all with the same number of texels. Cascades and
+the warp cover the depths that the camera sees, not the empty space before them. Every technique has its best settings:
 the spacing of its cascades is found by a bounded search, since the error has no derivative with respect to it, and the
 bias is fitted by gradient.
 
@@ -49,6 +49,7 @@ class Technique(NamedTuple):
 TECHNIQUES = {
     "plain": Technique("one map", "{type: shadow_map}"),
     "warped": Technique("LiSPSM", "{type: perspective_warp, depths: surface}"),
+    "pages": Technique("pages", "{type: resolution_matched, finest: 65536, level_bias: -8}"),
     **{
         f"cascades{count}": Technique(
             f"{count} cascades", f"{{type: cascades, count: {count}, depths: surface, stabilize: false}}", count

@@ -77,6 +77,7 @@ from .sections._technique import HardCompareConfig as HardCompareConfig
 from .sections._technique import MappedConfig as MappedConfig
 from .sections._technique import PerspectiveWarpConfig as PerspectiveWarpConfig
 from .sections._technique import ProjectiveTextureConfig as ProjectiveTextureConfig
+from .sections._technique import ResolutionMatchedConfig as ResolutionMatchedConfig
 from .sections._technique import ShadowMapConfig as ShadowMapConfig
 from .sections._technique import ShadowMappingConfig as ShadowMappingConfig
 from .sections._technique import ShadowVolumesConfig as ShadowVolumesConfig

@@ -16,6 +16,11 @@ from ._mesh import face_normals as face_normals
 from ._mesh import merge as merge
 from ._normals import crease_normals as crease_normals
 from ._normals import weld as weld
+from ._pages import Pages as Pages
+from ._pages import Tile as Tile
+from ._pages import cell_of as cell_of
+from ._pages import finest_of as finest_of
+from ._pages import side_of as side_of
 from ._placement import drop_to_ground as drop_to_ground
 from ._placement import fit_to_size as fit_to_size
 from ._scene import Scene as Scene
@@ -39,6 +44,7 @@ from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
 from .lights import LightPose as LightPose
 from .lights import MatrixLight as MatrixLight
+from .lights import PagedLight as PagedLight
 from .lights import PointLight as PointLight
 from .lights import RectangleLight as RectangleLight
 from .lights import SpotLight as SpotLight

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import with_gradient_of
 from .._types import Scalar, Vec2
+from ._pages import Tile
 from ._transforms import transform_points, transform_vectors
 from ._warp import Warp
 
@@ -26,6 +27,8 @@ class View(eqx.Module):
         whole steps then sees the same triangles to the bit. None if vertices are drawn where they are.
     - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
         while depths stay those of the parallel view. None for no warp.
+    - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection is that of the whole
+        virtual map. None if a map shows all of the window.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -35,11 +38,18 @@ class View(eqx.Module):
     is_perspective: bool = eqx.field(static=True)
     steps: Vec2 | None = None
     warp: Warp | None = None
+    tile: Tile | None = None
 
     def facing(self, layer: Int[Array, "*n"]) -> "View":
         """For a light with several views, the view of `layer` for each point."""
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
-        return self._with(each(self.world_to_eye), each(self.eye_to_clip))
+        view = self._with(each(self.world_to_eye), each(self.eye_to_clip))
+        return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer))
+
+    def whole(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
+        """(height, width) in texels of the map that the projection shows, given a layer's `resolution`: of the virtual
+        map, if the layer is a part of one."""
+        return resolution if self.tile is None else (self.tile.size, self.tile.size)
 
     @property
     def matrix(self) -> Float[Array, "*l 4 4"]:
@@ -108,14 +118,14 @@ class View(eqx.Module):
         - `texel`: where in the map, x and y in texels. Only texels of a warped view differ by it; without it, they are
             those without the warp.
         """
-        height, width = resolution
+        height, width = self.whole(resolution)
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
         across, up = self.eye_to_clip[..., 0, 0], self.eye_to_clip[..., 1, 1]
         at_unit = 2 / jnp.stack([across * width, up * height], axis=-1)
         extent = at_unit * (distance if self.is_perspective else jnp.ones_like(distance))[..., None]
         if self.warp is None or texel is None:
             return extent
-        return self.warp.texel_extent(extent, texel[..., 1] / height)
+        return self.warp.texel_extent(extent, texel[..., 1] / resolution[0])
 
     def texel_size(
         self,

@@ -3,6 +3,7 @@
 from ._bins import Cull as Cull
 from ._counts import count_fragments as count_fragments
 from ._depth_test import DepthTest as DepthTest
+from ._fixed import MOST_VIRTUAL as MOST_VIRTUAL
 from ._fixed import SUBPIXELS as SUBPIXELS
 from ._grid_crossings import Crossings as Crossings
 from ._grid_crossings import count_crossings as count_crossings

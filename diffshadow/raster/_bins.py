@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
-from .._types import ClipVertices, Faces, Resolution
+from .._types import ClipVertices, Faces, Viewport
 from ._clip import needs_clipping
 from ._compact import Groups, group
 from ._fixed import first_centre, last_centre, signed_area, snap
@@ -33,7 +33,7 @@ CLASSES = CLIPPED + 1
 BLOCK = 16
 """Side, in pixels, of the blocks that large triangles are cut into."""
 
-_NOTHING = -1
+NOTHING = -1
 
 
 class Corners(NamedTuple):
@@ -78,17 +78,17 @@ class Triangles(eqx.Module):
         return Corners(*([take(values, vertex) for vertex in vertices] for values in (self.x, self.y, self.z)))
 
 
-def to_window(clip: Float[Array, "n 4"], resolution: Resolution) -> tuple[Array, Array, Array]:
+def to_window(clip: Float[Array, "n 4"], resolution: Viewport) -> tuple[Array, Array, Array]:
     """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (n,); `w = 0` maps to the middle."""
     height, width = resolution
     w = clip[:, 3]
     # By the reciprocal, and scaled before it is shifted, as graphics hardware does.
     inverse = jnp.where(w == 0, 0, 1 / jnp.where(w == 0, 1, w))
     scaled = lambda k, half: clip[:, k] * inverse * half + half
-    return scaled(0, width / 2), scaled(1, height / 2), scaled(2, 0.5)
+    return scaled(0, width * 0.5), scaled(1, height * 0.5), scaled(2, 0.5)
 
 
-def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Resolution) -> Box:
+def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Viewport) -> Box:
     """The pixel box of triangles whose three corners are at fixed-point `x` and `y`."""
     height, width = resolution
     least = lambda values: jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
@@ -101,8 +101,25 @@ def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], reso
     )
 
 
-def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Resolution, cull: Cull) -> Triangles:
+class Classified(NamedTuple):
+    """Triangles in window space, not grouped yet: `x`, `y`, `z` (v,) as in `Triangles`, each one's `box`, and its class
+    `of_class` (f,), -1 if it draws nothing. Boxes of those to be clipped mean nothing."""
+
+    x: Float[Array, " v"]
+    y: Float[Array, " v"]
+    z: Float[Array, " v"]
+    box: Box
+    of_class: Int[Array, " f"]
+
+
+def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Viewport, cull: Cull) -> Triangles:
     """All triangles, grouped by class."""
+    x, y, z, _, of_class = classify(clip, faces, resolution, cull)
+    return Triangles(clip, x, y, z, faces, group(of_class, CLASSES))
+
+
+def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, cull: Cull) -> Classified:
+    """The class of each triangle."""
     visible, clipped = _sides(clip, faces, resolution)
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
     x, y, z = lax.optimization_barrier(to_window(clip, resolution))
@@ -113,9 +130,8 @@ def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Resolution, cull
     of_class = jnp.full_like(size, LARGE)
     for k, side in reversed(tuple(enumerate(WINDOWS))):
         of_class = jnp.where(size <= side, k, of_class)
-    of_class = jnp.where(visible & draws(xs, ys, box, cull), of_class, _NOTHING)
-    of_class = lax.optimization_barrier(jnp.where(clipped, CLIPPED, of_class))
-    return Triangles(clip, x, y, z, faces, group(of_class, CLASSES))
+    of_class = jnp.where(visible & draws(xs, ys, box, cull), of_class, NOTHING)
+    return Classified(x, y, z, box, lax.optimization_barrier(jnp.where(clipped, CLIPPED, of_class)))
 
 
 def draws(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, cull: Cull) -> Bool[Array, " n"]:
@@ -125,7 +141,7 @@ def draws(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box
     return facing & (box.left <= box.right) & (box.bottom <= box.top)
 
 
-def _sides(clip: ClipVertices, faces: Faces, resolution: Resolution) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
+def _sides(clip: ClipVertices, faces: Faces, resolution: Viewport) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
     """Which faces may be seen at all, and which of those need clipping."""
     x, y, z, w = (clip[:, k] for k in range(4))
     # One code a vertex, and so one gather a corner: 6 bits for the frustum's planes, 1 for clipping.

@@ -5,12 +5,14 @@ Triangles that reach behind the eye, or so far sideways that fixed-point coordin
 homogeneous coordinates (Sutherland & Hodgman 1974; Blinn & Newell 1978).
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._misc import dot
-from .._types import Resolution
+from .._types import Viewport
 from ._fixed import GUARD_BAND
 
 PLANES = 6
@@ -21,20 +23,23 @@ FAN = _CORNERS - 2
 _LEAST_W = 1e-6
 
 
-def guard_ratio(resolution: Resolution) -> tuple[float, float]:
-    """The guard band as a multiple of the viewport's half width and half height."""
+def guard_ratio(resolution: Viewport) -> tuple[Any, Any]:
+    """The guard band as a multiple of the viewport's half width and half height, at least 1."""
     height, width = resolution
-    return 2 * GUARD_BAND / width, 2 * GUARD_BAND / height
+    ratio = lambda side: 2.0 * GUARD_BAND / side
+    if isinstance(width, int):
+        return ratio(width), ratio(height)
+    return jnp.maximum(ratio(width), 1), jnp.maximum(ratio(height), 1)
 
 
-def needs_clipping(clip: Float[Array, "*n 4"], resolution: Resolution) -> Bool[Array, "*n"]:
+def needs_clipping(clip: Float[Array, "*n 4"], resolution: Viewport) -> Bool[Array, "*n"]:
     """Whether a vertex is in front of the near plane, behind the eye, or outside the guard band."""
     x, y, z, w = (clip[..., k] for k in range(4))
     gx, gy = guard_ratio(resolution)
     return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
 
 
-def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Float[Array, "n fan 3 4"]:
+def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Viewport) -> Float[Array, "n fan 3 4"]:
     """The parts of triangles beyond the near plane and within the guard band.
 
     **Arguments:**

@@ -38,10 +38,6 @@ class Groups(NamedTuple):
         used = rank < self.counts[of_class]
         return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used
 
-    def chunks(self, of_class: int, length: int) -> Int[Array, ""]:
-        """How many chunks of this length a class fills."""
-        return (self.counts[of_class] + length - 1) // length
-
 
 def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
     """The rank of each element within its class, for classes 0 to `number - 1`, at most six.

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import dot, safe_divide
-from .._types import Resolution
+from .._types import Viewport
 from ._bins import Corners
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
@@ -31,11 +31,14 @@ class EdgeForm(eqx.Module):
 
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
     where the centre is inside. Depth at the centre of a pixel is that of `plane`, kept between `least` and `greatest`;
-    `offset` is added by polygon offset. `turn` is 1 for front faces, which are anticlockwise, and -1 for others.
+    `offset` is added by polygon offset. `turn` is 1 for front faces, which are anticlockwise, and -1 for others. The
+    pixel's own place in the buffer is (`row`, `column`).
     """
 
     x: Int[Array, " n"]
     y: Int[Array, " n"]
+    row: Int[Array, " n"]
+    column: Int[Array, " n"]
     edge: list[Int[Array, " n"]]
     a: list[Int[Array, " n"]]
     b: list[Int[Array, " n"]]
@@ -51,6 +54,7 @@ def edge_form(
     plane: DepthPlane,
     x: Int[Array, " n"],
     y: Int[Array, " n"],
+    place: tuple[Int[Array, " n"], Int[Array, " n"]],
     test: DepthTest,
     polygon_offset: Float[Array, "2"] | None,
 ) -> EdgeForm:
@@ -59,6 +63,7 @@ def edge_form(
     **Arguments:**
 
     - `plane`: the planes they lie in.
+    - `place`: row and column of these pixels in the buffer.
     - `polygon_offset`: (2,), OpenGL's factor and units.
     """
     corner_x, corner_y = lax.optimization_barrier(corners.snapped())
@@ -79,7 +84,7 @@ def edge_form(
         # OpenGL 4.6, section 14.6.5: o = m · factor + r · units.
         steepness = jnp.maximum(jnp.abs(plane.slope_x), jnp.abs(plane.slope_y))
         shift = steepness * factor + test.resolution_at(greatest) * units
-    return EdgeForm(x, y, edge, a, b, plane, least - slack, greatest + slack, shift, turn)
+    return EdgeForm(x, y, *place, edge, a, b, plane, least - slack, greatest + slack, shift, turn)
 
 
 def plane_of_corners(corners: Corners) -> DepthPlane:
@@ -101,7 +106,7 @@ def plane_of_corners(corners: Corners) -> DepthPlane:
     return DepthPlane(z0 - (slope_x * (x0 - 0.5) + slope_y * (y0 - 0.5)), slope_x, slope_y)
 
 
-def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Resolution) -> DepthPlane:
+def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Viewport) -> DepthPlane:
     """The planes of triangles in clip coordinates, which may reach behind the eye.
 
     The parts that clipping leaves of a triangle may be slivers thousands of pixels long, whose own planes would be lost
@@ -119,8 +124,8 @@ def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Resolution) -> Dep
     determinant = dot(adjugate[2], w)
     along_x, along_y, middle = (safe_divide(dot(column, z), determinant) / 2 for column in adjugate)
     height, width = resolution
-    slope_x, slope_y = along_x * (2 / width), along_y * (2 / height)
-    return DepthPlane(middle + 0.5 + slope_x * (0.5 - width / 2) + slope_y * (0.5 - height / 2), slope_x, slope_y)
+    slope_x, slope_y = along_x * (2.0 / width), along_y * (2.0 / height)
+    return DepthPlane(middle + 0.5 + slope_x * (0.5 - width * 0.5) + slope_y * (0.5 - height * 0.5), slope_x, slope_y)
 
 
 def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: DepthTest) -> Float[Array, "n side side"]:

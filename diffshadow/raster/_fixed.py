@@ -23,15 +23,17 @@ SUBPIXELS = 1 << SUBPIXEL_BITS
 """Steps to a pixel, at whole numbers of which vertices are drawn."""
 
 # Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
-# within 2²¹, and 256 of them within 2²⁹.
+# within 2²¹.
 GUARD_BAND = 4096
-# Beyond this an edge function cannot change sign within a block of 32 x 32 pixels (2²¹ · 2 · 32 = 2²⁷).
+# Nothing within a virtual map is clipped, of up to this many pixels a side: coefficients are within 2²⁴.
+MOST_VIRTUAL = 65536
+# Beyond this an edge function cannot change sign within a block of 16 x 16 pixels (2²⁴ · 2 · 15 < 2²⁹).
 _FAR = 1 << 29
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Window coordinates in pixels, rounded to the nearest sub-pixel."""
-    limit = float(2 * GUARD_BAND * SUBPIXELS)
+    limit = float(MOST_VIRTUAL * SUBPIXELS)
     return jnp.round(jnp.clip(window * SUBPIXELS, -limit, limit)).astype(jnp.int32)
 
 
@@ -67,8 +69,10 @@ def edge_at_pixel(
     """
     dx_high, dx_low = dx >> SUBPIXEL_BITS, dx & (SUBPIXELS - 1)
     dy_high, dy_low = dy >> SUBPIXEL_BITS, dy & (SUBPIXELS - 1)
-    low = (a * dx_low + b * dy_low - jnp.where(owns_edge, 0, 1)) >> SUBPIXEL_BITS
-    exact = a * dx_high + b * dy_high + low
+    # floor((a dx_low + b dy_low - 0 or 1) / 256), whose products may have more than 32 bits.
+    (a_high, a_low), (b_high, b_low) = ((c >> SUBPIXEL_BITS, c & (SUBPIXELS - 1)) for c in (a, b))
+    low = (a_low * dx_low + b_low * dy_low - jnp.where(owns_edge, 0, 1)) >> SUBPIXEL_BITS
+    exact = a * dx_high + b * dy_high + a_high * dx_low + b_high * dy_low + low
     estimate = a.astype(jnp.float32) * dx_high.astype(jnp.float32) + b.astype(jnp.float32) * dy_high.astype(jnp.float32)
     far = jnp.where(estimate < 0, -_FAR, _FAR)
     return jnp.where(jnp.abs(estimate) < _FAR, exact, far)

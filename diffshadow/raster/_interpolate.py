@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import safe_divide, take, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
+from ..geometry import Tile
 
 # A pixel centre may lie outside its face by the half sub-pixel of snapping. For a sliver that can be many times its
 # width; beyond this share of the face's height the point is pulled back onto the face.
@@ -32,29 +33,34 @@ CornerValues = Callable[[FaceMap], list[list[Array]]]
 
 
 class Rows(NamedTuple):
-    """Part of an image: its first row, and the height of the whole image."""
+    """Part of an image: its first row, and the height of the whole image; for an image of square tiles of a virtual
+    image, one above the other, what each shows."""
 
     first: Int[Array, ""] | int
     height: int
+    tile: Tile | None = None
 
 
-def by_bands(function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND) -> Any:
+def by_bands(
+    function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND, tile: Tile | None = None
+) -> Any:
     """`function` of a face map (h, w), evaluated in bands of rows, one after the other.
 
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
     - `band`: the most pixels of a band of several rows.
+    - `tile`: of an image of square tiles, see `Rows`.
 
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
     if height * width <= band:
-        return function(face, Rows(0, height))
+        return function(face, Rows(0, height, tile))
     # The most rows that divide the height.
     rows = next(n for n in range(max(band // width, 1), 0, -1) if height % n == 0)
     bands = face.reshape(-1, rows, width), jnp.arange(0, height, rows, dtype=jnp.int32)
-    found = lax.map(lambda part: function(part[0], Rows(part[1], height)), bands)
+    found = lax.map(lambda part: function(part[0], Rows(part[1], height, tile)), bands)
     return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
 
 
@@ -119,12 +125,16 @@ def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics
     return Barycentrics(face, mask, jnp.stack(weights, axis=-1)), on_face
 
 
-def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, " w"], Float[Array, "h 1"]]:
+def _centres(shape: tuple[int, ...], rows: Rows, dtype: Any) -> tuple[Float[Array, "*n w"], Float[Array, "h 1"]]:
     """Normalized device coordinates of the pixel centres in some rows of an image."""
     height, width = shape
-    X = (jnp.arange(width, dtype=dtype) + 0.5) * (2 / width) - 1
-    row = rows.first + jnp.arange(height, dtype=jnp.int32)
-    return X, ((row.astype(dtype) + 0.5) * (2 / rows.height) - 1)[:, None]
+    column = jnp.arange(width, dtype=jnp.int32)
+    row = (rows.first + jnp.arange(height, dtype=jnp.int32))[:, None]
+    centre = lambda index, size: (index.astype(dtype) + 0.5) * (2.0 / size) - 1
+    if rows.tile is None:
+        return centre(column, width), centre(row, rows.height)
+    left, bottom, size = (take(values, row // width) for values in (*rows.tile.origin.T, rows.tile.size))
+    return centre(left + column, size), centre(bottom + row % width, size)
 
 
 def interpolate(at: Barycentrics, attribute: Float[Array, "v c"], faces: Faces) -> Float[Array, "h w c"]:
@@ -167,18 +177,29 @@ def _depth(at: Barycentrics, from_far: CornerValues) -> DepthMap:
     return jnp.where(at.mask, 1 + safe_divide(z, w) * 0.5, 1)
 
 
-def visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces) -> DepthMap:
+def visible_depth(
+    face: Int[Array, "*l h w"], clip: ClipVertices, faces: Faces, tile: Tile | None = None
+) -> Float[Array, "*l h w"]:
     """Window depth of the faces that the pixels see, (h, w); 1 where nothing is seen.
 
     It equals `interpolate_depth` with the `barycentrics` of the same clip coordinates, and takes less time to
     differentiate: depth is linear in the window, so the derivative at a pixel follows from three of its face. A pixel
     whose centre was pulled back onto its face has the derivative of the face's middle.
 
-    **Arguments:** as for `barycentrics`.
+    **Arguments:** as for `barycentrics`, and
+
+    - `tile`: of face maps (l, h, w) of square tiles of a virtual image, which part each is.
     """
+    if tile is not None:
+        flat = face.reshape(-1, face.shape[-1])
+        return _visible_depth(flat, clip, faces, tile).reshape(face.shape)
+    return _visible_depth(face, clip, faces, None)
+
+
+def _visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces, tile: Tile | None) -> DepthMap:
     if faces.shape[0] > face.size:
         # Most faces are not seen, so their planes would cost more than they save.
-        return interpolate_depth(barycentrics(face, clip, faces), clip, faces)
+        return interpolate_depth(barycentrics(face, clip, faces, Rows(0, face.shape[0], tile)), clip, faces)
     from_far = _from_far(clip)
     values = corner_values(lax.stop_gradient(from_far), faces, face.size)
 
@@ -186,8 +207,8 @@ def visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces) -> DepthMap:
         at, on_face = _locate(face, values, rows)
         return _depth(at, values), on_face
 
-    depth, on_face = by_bands(band, face)
-    X, Y = _centres(face.shape, Rows(0, face.shape[0]), clip.dtype)
+    depth, on_face = by_bands(band, face, tile=tile)
+    X, Y = _centres(face.shape, Rows(0, face.shape[0], tile), clip.dtype)
     plane = jax.tree.map(lambda values: take(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
     linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
     return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)

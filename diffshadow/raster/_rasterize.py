@@ -11,8 +11,10 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import as_float, filled, shared_mesh_size
 from .._types import Faces, Resolution
+from ..geometry import Pages
 from ._bins import Cull, bin_triangles
 from ._depth_test import DepthTest
+from ._page_pass import PagedDrawing
 from ._windows import DrawPass, least_depth, least_depth_and_face
 
 NO_FACE = -1
@@ -52,7 +54,8 @@ def rasterize(
     cull: Cull = "none",
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
-    behind: Int[Array, "*b h w"] | None = None,
+    behind: Int[Array, "*l h w"] | None = None,
+    pages: Pages | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -70,10 +73,12 @@ def rasterize(
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or none.
     - `behind`: (h, w), a face map: at each pixel its face is passed over. Given the result of a first call, the
         second-nearest layer is drawn.
+    - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are
+        (l, h, w). `clip` is one view, that of the virtual map, and `resolution` that of a layer.
 
     **Raises** `ValueError` for a resolution or depth test out of range.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, with_face=True)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, with_face=True, pages=pages)
 
 
 def rasterize_depth(
@@ -86,30 +91,35 @@ def rasterize_depth(
     polygon_offset: Any = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, with_face=False)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, with_face=False, pages=None)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face) -> Any:
+def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages) -> Any:
     test = test or DepthTest()
     test.check()
     if not all(1 <= n <= 8192 for n in resolution):
         raise ValueError(f"the resolution is {resolution}; expected (height, width), each from 1 to 8192 pixels")
+    if pages is not None and resolution != (pages.side, pages.side):
+        raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = padded(lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces))
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, with_face)
+    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages)
 
 
 @eqx.filter_jit
 def _rasterize(
-    clip, faces, resolution, cull, test, polygon_offset, behind, with_face
+    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages
 ) -> Fragments | Float[Array, "*b h w"]:
     decoded = lambda depth: jnp.where(depth < jnp.inf, test.decode(depth), jnp.float32(test.clear))
 
     def view(clip: Array, behind: Array | None) -> Fragments | Array:
-        triangles = bin_triangles(clip, faces, resolution, cull)
-        drawing = DrawPass(triangles, resolution, cull, test, polygon_offset)
+        if pages is None:
+            triangles = bin_triangles(clip, faces, resolution, cull)
+            drawing = DrawPass(triangles, resolution, cull, test, polygon_offset)
+        else:
+            drawing = PagedDrawing(clip, faces, pages, cull, test, polygon_offset)
         if not with_face:
             return decoded(least_depth(drawing))
         depth, face = least_depth_and_face(drawing, behind)

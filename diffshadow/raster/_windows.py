@@ -13,16 +13,17 @@ face. That takes half the time of a second pass that looks for the face whose de
 """
 
 from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
-from .._types import FaceMap, Resolution
-from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Corners, Cull, Triangles, draws, pixel_box, to_window
+from .._types import Viewport
+from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Cull, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
@@ -43,7 +44,39 @@ Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
 
 
-class DrawPass:
+class Chunk(NamedTuple):
+    """Some triangles of a class: their faces, whether each is one, and the layer that it is drawn into, if there are
+    several; (n,) each."""
+
+    face: Int[Array, " n"]
+    used: Bool[Array, " n"]
+    layer: Int[Array, " n"] | None
+
+
+@runtime_checkable
+class Drawing(Protocol):
+    """Draws something into buffers."""
+
+    test: DepthTest
+
+    def full(self, value: float | int, dtype: DTypeLike) -> Array:
+        """A buffer that holds `value` everywhere."""
+        ...
+
+    def padded(self, image: Array, value: float | int) -> Array:
+        """`image` as a buffer, which holds `value` beyond it."""
+        ...
+
+    def image(self, buffer: Array) -> Array:
+        """What of a buffer is no padding."""
+        ...
+
+    def draw(self, buffer: Array, write: Write) -> Array:
+        """`buffer` after all triangles are written into it."""
+        ...
+
+
+class DrawPass(Drawing):
     """Draws triangles into buffers.
 
     **Arguments:**
@@ -54,7 +87,7 @@ class DrawPass:
     def __init__(
         self,
         triangles: Triangles,
-        resolution: Resolution,
+        resolution: Viewport,
         cull: Cull,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
@@ -63,8 +96,18 @@ class DrawPass:
         self.cull: Cull = cull
         self.test, self.polygon_offset = test, polygon_offset
 
-    def draw(self, buffer: Int[Array, "H W"] | Float[Array, "H W"], write: Write) -> Array:
-        """`buffer` after all triangles are written into it."""
+    def full(self, value: float | int, dtype: DTypeLike) -> Array:
+        height, width = self.resolution
+        return jnp.full((height + PADDING, width + PADDING), value, dtype)
+
+    def padded(self, image: Array, value: float | int) -> Array:
+        return jnp.pad(image, ((0, PADDING), (0, PADDING)), constant_values=value)
+
+    def image(self, buffer: Array) -> Array:
+        height, width = self.resolution
+        return buffer[:height, :width]
+
+    def draw(self, buffer: Array, write: Write) -> Array:
         if self.triangles.faces.shape[0] == 0:
             return buffer
         return self._large(self._small(buffer, write), write)
@@ -72,23 +115,50 @@ class DrawPass:
     def _loop(self, steps: Int[Array, ""], body: Callable[[Array, Array], Array], buffer: Array) -> Array:
         return lax.fori_loop(jnp.int32(0), steps.astype(jnp.int32), body, buffer)
 
-    def _form(self, corners: Corners, plane: DepthPlane, x: Array, y: Array) -> EdgeForm:
-        return edge_form(lax.optimization_barrier(corners), plane, x, y, self.test, self.polygon_offset)
+    def _form(self, corners: Corners, plane: DepthPlane, x: Array, y: Array, layer: Array | None) -> EdgeForm:
+        """Edge functions of triangles about the pixels (`x`, `y`) of their layers."""
+        left, bottom = self._origin(layer)
+        place, corners = self._place(x, y, layer), lax.optimization_barrier(corners)
+        return edge_form(corners, plane, x + left, y + bottom, place, self.test, self.polygon_offset)
+
+    # What follows is another in a pass that draws parts of an image into layers.
+
+    @property
+    def _counts(self) -> Int[Array, " c"]:
+        """How many triangles of each class are drawn."""
+        return self.triangles.groups.counts
+
+    def _chunk(self, of_class: Array | int, number: Array, length: int) -> Chunk:
+        """Chunk `number` of a class; the last one is filled up."""
+        return Chunk(*self.triangles.groups.chunk(of_class, number, length), None)
+
+    def _box(self, corners: Corners, layer: Array | None) -> Box:
+        """The pixel boxes of triangles within their layers."""
+        return pixel_box(*corners.snapped(), self.resolution)
+
+    def _origin(self, layer: Array | None) -> tuple[Any, Any]:
+        """x and y of the first pixels of layers in the image."""
+        return 0, 0
+
+    def _place(self, x: Array, y: Array, layer: Array | None) -> tuple[Array, Array]:
+        """Row and column in the buffer of the pixels (`x`, `y`) of layers."""
+        return y, x
 
     def _small(self, buffer: Array, write: Write) -> Array:
         """Writes the triangles of all size classes."""
-        groups = self.triangles.groups
-        length = min(_SMALL, groups.elements.shape[0])
-        chunks = (groups.counts[:LARGE] + length - 1) // length
+        length = min(_SMALL, self.triangles.groups.elements.shape[0])
+        chunks = (self._counts[:LARGE] + length - 1) // length
         ends = jnp.cumsum(chunks, dtype=jnp.int32)
 
         def chunk(number: Array, buffer: Array) -> Array:
             size_class = jnp.sum(number >= ends, dtype=jnp.int32)
-            face, used = groups.chunk(size_class, number - (ends - chunks)[size_class], length)
+            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], length)
             corners = self.triangles.corners(face)
-            box = pixel_box(*corners.snapped(), self.resolution)
-            x, y = (jnp.where(used, low, 0) for low in (box.left, box.bottom))
-            form, source = self._form(corners, plane_of_corners(corners), x, y), jnp.where(used, face, -1)
+            box, (left, bottom) = self._box(corners, layer), self._origin(layer)
+            if layer is not None:
+                used = used & (box.left <= box.right) & (box.bottom <= box.top)
+            x, y = (jnp.where(used, low, 0) for low in (box.left - left, box.bottom - bottom))
+            form, source = self._form(corners, plane_of_corners(corners), x, y, layer), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
 
@@ -96,17 +166,17 @@ class DrawPass:
 
     def _large(self, buffer: Array, write: Write) -> Array:
         """Writes large triangles, and then what clipping leaves of others, block by block."""
-        groups = self.triangles.groups
-        at_once = min(_CLIPPED, groups.elements.shape[0])
-        large = groups.chunks(LARGE, FAN * at_once)
+        at_once = min(_CLIPPED, self.triangles.groups.elements.shape[0])
+        chunks = lambda of_class, length: (self._counts[of_class] + length - 1) // length
+        large = chunks(LARGE, FAN * at_once)
 
-        def whole(number: Array) -> tuple[Corners, DepthPlane, Array]:
-            face, used = groups.chunk(LARGE, number, FAN * at_once)
+        def whole(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
+            face, used, layer = self._chunk(LARGE, number, FAN * at_once)
             corners = self.triangles.corners(face)
-            return corners, plane_of_corners(corners), jnp.where(used, face, -1)
+            return corners, plane_of_corners(corners), jnp.where(used, face, -1), layer
 
-        def clipped(number: Array) -> tuple[Corners, DepthPlane, Array]:
-            face, used = groups.chunk(CLIPPED, number - large, at_once)
+        def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
+            face, used, layer = self._chunk(CLIPPED, number - large, at_once)
             vertices = [take(self.triangles.faces[:, k], face) for k in range(3)]
             corners = jnp.stack([take(self.triangles.clip, vertex) for vertex in vertices], axis=1)
             parts = clip_triangles(corners, self.resolution)
@@ -114,24 +184,30 @@ class DrawPass:
             each = lambda values: jnp.repeat(values, FAN)
             plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
             parts = Corners(*([*values.reshape(-1, 3).T] for values in window))
-            return parts, plane, each(jnp.where(used, face, -1))
+            return parts, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
 
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
 
-        return self._loop(large + groups.chunks(CLIPPED, at_once), batch, buffer)
+        return self._loop(large + chunks(CLIPPED, at_once), batch, buffer)
 
     def _blocks(
-        self, buffer: Array, write: Write, corners: Corners, plane: DepthPlane, source: Int[Array, " n"]
+        self,
+        buffer: Array,
+        write: Write,
+        corners: Corners,
+        plane: DepthPlane,
+        source: Int[Array, " n"],
+        layer: Int[Array, " n"] | None,
     ) -> Array:
         """Writes triangles block by block."""
-        fixed = corners.snapped()
-        box = pixel_box(*fixed, self.resolution)
-        left, bottom = box.left // BLOCK, box.bottom // BLOCK
-        columns = jnp.maximum(box.right // BLOCK - left + 1, 1)
+        fixed, box = corners.snapped(), self._box(corners, layer)
         drawn = (source >= 0) & draws(*fixed, box, self.cull)
+        origin_x, origin_y = self._origin(layer)
+        left, bottom = box.left - origin_x, box.bottom - origin_y
+        columns = jnp.maximum((box.right - box.left) // BLOCK + 1, 1)
         # The blocks of all boxes are numbered: a triangle's numbers end before its entry of `ends`.
-        lengths = jnp.where(drawn, columns * (box.top // BLOCK - bottom + 1), 0)
+        lengths = jnp.where(drawn, columns * ((box.top - box.bottom) // BLOCK + 1), 0)
         ends = jnp.cumsum(lengths, dtype=jnp.int32)
 
         def candidates(number: Array, buffer: Array) -> Array:
@@ -139,29 +215,31 @@ class DrawPass:
             exists = block < ends[-1]
             owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
             within, across = block - take(ends - lengths, owner), take(columns, owner)
-            x, y = take(left, owner) + within % across, take(bottom, owner) + within // across
-            x, y = (jnp.where(exists, tile * BLOCK, 0) for tile in (x, y))
-            own, own_plane = jax.tree.map(lambda values: take(values, owner), (corners, plane))
-            form = self._form(own, own_plane, x, y)
+            x, y = take(left, owner) + within % across * BLOCK, take(bottom, owner) + within // across * BLOCK
+            x, y = (jnp.where(exists, low, 0) for low in (x, y))
+            own, own_plane, of_layer = jax.tree.map(lambda values: take(values, owner), (corners, plane, layer))
+            form = self._form(own, own_plane, x, y, of_layer)
             return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)
 
         return self._loop((ends[-1] + _BLOCKS - 1) // _BLOCKS, candidates, buffer)
 
 
-def least_depth(drawing: DrawPass) -> Float[Array, "h w"]:
+def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:
     """The least depth at every pixel, infinite where there is none."""
     stored = lambda form, source, side: window_depth(form, source >= 0, side, drawing.test)
     return _least(drawing, stored, jnp.inf, jnp.float32)
 
 
-def least_depth_and_face(drawing: DrawPass, behind: FaceMap | None) -> tuple[Float[Array, "h w"], Int[Array, "h w"]]:
+def least_depth_and_face(
+    drawing: Drawing, behind: Int[Array, "*l h w"] | None
+) -> tuple[Float[Array, "*l h w"], Int[Array, "*l h w"]]:
     """The least depth at every pixel, and its face, -1 where there is none; faces in `behind` (h, w) are passed over.
 
     Of several faces at the same depth it is the first, or the last where the depth test lets equal depths pass.
     """
     # The least complement is that of the greatest face.
     order = lambda face: ~face if drawing.test.compare == "less_equal" else face
-    padded = None if behind is None else jnp.pad(behind, ((0, PADDING), (0, PADDING)), constant_values=-1)
+    padded = None if behind is None else drawing.padded(behind, -1)
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
         depth = window_depth(form, source >= 0, side, drawing.test)
@@ -186,20 +264,18 @@ def least_depth_and_face(drawing: DrawPass, behind: FaceMap | None) -> tuple[Flo
 
 def corner(form: EdgeForm) -> Int[Array, "n 2"]:
     """Row and column of each window's first pixel."""
-    return jnp.stack([form.y, form.x], axis=-1)
+    return jnp.stack([form.row, form.column], axis=-1)
 
 
 def _least(
-    drawing: DrawPass,
+    drawing: Drawing,
     stored: Callable[[EdgeForm, Int[Array, " n"], int], Array],
     nothing: float | int,
     dtype: DTypeLike,
 ) -> Array:
     """The least of what is `stored` (n, side, side) by any window at every pixel."""
-    height, width = drawing.resolution
-    buffer = jnp.full((height + PADDING, width + PADDING), nothing, dtype)
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
         return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=IN_BOUNDS)
 
-    return drawing.draw(buffer, write)[:height, :width]
+    return drawing.image(drawing.draw(drawing.full(nothing, dtype), write))

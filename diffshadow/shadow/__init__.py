@@ -59,7 +59,9 @@ from .kernels import mean_of_taps as mean_of_taps
 from .layouts import AbstractLayout as AbstractLayout
 from .layouts import Cascades as Cascades
 from .layouts import Choice as Choice
+from .layouts import LevelNorm as LevelNorm
 from .layouts import PerspectiveWarp as PerspectiveWarp
+from .layouts import ResolutionMatched as ResolutionMatched
 from .layouts import SingleMap as SingleMap
 from .layouts import WarpMethod as WarpMethod
 from .patterns import DiskMapping as DiskMapping

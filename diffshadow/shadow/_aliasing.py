@@ -1,19 +1,17 @@
 """Aliasing: how large a shadow map's texels are on the screen."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._misc import dot, normalize, safe_divide, safe_norm
+from .._misc import dot, normalize, safe_divide
 from .._types import Mask, TexelMap, VectorMap
-from ..geometry import AbstractCamera, tangents
+from ..geometry import AbstractCamera
 from ..raster import Surface
+from ._jacobian import Jacobian, determinant, pixels_of, pixels_per_texel, singular_values
 from ._map import ShadowMap
 from ._receiver import project
 from .layouts import Choice
-
-Jacobian = Float[Array, "h w 2 2"]
 
 
 class Aliasing(eqx.Module):
@@ -37,22 +35,22 @@ class Aliasing(eqx.Module):
     @property
     def extent(self) -> Float[Array, "h w"]:
         """The longest extent of a texel, (h, w), in pixels: the Jacobian's greater singular value."""
-        return _singular_values(self.jacobian)[0]
+        return singular_values(self.jacobian)[0]
 
     @property
     def least_extent(self) -> Float[Array, "h w"]:
         """The shortest extent of a texel, (h, w), in pixels."""
-        return _singular_values(self.jacobian)[1]
+        return singular_values(self.jacobian)[1]
 
     @property
     def area(self) -> Float[Array, "h w"]:
         """The area of a texel, (h, w), in pixels."""
-        return jnp.abs(_determinant(self.jacobian))
+        return jnp.abs(determinant(self.jacobian))
 
     @property
     def perspective_extent(self) -> Float[Array, "h w"]:
         """The longest extent due to perspective alone, (h, w), in pixels."""
-        return _singular_values(self.perspective)[0]
+        return singular_values(self.perspective)[0]
 
     @property
     def projection_extent(self) -> Float[Array, "h w"]:
@@ -71,13 +69,7 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     - `choice`: the layers that the surface is looked up in; those of the light if left out.
     """
     choice = Choice(shadow_map.light.layer(surface.position)) if choice is None else choice
-    view, resolution = camera.view(), camera.resolution
-
-    def pixel(points: VectorMap) -> TexelMap:
-        clip = view.clip(points)
-        inverse = safe_divide(jnp.ones_like(clip[..., 3]), clip[..., 3])
-        window = clip[..., :2] * inverse[..., None] * 0.5 + 0.5
-        return window * jnp.array(resolution[::-1], window.dtype)
+    view = camera.view()
 
     def texel(points: VectorMap) -> TexelMap:
         return project(shadow_map, points, choice.layer)[0]
@@ -93,30 +85,5 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
     mask = mask if choice.strength is None else mask & (choice.strength > 0)
     normals = jnp.stack([surface.normal, half_way])
-    ways = jnp.stack(tangents(normals))
-    moved = lambda project: jax.vmap(jax.vmap(lambda way: jax.jvp(project, (points,), (way,))[1]))(ways)
-    # Axes: the tangent, the normal, then (h, w, 2).
-    pixels, texels = (jnp.moveaxis(moved(project), 0, -1) for project in (pixel, texel))
-    whole, perspective = _divided(pixels, texels)
+    whole, perspective = pixels_per_texel(pixels_of(camera), texel, points, normals)
     return Aliasing(whole, perspective, mask)
-
-
-def _divided(numerator: Float[Array, "*n 2 2"], denominator: Float[Array, "*n 2 2"]) -> Float[Array, "*n 2 2"]:
-    """B A⁻¹; 0 where A is singular."""
-    a, b, c, d = (denominator[..., i, j] for i in range(2) for j in range(2))
-    adjugate = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-c, a], axis=-1)], axis=-2)
-    product = jnp.sum(numerator[..., :, :, None] * adjugate[..., None, :, :], axis=-2)
-    determinant = _determinant(denominator)
-    return product * safe_divide(jnp.ones_like(determinant), determinant)[..., None, None]
-
-
-def _determinant(matrix: Float[Array, "*n 2 2"]) -> Float[Array, "*n"]:
-    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-
-
-def _singular_values(matrix: Jacobian) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """The greater and the smaller singular value."""
-    a, b, c, d = (matrix[..., i, j] for i in range(2) for j in range(2))
-    turning = safe_norm(jnp.stack([a + d, b - c], axis=-1))
-    mirroring = safe_norm(jnp.stack([a - d, b + c], axis=-1))
-    return (turning + mirroring) / 2, jnp.abs(turning - mirroring) / 2

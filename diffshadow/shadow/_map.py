@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Edges, Mesh, View
+from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
     Cull,
     DepthTest,
@@ -123,6 +123,11 @@ def draw_shadow_map(
             f"the shadow map is warped, and {'polygon_offset' if edges is None else 'edges'} was given; expected "
             "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
         )
+    tile, pages = light.view().tile, light.pages if isinstance(light, PagedLight) else None
+    if pages is not None and edges is not None:
+        raise ValueError(
+            "the shadow map has pages, and edges were given; expected no edges: leave them out, or use another layout"
+        )
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -135,10 +140,11 @@ def draw_shadow_map(
             depth_test=test if unwarped is None else DepthTest(),
             polygon_offset=polygon_offset,
             behind=behind,
+            pages=pages,
         )
         if unwarped is not None:
             return seen.face, _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
-        depth = _depth(seen.face, clip, mesh.faces)
+        depth = _depth(seen.face, clip, mesh.faces, tile)
         return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
 
     face, depth = draw()
@@ -270,6 +276,8 @@ def _unwarped_depth(
 
 
 @eqx.filter_jit
-def _depth(face: Int[Array, "*l h w"], clip: Float[Array, "*l v 4"], faces: Faces) -> Float[Array, "*l h w"]:
-    of_view = lambda face, clip: visible_depth(face, clip, faces)
-    return jax.vmap(of_view)(face, clip) if face.ndim > 2 else of_view(face, clip)
+def _depth(
+    face: Int[Array, "*l h w"], clip: Float[Array, "*m v 4"], faces: Faces, tile: Tile | None
+) -> Float[Array, "*l h w"]:
+    of_view = lambda face, clip: visible_depth(face, clip, faces, tile)
+    return jax.vmap(of_view)(face, clip) if clip.ndim > 2 else of_view(face, clip)

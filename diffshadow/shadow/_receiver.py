@@ -91,10 +91,13 @@ def project(
     # In the plane of a spot light the divide overflows; nothing that close to the plane casts a shadow.
     in_front = w > (_BESIDE * view.near if view.is_perspective else 0)
     window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
-    height, width = shadow_map.resolution
+    height, width = view.whole(shadow_map.resolution)
     depth = window(2) if view.warp is None else view.unwarped.clip(position)[..., 2] * 0.5 + 0.5
+    x, y = window(0) * width, window(1) * height
+    if view.tile is not None:
+        x, y = x - view.tile.origin[..., 0], y - view.tile.origin[..., 1]
     # One coordinate at a time: XLA elides a stack that is taken apart again.
-    return jnp.stack([window(0) * width, window(1) * height], axis=-1), depth, in_front
+    return jnp.stack([x, y], axis=-1), depth, in_front
 
 
 def _slope(
@@ -139,7 +142,7 @@ def _rounding(
     """
     position, eye, distance, texel_size, slope = lax.stop_gradient((position, eye, distance, texel_size, slope))
     size = lambda x: jnp.max(jnp.abs(x), axis=-1)
-    reach = size(position) + size(eye) + max(shadow_map.resolution) * texel_size
+    reach = size(position) + size(eye) + jnp.maximum(*view.whole(shadow_map.resolution)) * texel_size
     steepness = jnp.sqrt(1 + jnp.sum(slope * slope, axis=-1))
     unit = jnp.finfo(jnp.float32).eps
     half_step = (

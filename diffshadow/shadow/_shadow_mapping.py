@@ -52,7 +52,8 @@ class ShadowMapping(AbstractTechnique):
         if self.layout.needs_surface and surface is None:
             surface = draw_surface(scene.mesh, camera)
         light = self.layout.light(scene.light, camera, self.map.resolution, surface)
-        return self.map.draw(casters, light, edges=edges)
+        settings = self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
+        return settings.draw(casters, light, edges=edges)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

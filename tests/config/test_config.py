@@ -279,7 +279,7 @@ BROKEN = {
     ),
     "misspelt technique": (
         "technique: {type: shadow_volume}\n",
-        "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, "
+        "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, resolution_matched, "
         "shadow_volumes, projective_texture, three.js or babylon.js; did you mean 'shadow_volumes'?",
     ),
     "method of another technique": (
@@ -418,6 +418,24 @@ BROKEN = {
         "technique: {type: perspective_warp}\nshadow_map: {silhouettes: true}\n",
         "3: shadow_map.silhouettes: is given, and technique.type is perspective_warp, whose maps cannot have it; "
         "expected a map without it; remove it, or choose another technique",
+    ),
+    "silhouettes of a virtual map": (
+        "technique: {type: resolution_matched}\nshadow_map: {silhouettes: true}\n",
+        "3: shadow_map.silhouettes: is given, and technique.type is resolution_matched, whose maps cannot have it; "
+        "expected a map without it; remove it, or choose another technique",
+    ),
+    "page of another size": (
+        "technique: {type: resolution_matched, page: 48}\n",
+        "2: technique.page: is 48; expected a power of two; set it to 32 or 64",
+    ),
+    "virtual map of one page": (
+        "technique: {type: resolution_matched, page: 64, finest: 64}\n",
+        "2: technique.finest: is 64, and pages are 64 texels wide; expected from 2 to 1024 pages; change it, or page",
+    ),
+    "filter wider than a gutter": (
+        "technique: {type: resolution_matched, page: 16}\nfilter: {type: pcf, radius: 9}\n",
+        "3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected "
+        "at most 7; enlarge technique.page, or lower it",
     ),
     "nothing to fit": (
         "fit: {parameters: {}}\n",

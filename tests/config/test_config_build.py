@@ -450,7 +450,7 @@ def test_cascades_extend_as_far_as_the_filter_may_read():
     assert [float(resolve(built, path)) for path in paths.values()] == [2.0, np.float32(0.2), 3.0]
 
 
-@pytest.mark.parametrize("kind", ["cascades", "perspective_warp"])
+@pytest.mark.parametrize("kind", ["cascades", "perspective_warp", "resolution_matched"])
 def test_cascades_and_warps_need_a_directional_light(kind):
     with pytest.raises(ConfigError, match=rf"scene\.light\.type: is spot, while technique\.type is {kind}"):
         parse_config(TINY + f"technique: {{type: {kind}}}\n", ["scene.light={type: spot}"])
@@ -486,6 +486,20 @@ def test_what_an_engine_lacks_is_refused(override, words):
     light = [] if "scene.light=" in override else ["scene.light={type: spot, position: [0, 3, 0]}"]
     with pytest.raises(ConfigError, match=words):
         build_fit(parse_config(text, [*light, override]))
+
+
+def test_virtual_maps_are_built_as_they_are_set():
+    section = "{type: resolution_matched, page: 32, finest: 4096, norm: worst, level_bias: -2, shadow_distance: 9}"
+    config = parse_config(TINY + f"technique: {section}\n")
+    layout = build_technique(config).layout
+    assert (layout.page, layout.finest, layout.norm, layout.levels) == (32, 4096, "worst", 8)
+    assert (float(layout.level_bias), float(layout.shadow_distance)) == (-2, 9)
+    assert layout.margin == config.reach({})[0] + 1
+    wide = parse_config(TINY + "technique: {type: resolution_matched, margin: 5}\n")
+    assert build_technique(wide).layout.gutter == 5
+    moving = "technique: {type: resolution_matched}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"
+    with pytest.raises(ConfigError, match=r"technique\.type: is resolution_matched in a fit of lights"):
+        build_fit(parse_config(TINY + moving))
 
 
 def test_warped_maps_are_built_as_they_are_set():

@@ -4,11 +4,16 @@ from typing import Any
 
 from ... import shadow
 from ..sections._filters import PatternedConfig
-from ..sections._technique import CascadesConfig, CompareConfig, PerspectiveWarpConfig, SoftCompareConfig
+from ..sections._technique import (
+    SPARE,
+    CascadesConfig,
+    CompareConfig,
+    PerspectiveWarpConfig,
+    ResolutionMatchedConfig,
+    SoftCompareConfig,
+)
 from ..whole._schema import Config
 
-# Texels of a cascade's margin beyond the filter's reach: for what is within half a texel of the border.
-_SPARE = 1.0
 # Patterns whose function has another name.
 _PATTERNS = {"poisson": "poisson_disk"}
 
@@ -60,14 +65,16 @@ def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
 def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     """How the map of `config` is laid out; `fitting` as for `build_filter`."""
     section = config.technique
-    if not isinstance(section, CascadesConfig | PerspectiveWarpConfig):
+    if not isinstance(section, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig):
         return shadow.SingleMap()
     arguments = _arguments(config, "technique", fitting=fitting)
     if section.margin is None:
         reach, _ = config.reach(config.fit.parameters if fitting else {})
-        arguments["margin"] = reach + _SPARE
+        arguments["margin"] = reach + SPARE
     if isinstance(section, PerspectiveWarpConfig):
         return shadow.PerspectiveWarp(**arguments)
+    if isinstance(section, ResolutionMatchedConfig):
+        return shadow.ResolutionMatched(**arguments)
     bounds = config.fit.parameters.get("technique.blend") if fitting else None
     arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
     return shadow.Cascades(**arguments)

@@ -29,6 +29,12 @@ from ._section import (
 LEAST_WIDTH = 1e-6
 """The least width of a soft compare, in texels: far below the resolution of float32 depth, and 1 / width is finite."""
 
+MOST_ACROSS = 1024
+"""The most pages along a side of a virtual map: tables have an entry for each page."""
+
+SPARE = 1.0
+"""Texels of a map's margin beyond the filter's reach: for what is within half a texel of the border."""
+
 SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
 """Shape of a soft compare's step."""
 
@@ -160,10 +166,51 @@ class PerspectiveWarpConfig(MappedConfig):
     )
 
 
+class ResolutionMatchedConfig(MappedConfig):
+    """A virtual map under each directional light, of which the pages that the camera needs are drawn, at the resolution
+    of the screen."""
+
+    type: Literal["resolution_matched"] = "resolution_matched"
+    page: Annotated[int, Unit("texels")] = Field(
+        default=64, ge=16, le=1024, description="side of a page without its gutter, a power of two, in texels"
+    )
+    finest: Annotated[int, Unit("texels")] = Field(
+        default=16384, ge=32, le=65536, description="side of the map at its finest level, a power of two, in texels"
+    )
+    norm: Literal["area", "worst"] = Field(
+        default="area", description="what of a texel on the screen is matched to a pixel: its area, or longest extent"
+    )
+    level_bias: Annotated[float, Fitted(searched=True)] = Field(
+        default=0.0,
+        ge=-16,
+        le=16,
+        description="added to levels, -1 halves the size of texels on the screen; raised if the map is too small",
+    )
+    shadow_distance: Annotated[WorldUnits | None, Field(gt=0)] = Field(
+        default=None, description="depth beyond which nothing is shadowed, in world units; default: the camera's far"
+    )
+    margin: Annotated[Texels | None, Field(ge=0)] = Field(
+        default=None, description="width of the gutter around pages, in texels; default: the filter's reach"
+    )
+
+    def faults(self) -> Iterator[Conflict]:
+        for key, value in (("page", self.page), ("finest", self.finest)):
+            if value & (value - 1):
+                below = 1 << (value.bit_length() - 1)
+                yield (key,), fault(f"is {value}", "a power of two", f"set it to {below} or {2 * below}")
+        if not 2 <= self.finest / self.page <= MOST_ACROSS:
+            message = f"is {self.finest}, and pages are {self.page} texels wide"
+            yield ("finest",), fault(message, f"from 2 to {MOST_ACROSS} pages", "change it, or page")
+        if self.margin is not None and self.margin > self.page // 2:
+            message = f"is {self.margin:g}, and pages are {self.page} texels wide"
+            yield ("margin",), fault(message, "at most half of that", "lower it, or enlarge page")
+
+
 TechniqueConfig = Annotated[
     Annotated[ShadowMappingConfig, Tag("shadow_map")]
     | Annotated[CascadesConfig, Tag("cascades")]
     | Annotated[PerspectiveWarpConfig, Tag("perspective_warp")]
+    | Annotated[ResolutionMatchedConfig, Tag("resolution_matched")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
     | Annotated[ProjectiveTextureConfig, Tag("projective_texture")]
     | Annotated[ThreeJsConfig, Tag("three.js")]

@@ -10,7 +10,14 @@ from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import is_searched, parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
 from ..sections._section import Conflict, fault, look
-from ..sections._technique import CascadesConfig, MappedConfig, PerspectiveWarpConfig, ProjectiveTextureConfig
+from ..sections._technique import (
+    SPARE,
+    CascadesConfig,
+    MappedConfig,
+    PerspectiveWarpConfig,
+    ProjectiveTextureConfig,
+    ResolutionMatchedConfig,
+)
 from ._costs import FACES_OF_A_CUBE, cost_faults, fit_cost_faults
 from ._parts import Parts
 
@@ -20,21 +27,22 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
     yield from cost_faults(config)
     if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, {})
+        yield from _beyond_gutters(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
     if isinstance(config.technique, MappedConfig) and config.bias.factors is not None:
         yield from _wrong_factors(config, config.technique)
-    if isinstance(config.technique, CascadesConfig | PerspectiveWarpConfig):
+    if isinstance(config.technique, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig):
         for key, light in config.scene.each_light.items():
             if not isinstance(light, DirectionalLightConfig):
                 message = f"is {light.type}, while technique.type is {config.technique.type}"
                 mend = "change it, or set technique.type to shadow_map"
                 yield ("scene", *key, "type"), fault(message, "directional", mend)
-    if isinstance(config.technique, PerspectiveWarpConfig):
-        section = config.shadow_map
+    if isinstance(config.technique, PerspectiveWarpConfig | ResolutionMatchedConfig):
+        section, kind = config.shadow_map, config.technique.type
         for key, given in (("silhouettes", section.silhouettes), ("polygon_offset", section.polygon_offset)):
-            if given:
-                message = "is given, and technique.type is perspective_warp, whose maps cannot have it"
+            if given and (key == "silhouettes" or kind == "perspective_warp"):
+                message = f"is given, and technique.type is {kind}, whose maps cannot have it"
                 yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
     if isinstance(config.technique, EngineConfig):
         yield from _foreign_to_engine(config, config.technique)
@@ -86,6 +94,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from _beyond_the_greatest_radius(config)
     if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, config.fit.parameters)
+        yield from _beyond_gutters(config, config.fit.parameters)
     yield from _unused_in_layout(config)
     if not config.moves:
         return
@@ -96,8 +105,8 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         if is_searched(config, name):
             what = fault("lays out the map in a fit of lights or meshes", "a fit of one or the other", "remove it")
             yield ("fit", "parameters", name), what
-    if isinstance(config.technique, PerspectiveWarpConfig):
-        message = "is perspective_warp in a fit of lights or meshes, which needs maps with silhouettes"
+    if isinstance(config.technique, PerspectiveWarpConfig | ResolutionMatchedConfig):
+        message = f"is {config.technique.type} in a fit of lights or meshes, which needs maps with silhouettes"
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     if isinstance(config.technique, MappedConfig) and config.shadow_map.silhouettes is None:
         yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
@@ -184,6 +193,18 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
                 f"{', '.join(mends[:-1])}, or {mends[-1]}",
             ),
         )
+
+
+def _beyond_gutters(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of filters that read further than half a page of a virtual map, with fitted numbers at their `bounds`."""
+    technique, (reach, name) = config.technique, config.reach(bounds)
+    if not isinstance(technique, ResolutionMatchedConfig) or technique.margin is not None:
+        return
+    if (bounds and name is None) or reach + SPARE <= technique.page // 2:
+        return
+    path: KeyPath = _key_of_reach(config) if name is None else ("fit", "parameters", name, "upper")
+    message = f"lets the filter read {reach:g} texels away, further than a gutter of technique.page = {technique.page}"
+    yield path, fault(message, f"at most {technique.page / 2 - SPARE:g}", "enlarge technique.page, or lower it")
 
 
 def _key_of_reach(config: Parts) -> KeyPath:

@@ -7,6 +7,7 @@ from ._cascaded import CascadeSelection as CascadeSelection
 from ._directional import DirectionalLight as DirectionalLight
 from ._fitted import AbstractFittedLight as AbstractFittedLight
 from ._matrix import MatrixLight as MatrixLight
+from ._paged import PagedLight as PagedLight
 from ._point import PointLight as PointLight
 from ._pose import LightPose as LightPose
 from ._pose import Vector as Vector

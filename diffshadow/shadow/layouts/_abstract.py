@@ -43,7 +43,7 @@ class AbstractLayout(eqx.Module):
         **Arguments:**
 
         - `camera`: where the image is drawn from.
-        - `resolution`: (height, width) of each layer, in texels.
+        - `resolution`: (height, width) of each layer, in texels, or of what `layer_resolution` says.
         - `surface`: what the camera sees; required if `needs_surface`, and otherwise ignored.
 
         **Raises** `ValueError` if the layout does not suit the light or the camera.
@@ -62,6 +62,10 @@ class AbstractLayout(eqx.Module):
         respect to them.
         """
         return ()
+
+    def layer_resolution(self, resolution: Resolution) -> Resolution:
+        """(height, width) of a layer in texels, for a map of `resolution`."""
+        return resolution
 
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:

@@ -1,5 +1,6 @@
 """The figures of a run. This module loads Matplotlib, so import it only to draw figures."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -140,8 +141,20 @@ def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap
     if isinstance(shadow_map.light, geometry.CascadedLight):
         names = [f"up to {float(end):.3g} deep" for end in shadow_map.light.ends]
         write_map(path, "Cascades", distance, label, names, **limits)
+    elif isinstance(shadow_map.light, geometry.PagedLight):
+        count = int(shadow_map.light.pages.count)
+        write_map(path, f"{count} pages, from fine to coarse", atlas(distance, count), label, **limits)
     else:
         write_map(path, title, distance, label, **limits)
+
+
+def atlas(layers: Float[HostArray, "l h w"], count: int) -> Float[HostArray, "H W"]:
+    """The first `count` layers in one image, row by row from the bottom."""
+    across = math.ceil(math.sqrt(count))
+    height, width = layers.shape[1:]
+    missing = np.full((-count % across, height, width), np.nan)
+    rows = np.concatenate([layers[:count], missing]).reshape(-1, across, height, width)
+    return rows.transpose(0, 2, 1, 3).reshape(-1, across * width)
 
 
 def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:

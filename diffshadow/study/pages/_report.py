@@ -12,7 +12,7 @@ from ._table import ERRORS, UNITS, noise_text, number
 # Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
 # Techniques whose name alone does not say what is drawn.
-_FILTERED = ("shadow_map", "cascades", "perspective_warp")
+_FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 # If this many parameters precede the last one, the summary counts them instead of naming them.
 _MANY = 3
 _HEADINGS = {

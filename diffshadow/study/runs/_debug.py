@@ -38,6 +38,8 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
     _write_aliasing(folder / f"debug_aliasing{end}.png", technique, drawn)
     if isinstance(drawn.state.light, geometry.CascadedLight):
         _write_cascades(folder / f"debug_cascades{end}.png", image, technique, drawn)
+    if isinstance(drawn.state.light, geometry.PagedLight):
+        _write_levels(folder / f"debug_levels{end}.png", image, technique, drawn)
     if isinstance(technique.filter, shadow.PercentageCloserSoft):
         _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.state, drawn)
     pattern = getattr(technique.filter, "pattern", None)
@@ -51,6 +53,8 @@ def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
     seen = depth[depth < 1]
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
     high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
+    if isinstance(shadow_map.light, geometry.PagedLight):
+        shown = figures.atlas(shown, int(shadow_map.light.pages.count))
     figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", vmin=low, vmax=high)
 
 
@@ -99,6 +103,25 @@ def _write_cascades(
         axes.plot([], [], color=colours[i], linewidth=5, label=f"{i + 1}: up to {float(end):.3g} deep")
     style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     style.title(axes, "Cascades", "depths along the camera's axis, in world units")
+    style.save(figure, path)
+
+
+def _write_levels(path: Path, image: Float[HostArray, "h w 3"], technique: shadow.ShadowMapping, drawn: Drawn) -> None:
+    """The level that each pixel is looked up in, in colours, each page a little lighter or darker than the next."""
+    light = drawn.state.light
+    pages, layer = light.pages, np.asarray(technique.layout.choose(light, drawn.surface.position).layer)
+    level, row, column = (np.asarray(values)[layer] for values in (pages.level, pages.row, pages.column))
+    colours = np.array([to_rgb(style.CYCLE[i % len(style.CYCLE)]) for i in range(pages.levels)])
+    tint = colours[level] * np.where((row + column) % 2 == 0, 1.0, 0.75)[..., None]
+    shown = np.asarray(drawn.surface.mask)
+    height, width = image.shape[:2]
+    figure, axes = figures.single(image[..., 0])
+    style.picture(axes, np.where(shown[..., None], image * (0.35 + 0.65 * tint), image), extent=(0, width, 0, height))
+    sizes = np.asarray(pages.size(np.arange(pages.levels)))
+    for i in sorted(set(level[shown].tolist())):
+        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i}: {sizes[i]}²")
+    style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    style.title(axes, "Levels", f"{int(pages.count)} pages of {pages.page}² texels, bias {float(light.bias):.3g}")
     style.save(figure, path)
 
 

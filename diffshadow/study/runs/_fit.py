@@ -18,6 +18,7 @@ from ..pages import _table as table
 from . import _pose as poses
 from . import _record as record
 from ._engine import CODE, code_of
+from ._page_remarks import page_remarks
 from ._progress import Stages
 from ._remarks import remarks
 from ._scene_remarks import scene_remarks
@@ -127,6 +128,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     messages = [
         *loaded.remarks,
         *scene_remarks(config, lit, drawn[0].surface),
+        *page_remarks(config, drawn),
         *remarks(config, plan.parameters, result),
     ]
     return FittedRun(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)

@@ -13,6 +13,7 @@ from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
 from . import _record as record
+from ._page_remarks import page_remarks
 from ._progress import Stages
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
@@ -65,7 +66,12 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
         aliasing = [record.aliasing(technique, each) for each in drawn]
-    remarks = [*drawn[0].remarks, *scene_remarks(config, [each.scene for each in drawn], drawn[0].surface)]
+    scenes = [each.scene for each in drawn]
+    remarks = [
+        *drawn[0].remarks,
+        *scene_remarks(config, scenes, drawn[0].surface),
+        *page_remarks(config, drawn),
+    ]
     return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
 
 

@@ -1,0 +1,52 @@
+"""A directional light whose shadow map is virtual."""
+
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..._types import Scalar
+from .._pages import Pages, cell_of
+from .._view import View
+from ._abstract import AbstractLight
+from ._fitted import AbstractFittedLight
+
+
+class PagedLight(AbstractFittedLight):
+    """A directional light whose shadow map is virtual, and has a layer for each resident page.
+
+    `shadow.ResolutionMatched` makes one for a light and a camera.
+
+    - `light`: the directional light, whose own map is the virtual one.
+    - `camera`: the view of the camera.
+    - `end`: the depth along the camera's axis at which shadows end, in world units.
+    - `pages`: the resident pages. Layers without a page are never looked up, and not drawn.
+    - `finest`: (c, c), the layer of the finest resident page over each page of level 0.
+    - `requested`: the number of pages that were requested, at the layout's own bias of levels.
+    - `bias`: the bias of levels at which pages are resident. It is the layout's own, unless that asked for more pages
+        than there are layers.
+    - `raised`: by how many levels it was raised, so that all pages have a layer.
+    - `too_coarse`: the share in [0, 1] of the points that need a finer level than the finest.
+    """
+
+    light: AbstractLight
+    camera: View
+    end: Scalar
+    pages: Pages
+    finest: Int[Array, "c c"]
+    requested: Int[Array, ""]
+    bias: Scalar
+    raised: Scalar
+    too_coarse: Scalar
+
+    @property
+    def capacity(self) -> int:
+        """The number of layers."""
+        return self.pages.level.shape[0]
+
+    def view(self) -> View:
+        own = self.light.view()
+        return View(own.world_to_eye, own.eye_to_clip, own.near, own.far, own.is_perspective, tile=self.pages.tile)
+
+    def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
+        clip = self.light.view().clip(lax.stop_gradient(points))
+        column, row = (cell_of(clip[..., k] * 0.5 + 0.5, self.pages.levels) for k in range(2))
+        return self.finest[row, column]

@@ -1,0 +1,241 @@
+"""Resolution-matched shadow maps (Lefohn, Sengupta & Owens, "Resolution-Matched Shadow Maps", ACM TOG 26(4), 2007)."""
+
+import math
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from ..._misc import as_float, concrete, dot, normalize
+from ..._types import Mask, Resolution, Scalar
+from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
+from ...raster import MOST_VIRTUAL, Surface
+from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
+from ..biases._abstract import check_choice
+from ._abstract import Choice
+from ._fitted import AbstractFittedLayout
+from ._frustum import DepthRange
+
+LevelNorm = Literal["area", "worst"]
+"""Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
+
+LEAST_PAGE, MOST_PAGE = 16, 1024
+# Tables have an entry for each page of the finest level.
+MOST_ACROSS = 1024
+MOST_LEVEL_BIAS = 16.0
+# By which fraction of a level the bias is raised until all pages fit.
+_STEPS = 16
+# Extents on the screen, in pixels, below which surfaces count as seen edge-on.
+_LEAST_EXTENT = 1e-12
+
+
+class ResolutionMatched(AbstractFittedLayout):
+    """A virtual shadow map for a directional light: only the pages that the camera's surface needs are drawn.
+
+    The light's own map exists at several levels of resolution. Each point of the surface requests the page that
+    contains it at the level at which a texel is as large as a pixel. Let J be by how many pixels the point moves on the
+    screen if it moves by a texel of level 0 along the map's axes. The level is `floor(-log₂ e)`, with e the greater
+    singular value of J, or the root of its determinant. Adaptive shadow maps (Fernando, Fernandez, Bala & Greenberg
+    2001) find pages by iteration instead, and virtual shadow maps keep them from one image to the next.
+
+    The map's `resolution` is the number of texels that there is memory for, gutters included. If the pages that are
+    requested have more, all levels are raised by the same bias, in steps of 1/16, until they fit
+    (`PagedLight.raised`). Nothing is left out: in the end, the root alone is always resident. A point is looked up in
+    the finest resident page that contains it, which is the one that it requested, or a finer one that another point
+    requested; pages that no point is then looked up in are not drawn. Points that the camera does not see are looked up
+    in the same way, in the root if in no other.
+
+    Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
+    filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
+    silhouettes cannot be resolution-matched.
+
+    - `page`: side of a page, in texels, without its gutter; a power of two from 16 to 1024.
+    - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 65536, and from 2 to 1024
+        pages. Points that need more are looked up at level 0.
+    - `norm`: `"area"` matches the area of a texel to that of a pixel, `"worst"` the longest extent to a pixel's side,
+        so that nothing is undersampled, with more texels.
+    - `level_bias`: added to all levels before they are rounded down, -16 to 16: -1 halves the side of a texel on the
+        screen. It is raised if pages do not fit, so a low one fills the memory there is.
+    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
+        the camera's far.
+    - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of
+        the filter, plus any normal offset.
+
+    **Raises** `ValueError` for a number out of range.
+    """
+
+    shadow_distance: Scalar | None
+    level_bias: Scalar
+    depths: DepthRange = eqx.field(static=True)
+    page: int = eqx.field(static=True)
+    finest: int = eqx.field(static=True)
+    norm: LevelNorm = eqx.field(static=True)
+    margin: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        page: int = 64,
+        finest: int = 16384,
+        *,
+        norm: LevelNorm = "area",
+        level_bias: float | Scalar = 0.0,
+        shadow_distance: float | Scalar | None = None,
+        margin: float = 8.0,
+    ):
+        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_float(level_bias)
+        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
+        self.depths, self.margin = "surface", float(margin)
+
+    def __check_init__(self):
+        check_choice("the pages' norm", self.norm, LevelNorm.__args__)
+        for name, value, least, most in (
+            ("page", self.page, LEAST_PAGE, MOST_PAGE),
+            ("finest", self.finest, 2 * self.page, min(MOST_ACROSS * self.page, MOST_VIRTUAL)),
+        ):
+            if not (least <= value <= most and value & (value - 1) == 0):
+                raise ValueError(f"the pages' {name} is {value}; expected a power of two from {least} to {most} texels")
+        bias = concrete(self.level_bias)
+        if bias is not None and not abs(bias) <= MOST_LEVEL_BIAS:
+            raise ValueError(
+                f"the pages' level_bias is {float(bias):g}; expected {-MOST_LEVEL_BIAS:g} to {MOST_LEVEL_BIAS:g} levels"
+            )
+        if not self.margin <= self.page // 2:
+            raise ValueError(
+                f"the pages' margin is {self.margin:g}, and pages are {self.page} texels wide; expected at most half "
+                "of that: enlarge page, or lower margin"
+            )
+
+    @property
+    def levels(self) -> int:
+        """The number of levels."""
+        return (self.finest // self.page).bit_length()
+
+    @property
+    def gutter(self) -> int:
+        """The width of the gutter, in texels."""
+        return math.ceil(self.margin)
+
+    def layer_resolution(self, resolution: Resolution) -> Resolution:
+        side = side_of(self.page, self.gutter)
+        return side, side
+
+    def capacity(self, resolution: Resolution) -> int:
+        """How many pages with their gutters have as many texels as a map of `resolution`.
+
+        **Raises** `ValueError` if it is none.
+        """
+        (height, width), side = resolution, side_of(self.page, self.gutter)
+        if height * width < side * side:
+            raise ValueError(
+                f"the shadow map has {resolution} texels, (height, width), and a page with its gutter has {side}²; "
+                "expected at least one page: enlarge the map, or lower page"
+            )
+        return height * width // (side * side)
+
+    def light(
+        self,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        resolution: Resolution,
+        surface: Surface | None = None,
+    ) -> PagedLight:
+        """`light` with the views of the pages; see `AbstractLayout.light`. `resolution` is the memory for pages.
+
+        The views follow the light's direction, but which pages are resident has no gradient.
+
+        **Raises** `ValueError` for a light that is not directional, a map of less than a page, no surface, or a shadow
+        distance outside of the camera's depths.
+        """
+        self.check(light, camera, self.layer_resolution(resolution), surface)
+        assert surface is not None
+        return _paged_light(self, light, camera, self.capacity(resolution), surface)
+
+    def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
+        assert isinstance(light, PagedLight)
+        layer = light.layer(points)
+        if self.shadow_distance is None:
+            return Choice(layer)
+        return Choice(layer, strength=jnp.where(light.depth(points) <= light.end, 1.0, 0.0))
+
+
+@eqx.filter_jit
+def _paged_light(
+    layout: ResolutionMatched, light: AbstractLight, camera: AbstractCamera, capacity: int, surface: Surface
+) -> PagedLight:
+    # Which pages are resident has no derivative.
+    fixed_light, camera, surface = lax.stop_gradient((light, camera, surface))
+    end = camera.far if layout.shadow_distance is None else lax.stop_gradient(layout.shadow_distance)
+    needed, needs = levels_needed(layout, fixed_light, camera, surface)
+    needs = needs & (camera.view().distance(surface.position) <= end)
+    levels, across = layout.levels, 1 << (layout.levels - 1)
+    window = fixed_light.view().clip(surface.position)[..., :2] * 0.5 + 0.5
+    column, row = (cell_of(window[..., k], levels) for k in range(2))
+    # Of points over the same page of level 0, the finest level counts: all are looked up in its page.
+    cell = jnp.where(needs, row * across + column, across * across)
+    bounded = jnp.clip(needed, -levels, levels)
+    cells = jnp.full(across * across, jnp.inf, bounded.dtype).at[cell].min(bounded, mode="drop")
+    cells = cells.reshape(across, across)
+
+    own_bias = lax.stop_gradient(layout.level_bias)
+    # The least step of the bias at which all pages fit. At the last step only the root is left.
+    resident_at = lambda step: _resident(cells, own_bias + step.astype(cells.dtype) / _STEPS, levels)
+    fits = lambda step: jnp.sum(resident_at(step), dtype=jnp.int32) <= capacity
+    most = math.ceil((2 * levels + MOST_LEVEL_BIAS) * _STEPS)
+
+    def halve(bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        middle = (low + high) // 2
+        enough = fits(middle)
+        return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
+
+    # Most often no step is needed.
+    bounds = jnp.int32(0), jnp.where(fits(jnp.int32(0)), 0, most).astype(jnp.int32)
+    _, step = lax.while_loop(lambda bounds: bounds[0] < bounds[1], halve, bounds)
+    requested = jnp.sum(resident_at(jnp.int32(0)), dtype=jnp.int32)
+    pages = Pages.of(resident_at(step), layout.page, layout.gutter, levels, capacity)
+    raised = as_float(step) / _STEPS
+    bias = own_bias + raised
+    beyond = jnp.sum(needs & (needed + bias < 0)) / jnp.maximum(jnp.sum(needs), 1)
+    return PagedLight(
+        light, camera.view(), as_float(end), pages, pages.finest(), requested, bias, raised, as_float(beyond)
+    )
+
+
+def levels_needed(
+    layout: ResolutionMatched, light: AbstractLight, camera: AbstractCamera, surface: Surface
+) -> tuple[Float[Array, "h w"], Mask]:
+    """The level at which a texel is as large as a pixel, (h, w), as a real number without bounds; and which points of
+    the surface the map may shadow, since they face the light and lie within its map."""
+    view = light.view()
+    # Pixels without a surface have no place on the screen.
+    points = jnp.where(surface.mask[..., None], surface.position, camera.target)
+    window = lambda points: view.clip(points)[..., :2] * 0.5 + 0.5
+    texel = lambda points: window(points) * layout.finest
+    jacobian = pixels_per_texel(pixels_of(camera), texel, points, surface.normal[None])[0]
+    mean = lambda jacobian: jnp.sqrt(jnp.abs(determinant(jacobian)))
+    extent = singular_values(jacobian)[0] if layout.norm == "worst" else mean(jacobian)
+    at, to_light = window(points), normalize(light.towards(points))
+    inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= 1) & (at[..., 1] <= 1)
+    mask = surface.mask & inside & (dot(surface.normal, to_light) > 0)
+    return -jnp.log2(jnp.maximum(extent, _LEAST_EXTENT)), mask
+
+
+def _resident(cells: Float[Array, "c c"], bias: Scalar, levels: int) -> Bool[Array, " n"]:
+    """Which pages of all levels are resident: the root, and those that some point is looked up in.
+
+    **Arguments:**
+
+    - `cells`: the finest level that is needed in each page of level 0; infinite where none is.
+    """
+    root = levels - 1
+    level = jnp.clip(jnp.floor(cells + bias), 0, root).astype(jnp.int32)
+    row, column = jnp.indices(cells.shape, jnp.int32)
+    # Cells that need none request the root.
+    number = Pages.number(levels, level, row >> level, column >> level)
+    requested = jnp.zeros(Pages.total(levels), bool).at[number].set(True)
+    numbers = jnp.arange(requested.shape[0], dtype=jnp.int32)
+    found = finest_of(jnp.where(requested, numbers, -1), levels)
+    found = jnp.where(cells < jnp.inf, found, numbers[-1])
+    return jnp.zeros_like(requested).at[found].set(True).at[-1].set(True)

@@ -1,0 +1,390 @@
+"""Resolution-matched maps: pages equal the plain map to the bit, requests follow a closed form, and nothing is left
+out where memory is short."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import floor_and_card, lamp, quad, side_camera, sun
+
+from diffshadow.geometry import (
+    DirectionalLight,
+    Edges,
+    Mesh,
+    PagedLight,
+    Pages,
+    PinholeCamera,
+    Scene,
+    cell_of,
+    library_mesh,
+    merge,
+    scaling,
+    translation,
+)
+from diffshadow.raster import draw_surface, rasterize
+from diffshadow.shadow import (
+    Bias,
+    Bilinear,
+    Castano,
+    FourTap,
+    MapSettings,
+    MomentShadowMap,
+    Nearest,
+    PercentageCloser,
+    PercentageCloserSoft,
+    RandomDisk,
+    ReceiverPlane,
+    ResolutionMatched,
+    ShadowMapping,
+    SingleMap,
+    SoftCompare,
+    Tent,
+    VarianceShadowMap,
+    draw_shadow_map,
+)
+from diffshadow.shadow.layouts._resolution_matched import levels_needed
+
+PAGE, GUTTER, WIDE = 32, 8, 128
+"""Sides of a page and of the map at level 0, and the gutter, in texels."""
+LEVELS = 3
+SIDE = PAGE + 2 * GUTTER
+LAYERS = 22
+"""One more than there are pages at all levels."""
+
+
+def pages_of(chosen) -> Pages:
+    """The pages whose numbers are `chosen`, and the root."""
+    resident = np.zeros(Pages.total(LEVELS), bool)
+    resident[chosen], resident[-1] = True, True
+    return Pages.of(jnp.asarray(resident), PAGE, GUTTER, LEVELS, LAYERS)
+
+
+def paged(light, camera, chosen) -> PagedLight:
+    pages, zero = pages_of(chosen), jnp.zeros(())
+    return PagedLight(light, camera.view(), camera.far, pages, pages.finest(), pages.count, zero, zero, zero)
+
+
+def scene_and_surface():
+    # Large faces, and small ones, of which some touch a page's gutter alone.
+    ball = library_mesh("sphere", subdivisions=1).transformed(translation(jnp.array([-1.2, 0.8, 0.8])) @ scaling(1.6))
+    mesh, camera = merge([floor_and_card(), ball]), side_camera()
+    return Scene(mesh, camera, sun(mesh)), draw_surface(mesh, camera)
+
+
+FINEST = np.arange((WIDE // PAGE) ** 2)
+SOME = [0, 5, 6, 10, 17, 19]
+"""Some pages of levels 0 and 1."""
+
+
+def window_of(whole, pages, layer) -> np.ndarray:
+    (x, y), side = np.asarray(pages.tile.origin[layer]), pages.side
+    return np.asarray(whole)[y : y + side, x : x + side]
+
+
+@pytest.mark.parametrize("depth_layer", ["nearest", pytest.param("midpoint", marks=pytest.mark.exhaustive)])
+def test_pages_are_parts_of_the_plain_map_bit_for_bit(depth_layer):
+    scene, _ = scene_and_surface()
+    settings = {"depth_layer": depth_layer, "polygon_offset": (1.5, 4.0)} if depth_layer == "midpoint" else {}
+    plain = {
+        side: draw_shadow_map(scene.mesh, scene.light, (side, side), **settings).depth
+        for side in (WIDE, WIDE // 2, SIDE)
+    }
+    assert 0.2 < float(jnp.mean(plain[WIDE] < 1)) < 0.9
+    for chosen in (FINEST, SOME):
+        light = paged(scene.light, scene.camera, chosen)
+        drawn = draw_shadow_map(scene.mesh, light, (SIDE, SIDE), **settings)
+        assert int(light.pages.count) == len(chosen) + 1
+        for layer in range(len(chosen) + 1):
+            size = int(light.pages.tile.size[layer])
+            assert size == {0: WIDE, 1: WIDE // 2, 2: SIDE}[int(light.pages.level[layer])]
+            np.testing.assert_array_equal(drawn.depth[layer], window_of(plain[size], light.pages, layer))
+        # Layers without a page stay empty.
+        assert float(drawn.depth[len(chosen) + 1 :].min()) == 1
+
+
+def test_faces_that_are_clipped_are_drawn_into_every_page():
+    # Triangles that reach before the near plane and far beyond the window.
+    corners = np.array(
+        [[-0.9, -0.7, -3, 1], [0.8, -0.9, 0.9, 1], [-0.2, 0.95, 0.5, 1], [300, 0.1, 0.2, 1], [0, 0.3, 0, 1]]
+    )
+    clip = jnp.asarray(corners[[0, 1, 2, 0, 1, 3, 2, 3, 4]], jnp.float32)
+    faces = jnp.arange(9, dtype=jnp.int32).reshape(3, 3)
+    whole = rasterize(clip, faces, (WIDE, WIDE))
+    pages = pages_of(FINEST)
+    found = rasterize(clip, faces, (SIDE, SIDE), pages=pages)
+    assert 0.2 < float(jnp.mean(whole.face >= 0)) < 0.95
+    assert set(np.unique(whole.face)) == {-1, 0, 1, 2}
+    for layer in FINEST:
+        np.testing.assert_array_equal(found.face[layer], window_of(whole.face, pages, layer))
+        np.testing.assert_array_equal(found.depth[layer], window_of(whole.depth, pages, layer))
+
+
+# Steps of these filters are whole texels. Other steps are rounded with the look-up's place in the map, or in the page.
+WHOLE_STEPS = {
+    "percentage closer": PercentageCloser(5.0),
+    "nearest": Nearest(),
+    "bilinear": Bilinear(),
+    "Castano": Castano(),
+    "tent": Tent(3.0),
+}
+OTHER_STEPS = {
+    "soft": PercentageCloserSoft(4.0, max_radius=5.0),
+    "four taps": FourTap(),
+    "disk": RandomDisk(5.0),
+    "variance": VarianceShadowMap(radius=3.0),
+    "moments": MomentShadowMap(radius=3.0),
+}
+ROUNDING = 1e-5
+_FEW = ("percentage closer", "bilinear", "soft")
+BIASES = {"slope": Bias(0.5, 1.0), "plane": Bias(0.5, plane=ReceiverPlane(), normal_offset=0.7)}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in _FEW else pytest.mark.exhaustive) for n in (*WHOLE_STEPS, *OTHER_STEPS)],
+)
+def test_lookups_in_pages_are_those_in_the_plain_map_bit_for_bit(name):
+    scene, surface = scene_and_surface()
+    kernel = {**WHOLE_STEPS, **OTHER_STEPS}[name]
+    bias = BIASES["plane" if name == "percentage closer" else "slope"]
+    layout = ResolutionMatched(PAGE, WIDE, margin=float(GUTTER))
+    whole = draw_shadow_map(scene.mesh, scene.light, (WIDE, WIDE))
+    of_pages = draw_shadow_map(scene.mesh, paged(scene.light, scene.camera, FINEST), (SIDE, SIDE))
+    shadows = lambda layout, state: np.asarray(
+        ShadowMapping(kernel, bias, SoftCompare(0.3), layout=layout).visibility(state, surface)
+    )
+    expected = shadows(SingleMap(), whole)
+    assert 0.02 < (expected[np.asarray(surface.mask)] < 0.5).mean() < 0.9
+    atol = 0 if name in WHOLE_STEPS else ROUNDING
+    np.testing.assert_allclose(shadows(layout, of_pages), expected, rtol=0, atol=atol)
+
+
+def test_points_are_looked_up_in_the_finest_page_that_contains_them():
+    scene, surface = scene_and_surface()
+    light = paged(scene.light, scene.camera, SOME)
+    layer = np.asarray(light.layer(surface.position))
+    window = np.asarray(scene.light.view().clip(surface.position))[..., :2] * 0.5 + 0.5
+    column, row = (np.asarray(cell_of(jnp.asarray(window[..., k]), LEVELS)) for k in range(2))
+    pages = light.pages
+    held = {tuple(int(part[k]) for part in (pages.level, pages.row, pages.column)): k for k in range(len(SOME) + 1)}
+    expected = [
+        next(held[key] for level in range(3) if (key := (level, r >> level, c >> level)) in held)
+        for r, c in zip(row.flat, column.flat, strict=True)
+    ]
+    assert len(set(expected)) >= 4
+    np.testing.assert_array_equal(layer.ravel(), expected)
+
+
+def test_every_tap_within_the_gutter_is_in_the_page():
+    scene, surface = scene_and_surface()
+    light = paged(scene.light, scene.camera, SOME)
+    layer = light.layer(surface.position)
+    view, tile = light.view().facing(layer), light.pages.tile
+    size = np.asarray(tile.size[layer])[..., None]
+    texel = np.asarray(view.clip(surface.position))[..., :2] * 0.5 + 0.5
+    at = texel * size - np.asarray(tile.origin[layer])
+    inside = np.asarray(surface.mask)[..., None] & (texel >= 0) & (texel <= 1)
+    is_root = size == SIDE
+    # Beyond the border of the whole map there is nothing to read.
+    left, right = np.minimum(texel * size, GUTTER), np.minimum((1 - texel) * size, GUTTER)
+    assert (at - left >= -1e-3)[inside & ~is_root].all()
+    assert (at + right <= SIDE + 1e-3)[inside & ~is_root].all()
+    assert (inside & ~is_root).any()
+
+
+# --- Requests ---
+
+EYE_HEIGHT, HALF = 1.7, 60.0
+SIZE = 64
+
+
+def ground(resolution=SIZE):
+    """A ground that a level camera sees up to its far plane, and a vertical light on it."""
+    mesh = quad((0, 0, 0), (HALF, 0, 0), (0, 0, -HALF))
+    camera = PinholeCamera(
+        (0, EYE_HEIGHT, 20), (0, EYE_HEIGHT, 0), fov_y=60.0, near=0.1, far=200.0, resolution=(resolution, resolution)
+    )
+    light = DirectionalLight((0, -1, 0), (0, 0, 0), (2 * HALF, 2 * HALF), -5.0, 5.0)
+    return Scene(mesh, camera, light), draw_surface(mesh, camera)
+
+
+LAYOUTS = {norm: ResolutionMatched(32, 4096, norm=norm, margin=2.0) for norm in ("area", "worst")}
+
+
+def pages_for(scene, surface, layout, texels=1024) -> PagedLight:
+    return layout.light(scene.light, scene.camera, (texels, texels), surface)
+
+
+@eqx.filter_jit
+def needed_of(layout, scene, surface):
+    return levels_needed(layout, scene.light, scene.camera, surface)
+
+
+def test_levels_on_a_ground_follow_the_closed_form():
+    scene, surface = ground()
+    needed, mask = needed_of(LAYOUTS["worst"], scene, surface)
+    area, _ = needed_of(LAYOUTS["area"], scene, surface)
+    mask = np.asarray(mask)
+    assert mask.sum() > 1000
+    z, texel = np.asarray(scene.camera.view().distance(surface.position))[mask], 2 * HALF / 4096
+    focal = SIZE / 2 / np.tan(np.radians(30))
+    across, along = z / (texel * focal), z**2 / (texel * focal * EYE_HEIGHT)
+    np.testing.assert_allclose(np.asarray(area)[mask], np.log2(across * along) / 2, atol=2e-3)
+    # Beside the middle of the image, points that move away also move sideways on the screen.
+    middle = np.nonzero(mask)[1] == SIZE // 2
+    assert middle.sum() > 20
+    expected = np.log2(np.minimum(across, along))
+    np.testing.assert_allclose(np.asarray(needed)[mask][middle], expected[middle], atol=2e-3)
+    assert (np.asarray(needed)[mask] <= expected + 2e-3).all()
+    # Twice the camera's resolution lowers levels by one.
+    finer = ground(2 * SIZE)
+    light, light_of_finer = (pages_for(*each, LAYOUTS["worst"]) for each in ((scene, surface), finer))
+    points = surface.position[mask][None]
+    level = lambda light: np.asarray(light.pages.level)[np.asarray(light.layer(points))]
+    assert float(light.raised) == float(light_of_finer.raised) == 0
+    lower = level(light) - level(light_of_finer)
+    # Near steps between levels, and at level 0, the change may be 0 or 2: pages are larger than bands of a level.
+    assert (lower[level(light) > 0] == 1).mean() > 0.8
+
+
+@pytest.mark.parametrize("norm", ["area", "worst"])
+def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
+    scene, surface = ground()
+    technique = ShadowMapping(Bilinear(), Bias(0.5), map=MapSettings((1024, 1024)), layout=LAYOUTS[norm])
+    state = technique.prepare(scene, surface)
+    assert isinstance(state.light, PagedLight)
+    assert float(state.light.raised) == float(state.light.bias) == float(state.light.too_coarse) == 0
+    found = technique.aliasing(state, surface, scene.camera)
+    extent = {"area": np.sqrt(np.asarray(found.area)), "worst": np.asarray(found.extent)}[norm][np.asarray(found.mask)]
+    assert extent.max() <= 1 + 1e-3
+    # And none is needlessly small: where no finer neighbour asked for the page, it is more than half a pixel.
+    assert np.median(extent) > 0.4
+
+
+def test_a_bias_is_raised_until_all_pages_fit_and_nothing_is_left_out():
+    scene, surface = ground()
+    layout = LAYOUTS["area"]
+    light = pages_for(scene, surface, layout)
+    requested = int(light.requested)
+    assert requested == int(light.pages.count) > 10
+    side = layout.layer_resolution((1, 1))[0]
+    for capacity in (requested, requested - 1, 1):
+        short = layout.light(scene.light, scene.camera, (side, capacity * side), surface)
+        count, raised = int(short.pages.count), float(short.raised)
+        assert short.capacity == capacity >= count >= 1
+        assert int(short.requested) == requested
+        assert (raised == 0) == (capacity == requested)
+        assert float(short.bias) == raised
+        # Every point is looked up in a resident page that contains it.
+        mask = np.asarray(surface.mask)
+        layer = short.layer(surface.position)
+        assert np.asarray(layer)[mask].min() >= 0
+        assert np.asarray(layer)[mask].max() < count
+    assert (count, int(short.pages.level[0])) == (1, layout.levels - 1)
+    # Whole steps never need more pages.
+    biased = [ResolutionMatched(32, 4096, margin=2.0, level_bias=float(bias)) for bias in range(-2, 8)]
+    counts = [int(pages_for(scene, surface, each, 4096).pages.count) for each in biased]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[-1] < counts[0] / 10
+
+
+def test_too_little_memory_blurs_shadows_and_loses_none():
+    scene, surface = scene_and_surface()
+    at = lambda texels: ShadowMapping(
+        Bilinear(), Bias(1.0, 1.0), map=MapSettings((texels, texels)), layout=ResolutionMatched(16, 512, margin=2.0)
+    )
+    images, states = [], []
+    for texels in (256, 60):
+        technique = at(texels)
+        states.append(technique.prepare(scene, surface))
+        images.append(np.asarray(technique.visibility(states[-1], surface)))
+    assert float(states[0].light.raised) == 0 < float(states[1].light.raised)
+    # Only within a few coarse texels of an outline they differ.
+    differs = np.abs(images[0] - images[1]) > 0.5
+    assert 0 < differs.mean() < 0.1
+    assert abs(images[0].mean() - images[1].mean()) < 0.03
+
+
+def test_too_coarse_a_finest_level_is_counted():
+    scene, surface = ground()
+    coarse = pages_for(scene, surface, ResolutionMatched(32, 256, margin=2.0))
+    needed, mask = needed_of(ResolutionMatched(32, 256, margin=2.0), scene, surface)
+    share = (np.asarray(needed) < 0)[np.asarray(mask)].mean()
+    assert 0.1 < share < 1
+    np.testing.assert_allclose(coarse.too_coarse, share, rtol=1e-5)
+
+
+def test_nothing_beyond_the_shadow_distance_is_requested_or_shadowed():
+    scene, surface = ground()
+    post = quad((0, 1, 12), (0.8, 0, 0), (0, 0.8, 0))
+    slanted = DirectionalLight((0.1, -1, -2), (0, 0, 0), (2 * HALF, 2 * HALF), -80.0, 80.0)
+    scene = Scene(merge([scene.mesh, post]), scene.camera, slanted)
+    technique = lambda distance: ShadowMapping(
+        Nearest(),
+        Bias(1.0, 1.0),
+        map=MapSettings((1024, 1024)),
+        layout=ResolutionMatched(32, 4096, margin=2.0, shadow_distance=distance),
+    )
+    states = [technique(distance).prepare(scene, surface) for distance in (190.0, 5.0)]
+    images = [
+        np.asarray(technique(distance).visibility(state, surface))
+        for distance, state in zip((190.0, 5.0), states, strict=True)
+    ]
+    assert (images[0] < 0.5).sum() > 5
+    assert (images[1] == 1).all()
+    assert int(states[1].light.requested) < int(states[0].light.requested)
+
+
+# --- Derivatives, and what is refused ---
+
+
+def test_depths_of_pages_have_the_plain_maps_derivatives():
+    scene, _ = scene_and_surface()
+    light = paged(scene.light, scene.camera, FINEST)
+    weights = np.random.default_rng(0).normal(size=(WIDE, WIDE))
+    inner = np.zeros((LAYERS, SIDE, SIDE))
+    for layer in FINEST:
+        x, y = np.asarray(light.pages.tile.origin[layer])
+        r, c = int(light.pages.row[layer]) * PAGE, int(light.pages.column[layer]) * PAGE
+        inner[layer, r - y : r - y + PAGE, c - x : c - x + PAGE] = weights[r : r + PAGE, c : c + PAGE]
+
+    def weighted(height, light, weights, side):
+        moved = scene.mesh.vertices + height * jnp.array([0.0, 1.0, 0.0])
+        shadow_map = draw_shadow_map(Mesh(moved, scene.mesh.faces), light, (side, side))
+        return jnp.sum(shadow_map.depth * weights)
+
+    slope = jax.grad(weighted)
+    expected = slope(jnp.zeros(()), scene.light, weights, WIDE)
+    assert abs(float(expected)) > 0.1
+    np.testing.assert_allclose(slope(jnp.zeros(()), light, inner, SIDE), expected, rtol=1e-4)
+
+
+def test_bad_settings_are_refused():
+    mesh = floor_and_card()
+    for arguments, message in (
+        ({"page": 48}, r"pages' page is 48; expected a power of two from 16 to 1024"),
+        ({"page": 8}, r"pages' page is 8"),
+        ({"finest": 3000}, r"pages' finest is 3000; expected a power of two from 128 to 65536"),
+        ({"page": 64, "finest": 64}, r"pages' finest is 64"),
+        ({"page": 16, "finest": 32768}, r"from 32 to 16384"),
+        ({"margin": 33.0}, r"margin is 33, and pages are 64 texels wide; expected at most half"),
+        ({"margin": -1.0}, r"margin is -1\.0; expected 0 or more texels"),
+        ({"level_bias": 20.0}, r"level_bias is 20; expected -16 to 16"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ResolutionMatched(**arguments)
+    scene, surface = scene_and_surface()
+    layout = ResolutionMatched(margin=2.0)
+    with pytest.raises(ValueError, match="expected a directional light"):
+        layout.light(lamp(mesh), scene.camera, (256, 256), surface)
+    with pytest.raises(ValueError, match=r"has \(64, 64\) texels.*a page with its gutter has 68².*at least one page"):
+        layout.light(scene.light, scene.camera, (64, 64), surface)
+    with pytest.raises(ValueError, match="expected a surface"):
+        layout.light(scene.light, scene.camera, (256, 256))
+    with pytest.raises(ValueError, match="shadow_distance is 50"):
+        ResolutionMatched(shadow_distance=50.0).light(scene.light, scene.camera, (256, 256), surface)
+    with pytest.raises(ValueError, match="has pages, and edges were given"):
+        draw_shadow_map(mesh, paged(scene.light, scene.camera, SOME), (SIDE, SIDE), edges=Edges.of(mesh), crossings=8)
+    with pytest.raises(ValueError, match=r"expected that of the pages' layers, 48"):
+        rasterize(jnp.zeros((3, 4)), jnp.zeros((1, 3), jnp.int32), (32, 32), pages=pages_of(SOME))
