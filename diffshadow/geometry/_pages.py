@@ -64,9 +64,9 @@ class Pages(eqx.Module):
         layer = jnp.where(resident, jnp.cumsum(resident, dtype=jnp.int32) - 1, capacity)
         numbers = jnp.arange(resident.shape[0], dtype=jnp.int32)
         # Layers without a page show the root.
-        held = jnp.full(capacity, starts[-1], jnp.int32).at[layer].set(numbers, mode="drop")
-        level = jnp.searchsorted(jnp.asarray(starts), held, side="right").astype(jnp.int32) - 1
-        within, across = held - jnp.asarray(starts)[level], _across(levels, level)
+        shown = jnp.full(capacity, starts[-1], jnp.int32).at[layer].set(numbers, mode="drop")
+        level = jnp.searchsorted(jnp.asarray(starts), shown, side="right").astype(jnp.int32) - 1
+        within, across = shown - jnp.asarray(starts)[level], _across(levels, level)
         return cls(page, gutter, levels, level, within // across, within % across, jnp.sum(resident, dtype=jnp.int32))
 
     @staticmethod
