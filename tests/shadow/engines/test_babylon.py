@@ -204,9 +204,9 @@ def test_a_bias_needs_no_new_map(name):
     scene, surface = scene_of(golden), surface_of(golden)
     unbiased = dataclasses.replace(technique, bias=0.0).prepare(scene)
     state = technique.prepare(scene)
-    np.testing.assert_allclose(unbiased.depth, state.depth, atol=2e-7)
+    np.testing.assert_allclose(unbiased.depth, state.depth, atol=2e-6)
     ours, again = (np.asarray(technique.visibility(one, surface)) for one in (unbiased, state))
-    assert (np.abs(ours - again) <= 1 / 255).mean() >= 0.9999
+    assert (np.abs(ours - again) <= 1 / 255).mean() >= 0.9995
 
 
 @pytest.mark.parametrize("name", ["BLUREXPONENTIALSHADOWMAP", "BLURCLOSEEXPONENTIALSHADOWMAP"])
