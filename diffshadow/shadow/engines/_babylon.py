@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,14 +10,23 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import as_float, concrete, dot, normalize, safe_norm
-from ..._types import HostArray, Resolution, Scalar, Visibility
+from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
 from ..biases._abstract import check_choice
 from ._abstract import AbstractEngineShadows, Place, engine_light
+from ._babylon_filters import (
+    BabylonQuality,
+    Compared,
+    exponentially,
+    falloff,
+    mean_of,
+    random_turn,
+    same,
+    tent,
+)
 from ._babylon_maps import (
-    MOST_EXPONENT,
     as_half,
     box_blurred,
     exponential,
@@ -39,16 +48,11 @@ BabylonFilter = Literal[
     "PCF",
     "PCSS",
 ]
-BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
-Compared = Callable[[Array], Array]
 
 # Added to the axis towards a light that looks straight up or down.
 _NUDGE = -1e-13
-# The greater end of the falloff's step, which keeps it from dividing by 0.
-_EDGE = 1.00000012
 # Of contact hardening's penumbra, in texels.
 _LEAST_PENUMBRA = 10.0
-_PI = 3.1415926
 
 
 class BabylonJs(AbstractEngineShadows):
@@ -185,6 +189,17 @@ def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visi
     return jnp.where(receives, of(settings, state, surface.position), 1)
 
 
+class Receivers(NamedTuple):
+    """Receivers in a map: window coordinates, their metric, and a texel's width in window depth and in metric."""
+
+    u: Float[Array, "h w"]
+    v: Float[Array, "h w"]
+    z: Float[Array, "h w"]
+    metric: Float[Array, "h w"]
+    depth_per_texel: Float[Array, "h w"]
+    metric_per_texel: Float[Array, "h w"]
+
+
 def _in_window(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
     view = state.light.view()
     place = Place.of(position, view, state.resolution, is_mirrored=True)
@@ -194,36 +209,39 @@ def _in_window(settings: BabylonJs, state: EngineMap, position: Float[Array, "h 
     inside = place.in_window
     if settings.filter in ("PCF", "PCSS"):
         inside &= (metric >= 0) & (metric <= 1)
-    u, v = (jnp.where(inside, at, 0.5) for at in (place.u, place.v))
-    if settings.filter == "PCF":
-        lit = _tent(settings, _pushed(settings, state.depth), u, v, _strictly(settings, place))
-        value = _darkened(settings, lit)
-    elif settings.filter == "PCSS":
-        turn = _PI * _random(view.clip(position))
-        lit = _contact_hardening(settings, state, u, v, metric, per_texel, _strictly(settings, place), turn)
-        value = _darkened(settings, lit)
     else:
-        value = _by_metric(settings, state, u, v, jnp.clip(metric, 0, 1), per_texel)
+        metric = jnp.clip(metric, 0, 1)
+    u, v = (jnp.where(inside, at, 0.5) for at in (place.u, place.v))
+    at = Receivers(u, v, place.z, metric, place.depth_per_texel, per_texel)
+    if settings.filter == "PCF":
+        value = _darkened(
+            settings, tent(_pushed(settings, state.depth), u, v, _strictly(settings, at), settings.quality)
+        )
+    elif settings.filter == "PCSS":
+        value = _darkened(settings, _contact_hardening(settings, state, at, random_turn(view.clip(position))))
+    else:
+        value = _by_metric(settings, state, at)
     x, y = 2 * u - 1, 2 * v - 1
-    return jnp.where(inside, value + (1 - value) * _falloff(settings, x * x + y * y), 1)
+    return jnp.where(inside, value + (1 - value) * falloff(x * x + y * y, settings.frustum_edge_falloff), 1)
 
 
-def _by_metric(settings: BabylonJs, state: EngineMap, u: Array, v: Array, metric: Array, per_texel: Array) -> Array:
+def _by_metric(settings: BabylonJs, state: EngineMap, at: Receivers) -> Float[Array, "h w"]:
+    """Visibility by the filters that compare metrics."""
+    u, v = at.u, at.v
     color = _color(settings, metric_in_window(state.depth, state.light.view()), state.depth < 1)
-    compared = _compared(settings, metric, per_texel)
+    compared = _compared(settings, at.metric, at.metric_per_texel)
     if settings.filter == "NONE":
         return _darkened(settings, compared(nearest(color, u, v)))
+    # In widths of the map.
+    step = settings.blur_scale / state.resolution[1]
     if settings.filter == "POISSONSAMPLING":
-        radius = settings.blur_scale / state.resolution[1]
-        tap = lambda at: compared(bilinear(color, u + at[0] * radius, v + at[1] * radius, _same))
-        return jnp.minimum(1, _mean(tap, POISSON, u.shape) + settings.darkness)
-    if state.blurred is not None:
-        step = settings.blur_scale / state.resolution[1]
-        if settings.use_kernel_blur:
-            color = kernel_blurred(color, state.blurred, step, settings.blur_kernel, _stored(settings))
-        else:
-            color = _stored(settings)(box_blurred(color, state.blurred, step, settings.blur_box_offset))
-    return _of_exponential(settings, bilinear(color, u, v, _same), metric)
+        tap = lambda offset: compared(bilinear(color, u + offset[0] * step, v + offset[1] * step, same))
+        return jnp.minimum(1, mean_of(tap, POISSON, u.shape) + settings.darkness)
+    if state.blurred is not None and settings.use_kernel_blur:
+        color = kernel_blurred(color, state.blurred, step, settings.blur_kernel, _stored(settings))
+    elif state.blurred is not None:
+        color = _stored(settings)(box_blurred(color, state.blurred, step, settings.blur_box_offset))
+    return _exponentially(settings, bilinear(color, u, v, same), at.metric)
 
 
 def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
@@ -244,9 +262,9 @@ def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 
     bordered = with_borders(color)
     if settings.filter in ("POISSONSAMPLING", "PCF", "PCSS"):
         radius = settings.blur_scale / size
-        tap = lambda at: compared(bilinear_in_cube(bordered, unit + at * radius, _same))
-        return jnp.minimum(1, _mean(tap, POISSON_CUBE, distance.shape) + settings.darkness)
-    return _of_exponential(settings, bilinear_in_cube(bordered, unit, _same), metric)
+        tap = lambda offset: compared(bilinear_in_cube(bordered, unit + offset * radius, same))
+        return jnp.minimum(1, mean_of(tap, POISSON_CUBE, distance.shape) + settings.darkness)
+    return _exponentially(settings, bilinear_in_cube(bordered, unit, same), metric)
 
 
 # --- What maps hold ---
@@ -277,7 +295,7 @@ def _color_of_pushed(settings: BabylonJs, state: EngineMap) -> Array:
 
 
 def _stored(settings: BabylonJs) -> Callable[[Array], Array]:
-    return _same if settings.float_maps else as_half
+    return same if settings.float_maps else as_half
 
 
 # --- Filters ---
@@ -292,109 +310,49 @@ def _compared(settings: BabylonJs, receiver: Array, per_texel: Array, is_strict:
     return lambda stored: compare(stored, receiver, per_texel)
 
 
-def _strictly(settings: BabylonJs, place: Place) -> Compared:
+def _strictly(settings: BabylonJs, at: Receivers) -> Compared:
     """The texture unit's compare of window depths."""
-    return _compared(settings, place.z, place.depth_per_texel, is_strict=True)
-
-
-def _tent(settings: BabylonJs, depth: Array, u: Array, v: Array, compared: Compared) -> Array:
-    """A tent over 2, 4 or 6 texels, of 1, 4 or 9 bilinear compares (Castaño, "Shadow mapping summary", 2013)."""
-    if settings.quality == "LOW":
-        return bilinear(depth, u, v, compared)
-    height, width = depth.shape
-    (weights_x, places_x), (weights_y, places_y) = (
-        _tent_taps(at * size + 0.5, settings.quality) for at, size in ((u, width), (v, height))
-    )
-    count = len(weights_x)
-
-    def add(total: Array, k: Array) -> tuple[Array, None]:
-        i, j = k % count, k // count
-        tap = bilinear(depth, places_x[i] / width, places_y[j] / height, compared)
-        return total + weights_x[i] * weights_y[j] * tap, None
-
-    total = lax.scan(add, jnp.zeros_like(u), jnp.arange(count * count, dtype=jnp.int32))[0]
-    return total / (16 if settings.quality == "MEDIUM" else 144)
-
-
-def _tent_taps(at: Array, quality: BabylonQuality) -> tuple[Array, Array]:
-    """Weights and places, in texels, of the taps along one axis."""
-    whole = jnp.floor(lax.stop_gradient(at))
-    s = at - whole
-    if quality == "MEDIUM":
-        weights = [3 - 2 * s, 1 + 2 * s]
-        offsets = [(2 - s) / weights[0] - 1, s / weights[1] + 1]
-    else:
-        weights = [4 - 3 * s, jnp.full_like(s, 7), 1 + 3 * s]
-        offsets = [(3 - 2 * s) / weights[0] - 2, (3 + s) / 7, s / weights[2] + 2]
-    return jnp.stack(weights), jnp.stack([whole - 0.5 + offset for offset in offsets])
+    return _compared(settings, at.z, at.depth_per_texel, is_strict=True)
 
 
 def _contact_hardening(
-    settings: BabylonJs,
-    state: EngineMap,
-    u: Array,
-    v: Array,
-    metric: Array,
-    per_texel: Array,
-    compared: Compared,
-    turn: Array,
-) -> Array:
-    """Percentage-closer soft shadows (Fernando 2005); the farther the blockers, the lighter."""
+    settings: BabylonJs, state: EngineMap, at: Receivers, turn: Float[Array, "h w"]
+) -> Float[Array, "h w"]:
+    """Percentage-closer soft shadows (Fernando 2005); the farther the blockers, the lighter.
+
+    **Arguments:**
+
+    - `turn`: the angle by which each receiver's taps are turned.
+    """
+    u, v = at.u, at.v
     color, depth = _color_of_pushed(settings, state), _pushed(settings, state.depth)
     ratio = settings.contact_hardening_light_size_uv_ratio
-    is_lit = _compared(settings, metric, per_texel)
+    is_lit, compared = _compared(settings, at.metric, at.metric_per_texel), _strictly(settings, at)
 
-    def search(sums: tuple[Array, Array], at: Array) -> tuple[tuple[Array, Array], None]:
-        texel = nearest(color, u + at[0] * ratio, v + at[1] * ratio)
+    def search(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
+        texel = nearest(color, u + offset[0] * ratio, v + offset[1] * ratio)
         blocks = 1 - is_lit(texel)
         return (sums[0] + blocks, sums[1] + blocks * texel), None
 
     searched = as_float(POISSON_32[: 32 if settings.quality == "HIGH" else 16])
     blockers, total = lax.scan(search, (jnp.zeros_like(u), jnp.zeros_like(u)), searched)[0]
     is_blocked = blockers >= 1
-    behind = metric - total / jnp.where(is_blocked, blockers, 1)
+    behind = at.metric - total / jnp.where(is_blocked, blockers, 1)
     radius = (behind + _LEAST_PENUMBRA / state.resolution[1]) * ratio
     cosine, sine = jnp.cos(turn) * radius, jnp.sin(turn) * radius
 
-    def tap(at: Array) -> Array:
-        x, y = at[0], at[1]
+    def tap(offset: Array) -> Array:
+        x, y = offset[0], offset[1]
         return bilinear(depth, u + x * cosine - y * sine, v + y * cosine + x * sine, compared)
 
     taps = {"LOW": POISSON_32[:16], "MEDIUM": POISSON_32, "HIGH": POISSON_64}[settings.quality]
-    lit = _mean(tap, taps, u.shape)
+    lit = mean_of(tap, taps, u.shape)
     return jnp.where(is_blocked, lit + (1 - lit) * behind, 1)
 
 
-def _random(clip: Float[Array, "h w 4"]) -> Float[Array, "h w"]:
-    """The engine's pseudo-random number at clip coordinates, from 0 to 1."""
-    t = 43758.5453 * jnp.sin(12.9898 * -clip[..., 0] + 78.233 * clip[..., 1])
-    return t - jnp.floor(t)
-
-
-def _of_exponential(settings: BabylonJs, texel: Array, metric: Array) -> Array:
-    """Visibility from an exponential map, or from a map of the metric that is compared exponentially (close)."""
-    scale, darkness = settings.depth_scale, settings.darkness
-    if "CLOSE" in settings.filter:
-        return jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, -scale * (metric - texel))), darkness, 1)
-    return 1 - jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, scale * metric)) * texel, 0, 1 - darkness)
-
-
-def _falloff(settings: BabylonJs, squared: Array) -> Array:
-    """How far shadows have faded out, from 0 to 1, at a squared distance from the map's centre."""
-    low = 1 - settings.frustum_edge_falloff
-    share = jnp.clip((jnp.clip(squared, 0, 1) - low) / (_EDGE - low), 0, 1)
-    return share * share * (3 - 2 * share)
+def _exponentially(settings: BabylonJs, texel: Array, metric: Array) -> Array:
+    return exponentially(texel, metric, settings.depth_scale, settings.darkness, "CLOSE" in settings.filter)
 
 
 def _darkened(settings: BabylonJs, lit: Array) -> Array:
     return lit + (1 - lit) * settings.darkness
-
-
-def _mean(tap: Compared, taps: HostArray, shape: tuple[int, ...]) -> Array:
-    """The mean of `tap` over `taps` (n, d)."""
-    add = lambda total, at: (total + tap(at), None)
-    return lax.scan(add, jnp.zeros(shape), as_float(taps))[0] / len(taps)
-
-
-def _same(x: Array) -> Array:
-    return x

@@ -92,4 +92,5 @@ def _neighbours(size: int) -> HostArray:
     along = np.abs(towards).max(axis=-1)
     place = lambda k: (CUBE[face, k] * towards).sum(axis=-1) / along / 2 + 0.5
     x, y = (np.clip(np.floor(place(k) * size), 0, size - 1).astype(np.int32) for k in (0, 1))
-    return (face * size + y) * size + x
+    # int32 in double precision too, so that programs cached for one precision suit the other.
+    return ((face * size + y) * size + x).astype(np.int32)

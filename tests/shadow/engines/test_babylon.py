@@ -4,14 +4,16 @@ import dataclasses
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from engine_states import agreement, read_back, receives, scene_of, surface_of
 from golden_engines import engine_golden, engine_goldens
 
-from diffshadow.geometry import DirectionalLight, Mesh, SpotLight
-from diffshadow.shadow import BabylonJs
+from diffshadow.geometry import DirectionalLight, MatrixLight, Mesh, SpotLight
+from diffshadow.raster import Surface
+from diffshadow.shadow import BabylonJs, EngineMap, SoftCompare
 from diffshadow.shadow.engines import _abstract, _babylon, _engine_map
 from diffshadow.shadow.engines._abstract import Place
 
@@ -98,7 +100,7 @@ def visibility(golden, technique, state):
     if "random" not in golden.arrays:
         return technique.visibility(state, surface)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_babylon, "_random", lambda clip: jnp.asarray(golden.arrays["random"]))
+        patch.setattr(_babylon, "random_turn", lambda clip: 3.1415926 * jnp.asarray(golden.arrays["random"]))
         return traced_again(technique, state, surface)
 
 
@@ -167,6 +169,102 @@ def test_a_light_of_ours_is_drawn_as_the_engine_draws_it(name):
     ours = np.asarray(state.light.view().clip(jnp.asarray(points))) * [-1, 1, 1, 1]
     theirs = np.c_[points, np.ones(len(points))] @ np.reshape(golden.info["shadowMatrix"], (4, 4))
     np.testing.assert_allclose(ours, theirs, atol=3e-6)
+
+
+def tie(filter_):
+    """Visibility where a caster at exactly the receivers' depth is seen, without bias."""
+    projection = np.diag([1.0, 1.0, -1.0, 1.0])
+    projection[2, 3] = -2.0
+    light = MatrixLight(np.eye(4), projection)
+    position = jnp.tile(jnp.array([0.0, 0.0, -2.0]), (4, 4, 1))
+    normal = jnp.tile(jnp.array([0.0, 0.0, 1.0]), (4, 4, 1))
+    surface = Surface(position, normal, normal, normal, jnp.zeros((4, 4), jnp.int32), jnp.ones((4, 4), bool))
+    technique = BabylonJs(filter=filter_, bias=0.0, resolution=(4, 4))
+    return np.asarray(technique.visibility(EngineMap(jnp.full((4, 4), 0.5), light, [0.0], [True]), surface))
+
+
+def test_equal_depth_is_lit_by_metric_and_shadowed_by_the_texture_unit():
+    assert (tie("NONE") == 1).all()
+    assert (tie("POISSONSAMPLING") == 1).all()
+    assert (tie("PCF") == 0).all()
+
+
+@pytest.mark.parametrize("filter_", ["NONE", "PCF", "PCSS"])
+def test_nothing_casts_whatever_the_bias(filter_):
+    golden = engine_golden("babylon", "directional_none_bias")
+    technique = BabylonJs(filter=filter_, bias=-0.5, resolution=(128, 128))
+    state = read_back(golden, np.ones((128, 128), np.float32), [0.0] * len(golden.settings["meshes"]))
+    np.testing.assert_allclose(np.asarray(technique.visibility(state, surface_of(golden))), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["directional_pcf_high", "spot_pcf_bias", "directional_pcss_low", "spot_none_bias"])
+def test_a_bias_needs_no_new_map(name):
+    golden = engine_golden("babylon", name)
+    technique = preset(golden)
+    scene, surface = scene_of(golden), surface_of(golden)
+    unbiased = dataclasses.replace(technique, bias=0.0).prepare(scene)
+    state = technique.prepare(scene)
+    np.testing.assert_allclose(unbiased.depth, state.depth, atol=2e-6)
+    ours, again = (np.asarray(technique.visibility(one, surface)) for one in (unbiased, state))
+    assert (np.abs(ours - again) <= 1 / 255).mean() >= 0.9995
+
+
+@pytest.mark.parametrize("name", ["BLUREXPONENTIALSHADOWMAP", "BLURCLOSEEXPONENTIALSHADOWMAP"])
+def test_a_point_lights_map_is_not_blurred(name):
+    golden = engine_golden("babylon", "point_close_esm")
+    blurred = dataclasses.replace(preset(golden), filter=name)
+    plain = dataclasses.replace(blurred, filter=name.removeprefix("BLUR"))
+    np.testing.assert_array_equal(from_own_map(golden, blurred), from_own_map(golden, plain))
+
+
+@pytest.mark.parametrize("kernel", [0, 1, 2, 3, 5, 8, 16, 16.4, 33])
+def test_a_blur_leaves_a_constant_map_as_it_is(kernel):
+    constant, step = jnp.full((16, 16), 0.7), jnp.float32(1 / 8)
+    for blurred in (
+        _babylon.kernel_blurred(constant, (8, 8), step, kernel, lambda x: x),
+        _babylon.box_blurred(constant, (8, 8), step, 2),
+    ):
+        np.testing.assert_allclose(np.asarray(blurred), 0.7, atol=1e-6)
+
+
+def test_half_floats_have_the_derivative_of_what_they_round():
+    golden = engine_golden("babylon", "directional_none_bias")
+    soft = dataclasses.replace(preset(golden), compare=SoftCompare(1.0))
+    state, surface = soft.prepare(scene_of(golden)), surface_of(golden)
+    mean = lambda bias, floats: jnp.mean(
+        dataclasses.replace(soft, bias=bias, float_maps=floats).visibility(state, surface)
+    )
+    of_floats, of_halves = (jax.grad(mean)(jnp.float32(0.003), floats) for floats in (True, False))
+    assert abs(of_floats) > 1
+    np.testing.assert_allclose(of_halves, of_floats, rtol=0.02)
+
+
+def test_only_numbers_that_change_the_map_lay_it_out():
+    technique = BabylonJs(filter="BLUREXPONENTIALSHADOWMAP")
+    assert technique.lays_out("normal_bias")
+    assert technique.lays_out("blur_scale")
+    assert not technique.lays_out("bias")
+    assert not BabylonJs(filter="POISSONSAMPLING").lays_out("blur_scale")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"resolution": (64, 128)}, "expected a square one"),
+        ({"blur_scale": 0.0}, "blur_scale is 0"),
+        ({"blur_kernel": -1}, "blur_kernel is -1"),
+        ({"blur_box_offset": -1}, "blur_box_offset is -1"),
+    ],
+)
+def test_errors_name_the_setting(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        BabylonJs(**wrong)
+
+
+def test_each_mesh_needs_its_culling():
+    golden = engine_golden("babylon", "directional_none_bias")
+    with pytest.raises(ValueError, match="3 entries of back_face_culling, and the scene has 4 meshes"):
+        BabylonJs(back_face_culling=(True, True, False)).prepare(scene_of(golden))
 
 
 # --- The pictures can tell a wrong preset ---

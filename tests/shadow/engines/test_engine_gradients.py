@@ -1,0 +1,88 @@
+"""Derivatives of engines' shadows by their numbers against central differences, in float64."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from engine_states import scene_of, surface_of
+from golden_engines import engine_golden
+
+from diffshadow.shadow import BabylonJs, SoftCompare, ThreeJs
+
+# Pictures whose lights and meshes are used.
+SCENES = {
+    "three": {"window": "directional_pcf_bias", "spot": "spot_pcf_radius_4", "cube": "point_pcf_radius_4"},
+    "babylon": {"window": "directional_pcf_high", "spot": "spot_pcf_bias", "cube": "point_poisson"},
+}
+SOFT = SoftCompare(1.0)
+SMALL = {"resolution": (128, 128), "compare": SOFT}
+BASIC = ThreeJs(bias=-0.002, normal_bias=0.01, shadow_type="BasicShadowMap", side="double", **SMALL)
+PCF = ThreeJs(bias=-0.002, normal_bias=0.01, radius=2.3, intensity=0.8, side="double", **SMALL)
+FLOATS = {**SMALL, "float_maps": True, "darkness": 0.2, "frustum_edge_falloff": 0.3}
+BABYLON = {
+    name: BabylonJs(filter=name, bias=0.003, blur_scale=2.3, depth_scale=40.0, **FLOATS)
+    for name in ("NONE", "POISSONSAMPLING", "EXPONENTIALSHADOWMAP", "CLOSEEXPONENTIALSHADOWMAP", "PCF", "PCSS")
+}
+BLURRED = dataclasses.replace(BABYLON["CLOSEEXPONENTIALSHADOWMAP"], filter="BLURCLOSEEXPONENTIALSHADOWMAP")
+GAUSSIAN = dataclasses.replace(
+    BABYLON["EXPONENTIALSHADOWMAP"], filter="BLUREXPONENTIALSHADOWMAP", use_kernel_blur=True, blur_kernel=8
+)
+CASES = [
+    ("three", BASIC, "window", ["bias", "normal_bias"]),
+    ("three", PCF, "window", ["bias", "normal_bias", "radius", "intensity"]),
+    ("three", PCF, "spot", ["bias", "normal_bias", "radius"]),
+    ("three", BASIC, "cube", ["bias"]),
+    ("three", PCF, "cube", ["bias", "normal_bias", "radius", "intensity"]),
+    ("babylon", BABYLON["NONE"], "window", ["bias", "darkness", "frustum_edge_falloff"]),
+    ("babylon", BABYLON["NONE"], "spot", ["bias"]),
+    ("babylon", BABYLON["NONE"], "cube", ["bias", "darkness"]),
+    ("babylon", BABYLON["POISSONSAMPLING"], "window", ["bias", "blur_scale"]),
+    ("babylon", BABYLON["POISSONSAMPLING"], "spot", ["bias", "blur_scale"]),
+    ("babylon", BABYLON["POISSONSAMPLING"], "cube", ["bias", "blur_scale"]),
+    ("babylon", BABYLON["PCF"], "window", ["bias", "darkness", "frustum_edge_falloff"]),
+    ("babylon", BABYLON["PCF"], "spot", ["bias"]),
+    ("babylon", BABYLON["PCSS"], "window", ["bias"]),
+    ("babylon", BABYLON["PCSS"], "spot", ["bias"]),
+    ("babylon", BABYLON["EXPONENTIALSHADOWMAP"], "window", ["bias", "depth_scale"]),
+    ("babylon", BABYLON["CLOSEEXPONENTIALSHADOWMAP"], "window", ["bias", "depth_scale"]),
+    ("babylon", BABYLON["CLOSEEXPONENTIALSHADOWMAP"], "cube", ["bias", "depth_scale"]),
+    ("babylon", BLURRED, "window", ["bias", "depth_scale"]),
+    ("babylon", GAUSSIAN, "window", ["bias", "depth_scale"]),
+]
+
+
+def as_float64(tree):
+    widened = lambda leaf: leaf.astype(jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+    return jax.tree.map(widened, tree)
+
+
+def title(case) -> str:
+    engine, technique, light, _ = case
+    return f"{engine}-{technique.shadow_type if engine == 'three' else technique.filter}-{light}"
+
+
+@pytest.mark.parametrize(
+    ("engine", "technique", "light", "names"), [pytest.param(*case, id=title(case)) for case in CASES]
+)
+def test_derivatives_agree_with_central_differences(engine, technique, light, names):
+    golden = engine_golden(engine, SCENES[engine][light])
+    state = technique.prepare(scene_of(golden))
+    # Every second pixel of each row and column.
+    surface = jax.tree.map(lambda leaf: leaf[::2, ::2], surface_of(golden))
+    faces = np.cumsum([0] + [len(mesh["faces"]) for mesh in golden.settings["meshes"]])
+    surface = dataclasses.replace(surface, face=jnp.asarray(faces[:-1])[jnp.maximum(surface.face, 0)])
+    weights = np.random.default_rng(0).uniform(0.5, 1.5, surface.mask.shape)
+    with jax.enable_x64(True):
+        start, state, surface = as_float64((technique, state, surface))
+        for name in names:
+            of = lambda value, name=name: jnp.sum(
+                weights * dataclasses.replace(start, **{name: value}).visibility(state, surface)
+            )
+            value = getattr(start, name)
+            step = 1e-6 * max(abs(float(value)), 1e-2)
+            numerical = (of(value + step) - of(value - step)) / (2 * step)
+            _, derivative = jax.jvp(of, (value,), (jnp.ones_like(value),))
+            assert abs(float(numerical)) > 1e-3, name
+            np.testing.assert_allclose(float(derivative), float(numerical), rtol=0.01, err_msg=name)
