@@ -206,6 +206,34 @@ SECTIONS[LAYOUTS] = (
     Row("LiSPSM", ("technique={type: perspective_warp}",), "one map, warped towards the camera"),
     Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "too much for what is near"),
     Row("Trapezoidal", ("technique={type: perspective_warp, method: trapezoidal}",), ""),
+    Row(
+        "Resolution-matched",
+        ("technique={type: resolution_matched, finest: 65536, level_bias: -8}",),
+        "the pages that the camera needs, of a virtual map of 65536²",
+    ),
+)
+
+ENGINES = "Engines"
+BIASED = "shadow_side: double, bias: -0.002, normal_bias: 0.01"
+SECTIONS[ENGINES] = (
+    Row("three.js, defaults", ("technique={type: three.js}",), "back faces cast, so a closed mesh needs no bias"),
+    Row("three.js, both sides", ("technique={type: three.js, shadow_side: double}",), "lit faces cast too"),
+    Row(
+        "three.js, PCF", (f"technique={{type: three.js, radius: 2, {BIASED}}}",), "five bilinear taps, turned by noise"
+    ),
+    Row("three.js, VSM", (f"technique={{type: three.js, shadow_type: VSMShadowMap, radius: 3, {BIASED}}}",), ""),
+    Row("Babylon.js, defaults", ("technique={type: babylon.js}",), "half floats are coarser than its bias"),
+    Row("Babylon.js, PCF", ("technique={type: babylon.js, filter: PCF, bias: 0.006, float_maps: true}",), "5 × 5 tent"),
+    Row(
+        "Babylon.js, PCSS",
+        ("technique={type: babylon.js, filter: PCSS, bias: 0.006, float_maps: true}",),
+        "contact hardening",
+    ),
+    Row(
+        "Babylon.js, ESM",
+        ("technique={type: babylon.js, filter: BLURCLOSEEXPONENTIALSHADOWMAP, bias: 0.002, float_maps: true}",),
+        "",
+    ),
 )
 SCENES_FROM = Path(__file__).parent.parent
 SCENES = {LAYOUTS: SCENES_FROM / "configs" / "corridor.yaml"}
