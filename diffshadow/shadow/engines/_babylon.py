@@ -59,14 +59,14 @@ class BabylonJs(AbstractEngineShadows):
     """The shadows of Babylon.js 9.34, as its `ShadowGenerator` draws them on WebGL2.
 
     Fields are named after the generator's. The metric is linear in depth: (d - n) / (f - n) at the distance d along the
-    axis of a directional or spot light, (r + n) / (f + n) at the distance r of a point light, with near n and far f, in
-    the engine `light.shadowMinZ` and `light.shadowMaxZ`.
+    axis of a directional or spot light, (r + n) / (f + n) at the distance r of a point light. Near n and far f are the
+    engine's `light.shadowMinZ` and `light.shadowMaxZ`.
 
     - `bias`: added to the depth of casters as the map is drawn: positive values push them away from the light. In
         metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, half of which is in window depth. For
         the blocker search of `PCSS` both are added.
     - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
-        light, in world units. It changes the map, so it has no derivative.
+        light, in world units. It changes the map, so it has no derivative. The engine moves no mesh without normals.
     - `darkness`: the visibility that a full shadow leaves, from 0 to 1.
     - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
         or how many times fewer texels the blurred map has, where it has no derivative.

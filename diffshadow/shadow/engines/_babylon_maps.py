@@ -73,7 +73,7 @@ def _blurred(image: Array, size: Resolution, step: Scalar, taps: HostArray, shar
 
 def _gaussian(kernel: float | int) -> tuple[HostArray, HostArray]:
     """Places, in texels, and shares of the taps. Each reads two texels of the kernel at once, between them."""
-    ideal = round(kernel)
+    ideal = int(np.floor(kernel + 0.5))
     # The engine's nearest kernel: odd, with an even number of texels on either side of the centre, and at least 3.
     near = (k for k in (ideal, ideal - 1, ideal + 1, ideal - 2, ideal + 2) if k > 0 and k % 2 and k // 2 % 2 == 0)
     count = max(next(near, ideal), 3)

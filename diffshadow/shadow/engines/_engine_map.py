@@ -22,8 +22,8 @@ Sides = Side | tuple[Side, ...]
 class EngineMap(eqx.Module):
     """The depth that a light sees, and what an engine knows of the meshes.
 
-    - `depth`: (h, w), window depth, 1 where the light sees nothing; row 0 is the bottom row. Of a point light
-        (6, h, w), the faces of a cube map in OpenGL's order and orientation. Babylon.js' maps are mirrored, see
+    - `depth`: (h, w), window depth without bias, 1 where the light sees nothing; row 0 is the bottom row. Of a point
+        light (6, h, w), the faces of a cube map in OpenGL's order and orientation. Babylon.js' maps are mirrored, see
         `map_of`.
     - `light`: the light it was drawn from.
     - `offset`: (f,), for each face of the scene's mesh, the factor of its normal bias.
