@@ -70,8 +70,8 @@ def fit(
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
 
-    Numbers that lay out the map, such as the spacing of cascades, are found by a bounded search, since visibility has
-    no useful derivative with respect to them; all others by gradient.
+    Visibility has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades.
+    If there are such, a bounded search over all parameters comes before the fit by gradient.
 
     The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each, and
     the best of these is the result: a fit never ends worse than it began.
@@ -86,7 +86,8 @@ def fit(
     - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The last level
         continues the best of them by the hard compare.
     - `seed`: of the starts.
-    - `evaluations`: how often the error is evaluated in the search for numbers that lay out the map.
+    - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
+        map.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 

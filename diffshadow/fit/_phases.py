@@ -6,8 +6,9 @@ ones under the hard compare, since silhouettes have derivatives whatever the com
 needs the soft one, at the end. The last phase is repeated under less blur, which is more accurate but sees less far.
 
 The error has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades. They
-are found by a search under the hard compare, before the others are fitted. A shorter search about the result follows,
-and the last phase once more.
+are found by a search under the hard compare. It goes over all parameters, since the best layout depends on the others
+and these on it. The others are then fitted by gradient. A shorter search about the result follows, and the last phase
+once more.
 """
 
 import dataclasses
@@ -76,7 +77,7 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
         raise ValueError("got levels, but no light or mesh moves; expected none: they are for fits of poses")
     if not searched:
         return annealed
-    search = Phase(joint.hard(), searched, 0.0, searched=1.0)
+    search = Phase(joint.hard(), tuple(range(len(paths))), 0.0, searched=1.0)
     return [search, *annealed, search._replace(searched=_REFINED), annealed[-1]] if smooth else [search]
 
 

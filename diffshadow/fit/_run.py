@@ -100,7 +100,7 @@ class Run:
     - `judge`: the problems at full resolution under the hard compare. It sees the start and the end of every phase, and
         the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
-    - `evaluations`: of the error in a search.
+    - `evaluations`: of the error in a search, for each parameter.
     - `history`: every evaluation so far, in order.
     """
 
@@ -208,8 +208,8 @@ class Run:
             self.reporter.record(loss, tuple(at_tried.tolist()))
             return loss
 
-        # An error in a part of the box needs fewer evaluations.
-        evaluations = max(round(self.evaluations * phase.searched**0.5), 1)
+        # A part of the box needs fewer evaluations.
+        evaluations = max(round(self.evaluations * len(active) * phase.searched**0.5), 1)
         start = on_host(values)[active]
         found = search(error, start, on_host(at.lower), on_host(at.upper), evaluations, phase.searched)
         if (found.values != start).any():

@@ -99,7 +99,7 @@ class FitConfig(Section):
         default=30,
         ge=1,
         le=100_000,
-        description="for numbers of technique that lay out the map: how often the error is evaluated in their search",
+        description="for numbers that lay out the map: evaluations of the error in a search, for each parameter",
     )
 
     @classmethod

@@ -55,7 +55,7 @@ def write_report(run: StoredRun) -> Path:
         is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
         phases=_phases(result) if is_fit else [],
         starts=_starts(result) if is_fit else [],
-        code=result.get("code", {}) if is_fit else {},
+        code={key: text.splitlines() for key, text in result.get("code", {}).items()} if is_fit else {},
         files={heading: file_pictures(paths) for heading, paths in _files(run.folder).items()},
         environment=[(name, value, "") for name, value in {**result["versions"], "seed": result["seed"]}.items()],
         seconds=[(name, f"{value:.2f}", "s") for name, value in result["seconds"].items()],
