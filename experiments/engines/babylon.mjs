@@ -16,7 +16,7 @@ import { Color4 } from "@babylonjs/core/Maths/math.color.js";
 import { Matrix, Vector3 } from "@babylonjs/core/Maths/math.vector.js";
 import { Mesh } from "@babylonjs/core/Meshes/mesh.js";
 import { VertexData } from "@babylonjs/core/Meshes/mesh.vertexData.js";
-import { channels, readTexture } from "./readback.mjs";
+import { channels, readTexture, saveSeen } from "./readback.mjs";
 
 export const version = Engine.Version;
 
@@ -208,24 +208,14 @@ async function drawPicture(engine, scene, camera, job, objects, generator, save)
     for (let i = 0; i < 3; i++) scene.render();
     return pixels(engine, target, width, height, texels);
   };
-  const wanted = { position: [POSITION, 3], normal: [NORMAL, 3], random: [RANDOM, 1] };
-  for (const [name, [output, count]] of Object.entries(wanted)) {
+  const interpolated = { position: [POSITION, 3], normal: [NORMAL, 3], random: [RANDOM, 1] };
+  for (const [name, [output, count]] of Object.entries(interpolated)) {
     if (!job.outputs.includes(name)) continue;
     const texels = await render(output, new Float32Array(width * height * 4));
     await save(name, channels(texels, count), count === 1 ? [height, width] : [height, width, count]);
   }
   await render(SHADOW, first);
-  const [visibility, depth] = [new Float32Array(width * height), new Float32Array(width * height)];
-  const mesh = new Int32Array(width * height);
-  for (let i = 0; i < width * height; i++) {
-    const isCovered = first[4 * i + 3] === 1;
-    visibility[i] = isCovered ? first[4 * i] : 1;
-    mesh[i] = isCovered ? first[4 * i + 1] - 1 : -1;
-    depth[i] = isCovered ? first[4 * i + 2] : 1;
-  }
-  await save("visibility", visibility, [height, width]);
-  if (job.outputs.includes("mesh")) await save("mesh", mesh, [height, width]);
-  if (job.outputs.includes("depth")) await save("depth", depth, [height, width]);
+  await saveSeen(first, job, save);
   return target;
 }
 

@@ -89,3 +89,19 @@ export function channels(texels, count) {
   for (let i = 0; i < texels.length / 4; i++) for (let c = 0; c < count; c++) picked[i * count + c] = texels[4 * i + c];
   return picked;
 }
+
+// Saves what the shadow's pass wrote: visibility, the number of the mesh from 1, depth, and 1 where something is seen.
+export async function saveSeen(first, job, save) {
+  const { width, height } = job;
+  const [visibility, depth] = [new Float32Array(width * height), new Float32Array(width * height)];
+  const mesh = new Int32Array(width * height);
+  for (let i = 0; i < width * height; i++) {
+    const isCovered = first[4 * i + 3] === 1;
+    visibility[i] = isCovered ? first[4 * i] : 1;
+    mesh[i] = isCovered ? first[4 * i + 1] - 1 : -1;
+    depth[i] = isCovered ? first[4 * i + 2] : 1;
+  }
+  await save("visibility", visibility, [height, width]);
+  if (job.outputs.includes("mesh")) await save("mesh", mesh, [height, width]);
+  if (job.outputs.includes("depth")) await save("depth", depth, [height, width]);
+}

@@ -1,7 +1,7 @@
 // Draws a job with three.js' WebGLRenderer. `engines.py` says what a job holds.
 
 import * as THREE from "three";
-import { channels, readTexture } from "./readback.mjs";
+import { channels, readTexture, saveSeen } from "./readback.mjs";
 
 export const version = THREE.REVISION;
 
@@ -178,17 +178,7 @@ async function savePicture(renderer, target, job, save) {
     return texels;
   };
   const first = read(0);
-  const [visibility, depth] = [new Float32Array(width * height), new Float32Array(width * height)];
-  const mesh = new Int32Array(width * height);
-  for (let i = 0; i < width * height; i++) {
-    const isCovered = first[4 * i + 3] === 1;
-    visibility[i] = isCovered ? first[4 * i] : 1;
-    mesh[i] = isCovered ? first[4 * i + 1] - 1 : -1;
-    depth[i] = isCovered ? first[4 * i + 2] : 1;
-  }
-  await save("visibility", visibility, [height, width]);
-  if (job.outputs.includes("mesh")) await save("mesh", mesh, [height, width]);
-  if (job.outputs.includes("depth")) await save("depth", depth, [height, width]);
+  await saveSeen(first, job, save);
   if (job.outputs.includes("position")) await save("position", channels(read(1), 3), [height, width, 3]);
   if (job.outputs.includes("normal")) await save("normal", channels(read(2), 3), [height, width, 3]);
 }
