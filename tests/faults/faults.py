@@ -569,6 +569,57 @@ _RASTER = (
 
 _SHADOW = (
     _fault(
+        "three.js: receivers before near are tested where depth is not reversed",
+        "shadow/engines/_three.py",
+        "((z >= 0) if settings.reversed_depth else (z <= 1))",
+        "(z <= 1)",
+        "test_three.py",
+    ),
+    _fault(
+        "three.js: the noise begins at the corner of a pixel",
+        "shadow/engines/_three.py",
+        "x, y = jnp.arange(shape[1]) + 0.5, (jnp.arange(shape[0]) + 0.5)[:, None]",
+        "x, y = jnp.arange(shape[1]) + 0.0, (jnp.arange(shape[0]) + 0.0)[:, None]",
+        "test_three.py",
+    ),
+    _fault(
+        "engines: cube maps have no neighbours",
+        "shadow/engines/_textures.py",
+        "clip(np.arange(-1, size + 1) + 0.5, -1e-4, size + 1e-4)",
+        "clip(np.arange(-1, size + 1) + 0.5, 1e-4, size - 1e-4)",
+        "test_three.py",
+        "test_babylon.py",
+    ),
+    _fault(
+        "engines: vertices stay between the rasterizer's steps",
+        "shadow/engines/_engine_map.py",
+        "jnp.round((clip[..., :2] / w + 1) * steps) / steps",
+        "((clip[..., :2] / w + 1) * steps) / steps",
+        "test_three.py",
+        "test_babylon.py",
+    ),
+    _fault(
+        "code for three.js: the light stands at its own near plane",
+        "shadow/engines/_light.py",
+        "position = eye - back * forward",
+        "position = eye",
+        "test_code.py",
+    ),
+    _fault(
+        "code for Babylon.js: the window is not mirrored",
+        "shadow/engines/_code.py",
+        '{"orthoLeft": -right, "orthoRight": -left,',
+        '{"orthoLeft": left, "orthoRight": right,',
+        "test_code.py",
+    ),
+    _fault(
+        "conversion: Babylon.js' PCF has the bias of its other filters",
+        "shadow/engines/_convert.py",
+        '{"directional": 2 * c.b / c.depth,',
+        '{"directional": c.b / c.depth,',
+        "test_convert.py",
+    ),
+    _fault(
         "receiver: sign of the slope",
         "shadow/_receiver.py",
         "-across[..., i] / facing",
@@ -1359,8 +1410,8 @@ _FIT = (
     _fault(
         "search: the map is not drawn again",
         "fit/problems/_technique.py",
-        "return dataclasses.replace(self, technique=technique, shadow_map=technique.prepare(self.scene, self.surface))",
-        "return dataclasses.replace(self, technique=technique)",
+        "return dataclasses.replace(self, technique=subject, shadow_map=subject.prepare(self.scene, self.surface))",
+        "return dataclasses.replace(self, technique=subject)",
         "fit/test_search.py",
     ),
     _fault(
@@ -2201,8 +2252,16 @@ _CLI = (
     _fault(
         "render: overrides ignored",
         "cli.py",
-        "load_config(config, overrides)",
-        "load_config(config)",
+        """load_config(config, overrides)
+    _keep_compiled_programs()
+    from . import study
+
+    _print_path(study.run_render(""",
+        """load_config(config)
+    _keep_compiled_programs()
+    from . import study
+
+    _print_path(study.run_render(""",
         "test_cli.py",
     ),
     _fault(
