@@ -7,8 +7,8 @@ needs the soft one, at the end. The last phase is repeated under less blur, whic
 
 The error has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades. They
 are found by a search under the hard compare. It goes over all parameters, since the best layout depends on the others
-and these on it. The others are then fitted by gradient. A shorter search about the result follows, and the last phase
-once more.
+and these on it. The others are then fitted by gradient. A shorter search for the layout alone follows, about the
+result, and the last phase once more.
 """
 
 import dataclasses
@@ -78,7 +78,8 @@ def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequen
     if not searched:
         return annealed
     search = Phase(joint.hard(), tuple(range(len(paths))), 0.0, searched=1.0)
-    return [search, *annealed, search._replace(searched=_REFINED), annealed[-1]] if smooth else [search]
+    again = search._replace(active=searched, searched=_REFINED)
+    return [search, *annealed, again, annealed[-1]] if smooth else [search]
 
 
 def _phases_of_poses(
