@@ -59,12 +59,39 @@ def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, flo
     for name, side in (("side", settings.side), ("shadowSide", settings.shadow_side)):
         if isinstance(side, str):
             lines += [f"material.{name} = THREE.{sides[side]};"]
-    return [*_where_it_holds("three.js r187, WebGLRenderer", given.type == "directional"), *lines]
+    is_linear = given.type == "directional"
+    if not is_linear:
+        lines += ["light.distance = 0;  // another distance replaces the camera's far"]
+    return [*_where_it_holds("three.js r187, WebGLRenderer", is_linear), *lines]
 
 
 def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float, float]) -> list[str]:
-    bias, is_point = float(settings.bias), given.type == "point"
-    name = settings.filter
+    is_point = given.type == "point"
+    # The others' bias is a part of a range that is linear in depth.
+    by_depth = settings.filter in ("PCF", "PCSS") and not is_point
+    bias, normal_bias = float(settings.bias), float(settings.normal_bias)
+    if by_depth:
+        # Half of it is window depth. It pushes casters, as a negative bias lifts receivers.
+        amount = _in_world(given, -bias / 2, distances)
+    else:
+        amount = f"{_text(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
+    arguments = str(settings.resolution[0]), "light", _flag(settings.float_maps)
+    lines = [
+        *_babylon_light(given),
+        f"const generator = new BABYLON.ShadowGenerator({', '.join(arguments)});",
+        f"generator.bias = {_text(bias)};  // {amount}",
+        f"generator.normalBias = {_text(normal_bias)};  // world units"
+        f"{_in_texels(given, normal_bias, settings.resolution[1])}",
+        *(f"generator.{name} = {value};" for name, value in _babylon_filter(settings, is_point).items()),
+    ]
+    if float(settings.darkness):
+        lines += [f"generator.setDarkness({_text(float(settings.darkness))});"]
+    is_linear = given.type == "directional" or not by_depth
+    return [*_where_it_holds("Babylon.js 9.34, ShadowGenerator on WebGL2", is_linear), *lines]
+
+
+def _babylon_light(given: EngineLight) -> list[str]:
+    """What places the light and its camera."""
     lines = [f"light.position = {_vector(given.position)};"]
     if given.target is not None:
         direction = [to - at for at, to in zip(given.position, given.target, strict=True)]
@@ -74,54 +101,36 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
     if given.window is not None:
         # The engine's camera is left-handed: its x runs the other way.
         left, right, top, bottom = (given.window[key] for key in ("left", "right", "top", "bottom"))
-        lines += ["light.autoUpdateExtends = false;", "light.shadowOrthoScale = 0;"]
         window = {"orthoLeft": -right, "orthoRight": -left, "orthoTop": top, "orthoBottom": bottom}
+        lines += ["light.autoUpdateExtends = false;", "light.shadowOrthoScale = 0;"]
         lines += [f"light.{key} = {_text(value)};" for key, value in window.items()]
-    maps = "true" if settings.float_maps else "false"
-    lines += [
-        f"light.shadowMinZ = {_text(given.near)};",
-        f"light.shadowMaxZ = {_text(given.far)};",
-        f"const generator = new BABYLON.ShadowGenerator({settings.resolution[0]}, light, {maps});",
-        f"generator.filter = BABYLON.ShadowGenerator.FILTER_{name};",
-    ]
+    return [*lines, f"light.shadowMinZ = {_text(given.near)};", f"light.shadowMaxZ = {_text(given.far)};"]
+
+
+def _babylon_filter(settings: BabylonJs, is_point: bool) -> dict[str, str]:
+    """The generator's properties that the filter uses, and their values."""
+    name, constants = settings.filter, "BABYLON.ShadowGenerator"
+    used = {"filter": f"{constants}.FILTER_{name}"}
     if name in ("PCF", "PCSS"):
-        lines += [f"generator.filteringQuality = BABYLON.ShadowGenerator.QUALITY_{settings.quality};"]
-    by_depth = name in ("PCF", "PCSS") and not is_point
-    if by_depth:
-        # Depth from -1 to 1, half of which is window depth; of casters, as negative bias would be of receivers.
-        amount = _in_world(given, -bias / 2, distances)
-    else:
-        span = given.near + given.far if is_point else given.far - given.near
-        amount = f"{_text(bias * span)} world units"
-    normal = _in_texels(given, float(settings.normal_bias), settings.resolution[1])
-    lines += [
-        f"generator.bias = {_text(bias)};  // {amount}",
-        f"generator.normalBias = {_text(float(settings.normal_bias))};  // world units{normal}",
-    ]
-    if float(settings.darkness):
-        lines += [f"generator.setDarkness({_text(float(settings.darkness))});"]
-    if name == "POISSONSAMPLING" or name.startswith("BLUR") or (is_point and not name.endswith("MAP")):
-        lines += [f"generator.blurScale = {_text(float(settings.blur_scale))};"]
+        used["filteringQuality"] = f"{constants}.QUALITY_{settings.quality}"
+    if name == "PCSS":
+        used["contactHardeningLightSizeUVRatio"] = _text(float(settings.contact_hardening_light_size_uv_ratio))
+    # Under a point light the engine draws PCF and PCSS as POISSONSAMPLING.
+    if name == "POISSONSAMPLING" or name.startswith("BLUR") or (is_point and name in ("PCF", "PCSS")):
+        used["blurScale"] = _text(float(settings.blur_scale))
     if name.startswith("BLUR"):
-        lines += [f"generator.useKernelBlur = {'true' if settings.use_kernel_blur else 'false'};"]
-        kernel = (
+        used["useKernelBlur"] = _flag(settings.use_kernel_blur)
+        key, value = (
             ("blurKernel", settings.blur_kernel)
             if settings.use_kernel_blur
-            else (
-                "blurBoxOffset",
-                settings.blur_box_offset,
-            )
+            else ("blurBoxOffset", settings.blur_box_offset)
         )
-        lines += [f"generator.{kernel[0]} = {kernel[1]};"]
+        used[key] = str(value)
     if name.endswith("EXPONENTIALSHADOWMAP"):
-        lines += [f"generator.depthScale = {_text(float(settings.depth_scale))};"]
-    if name == "PCSS":
-        ratio = _text(float(settings.contact_hardening_light_size_uv_ratio))
-        lines += [f"generator.contactHardeningLightSizeUVRatio = {ratio};"]
+        used["depthScale"] = _text(float(settings.depth_scale))
     if float(settings.frustum_edge_falloff):
-        lines += [f"generator.frustumEdgeFalloff = {_text(float(settings.frustum_edge_falloff))};"]
-    is_linear = given.type == "directional" or not by_depth
-    return [*_where_it_holds("Babylon.js 9.34, ShadowGenerator on WebGL2", is_linear), *lines]
+        used["frustumEdgeFalloff"] = _text(float(settings.frustum_edge_falloff))
+    return used
 
 
 def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
@@ -134,6 +143,10 @@ def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
         f"// Holds for this map size, near and far. {scale}",
         "// With another map size, normalBias goes with the size of a texel.",
     ]
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"
 
 
 def _vector(values: Sequence[float]) -> str:

@@ -8,9 +8,18 @@ from rich.console import Console
 
 from ..._types import HostArray, VectorMap
 from ...config import Config, ConfigError, Mistake, build_shadow_mapping
-from ...geometry import AbstractLight, PointLight
-from ...raster import draw_surface
-from ...shadow import BabylonJs, FittableTechnique, Receiver, ThreeJs, engine_code, engine_settings, receiver
+from ...geometry import AbstractLight, PointLight, Scene
+from ...raster import Surface, draw_surface
+from ...shadow import (
+    BabylonJs,
+    EngineSetting,
+    FittableTechnique,
+    ShadowMapping,
+    ThreeJs,
+    engine_code,
+    engine_settings,
+    receiver,
+)
 from ..pages import _table as table
 from ._progress import Stages
 from ._setup import Drawn, load
@@ -50,25 +59,36 @@ def convert(config: Config, *, console: Console) -> None:
     with Stages(console) as stages:
         scene = load(config, stages).scene
         surface, technique = draw_surface(scene.mesh, scene.camera), build_shadow_mapping(config, fitting=False)
-        for index, key in enumerate(config.scene.each_light):
-            lit = scene.lit_by(index)
-            state = technique.prepare(lit)
-            counted = np.asarray(technique.covered(state, surface))
-            at: Receiver = receiver(state, surface)
-            position = ("scene", *key)
-            if not counted.any():
-                what = "lights no surface that the camera sees; expected some: move one of them"
-                raise ConfigError([Mistake(config.origin.place(position), ".".join(map(str, position)), what)])
-            middle = lambda values, counted=counted: float(np.median(np.asarray(values)[counted]))
-            texel, distance = middle(at.texel_size), middle(_along(lit.light, surface.position))
-            unit = texel if config.bias.unit == "texels" else texel / middle(at.depth_per_texel)
-            bias = config.bias.constant * unit
-            rows = engine_settings(lit.light, config.shadow_map.resolution, bias, config.bias.normal_offset, distance)
-            title = (
-                f"{'.'.join(map(str, position))}: {bias:.4g} world units towards the light and "
-                f"{config.bias.normal_offset:.4g} texels along the normal; a texel is {texel:.4g} wide at the distance "
-                f"{distance:.4g}"
-            )
-            table.print_settings(console, title, rows)
+        for index, path in enumerate(config.scene.each_light):
+            key = ("scene", *path)
+            try:
+                title, settings = _converted(config, technique, scene.lit_by(index), surface)
+            except ValueError as error:
+                raise ConfigError([Mistake(config.origin.place(key), ".".join(map(str, key)), str(error))]) from error
+            table.print_settings(console, f"{'.'.join(map(str, key))}: {title}", settings)
     if config.bias.slope or config.bias.plane.type != "none":
         table.print_lines(console, ["bias.slope and bias.plane are left out: most engines have no such setting"])
+
+
+def _converted(
+    config: Config, technique: ShadowMapping, scene: Scene, surface: Surface
+) -> tuple[str, list[EngineSetting]]:
+    """What the bias amounts to at the median receiver, and the settings of engines.
+
+    **Raises** `ValueError` if the light lights nothing that the camera sees, or no engine has it.
+    """
+    shadow_map = technique.prepare(scene)
+    counted = np.asarray(technique.covered(shadow_map, surface))
+    if not counted.any():
+        raise ValueError("lights no surface that the camera sees; expected some: move one of them")
+    at = receiver(shadow_map, surface)
+    median = lambda values: float(np.median(np.asarray(values)[counted]))
+    texel, distance = median(at.texel_size), median(_along(scene.light, surface.position))
+    offset = config.bias.normal_offset
+    bias = config.bias.constant * (texel if config.bias.unit == "texels" else texel / median(at.depth_per_texel))
+    where = "" if scene.light.is_directional else f" at the distance {distance:.4g}"
+    title = (
+        f"{bias:.4g} world units towards the light, and {offset:.4g} texels along the normal; a texel is {texel:.4g} "
+        f"world units wide{where}"
+    )
+    return title, engine_settings(scene.light, technique.map.resolution, bias, offset, distance)
