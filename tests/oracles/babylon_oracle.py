@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from engine_oracle import cube_fetch, cube_nearest, cube_texel, f32, footprint, nearest
+from three_oracle import cube_fetch, cube_nearest, cube_texel, f32, footprint, nearest
 
 POISSON = np.array(
     [(-0.94201624, -0.39906216), (0.94558609, -0.76890725), (-0.094184101, -0.92938870), (0.34495938, 0.29387760)]
@@ -153,40 +153,3 @@ def pcss(depth, color, uv, z, metric, ratio: float, angle, quality: str, tables)
     for x, y in taps:
         lit += compared(depth, uv + np.c_[x * c - y * s, y * c + x * s] * radius[:, None], z) / len(taps)
     return np.where(blockers < 1, 1.0, lit + (1 - lit) * (metric - mean))
-
-
-def box_blurred(color: np.ndarray, size: int, offset: int, is_half: bool) -> np.ndarray:
-    """The map of `size` that the box blur leaves, (size, size)."""
-    uv = centres(size)
-    reach = range(-offset, offset + 1)
-    total = sum((bilinear(color, uv + np.array([x, y]) / size) for x in reach for y in reach), np.zeros(len(uv)))
-    return rounded(total.reshape(size, size) / (2 * offset + 1) ** 2, is_half)
-
-
-def kernel_blurred(color: np.ndarray, size: int, kernel: float, is_half: bool) -> np.ndarray:
-    """The map of `size` that the blur along x and then along y leaves, (size, size)."""
-    ideal = round(kernel)
-    near = (k for k in (ideal, ideal - 1, ideal + 1, ideal - 2, ideal + 2) if k > 0 and k % 2 and k // 2 % 2 == 0)
-    count = max(next(near, ideal), 3)
-    share = np.exp(-4.5 * (2 * np.arange(count) / (count - 1) - 1) ** 2)
-    share /= share.sum()
-    centre = (count - 1) // 2
-    taps = [(0.0, share[centre])]
-    for i in range(0, centre, 2):
-        a, b = share[i], share[i + 1]
-        place = i - centre + b / (a + b)
-        taps += [(place, a + b), (-place, a + b)]
-    uv = centres(size)
-    for step in (np.array([1, 0]) / size, np.array([0, 1]) / size):
-        total = sum((w * bilinear(color, uv + o * step) for o, w in taps), np.zeros(len(uv)))
-        color = rounded(total.reshape(size, size), is_half)
-    return color
-
-
-def centres(size: int) -> np.ndarray:
-    y, x = np.mgrid[:size, :size]
-    return (np.c_[x.ravel(), y.ravel()] + 0.5) / size
-
-
-def rounded(image: np.ndarray, is_half: bool) -> np.ndarray:
-    return image.astype(f32).astype(np.float16).astype(f32) if is_half else image.astype(f32)
