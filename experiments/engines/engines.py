@@ -106,7 +106,7 @@ def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Dra
 def vertex_normals(
     vertices: np.ndarray, faces: np.ndarray, corner_normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, normals and faces with one normal per vertex, as engines want them.
+    """Vertices, normals and faces with one normal per vertex, as engines take them.
 
     A vertex whose corners have several of `corner_normals` (f, 3, 3) is repeated, so no coordinate changes.
     """

@@ -1,4 +1,4 @@
-"""Pictures that three.js and Babylon.js drew, as tests want them; `golden/README.md` says how they were made."""
+"""Pictures that three.js and Babylon.js drew. `golden/README.md` says how they were made."""
 
 import functools
 import json

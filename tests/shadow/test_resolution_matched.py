@@ -167,9 +167,9 @@ def test_points_are_looked_up_in_the_finest_page_that_contains_them():
     window = np.asarray(scene.light.view().clip(surface.position))[..., :2] * 0.5 + 0.5
     column, row = (np.asarray(cell_of(jnp.asarray(window[..., k]), LEVELS)) for k in range(2))
     pages = light.pages
-    held = {tuple(int(part[k]) for part in (pages.level, pages.row, pages.column)): k for k in range(len(SOME) + 1)}
+    layers = {tuple(int(part[k]) for part in (pages.level, pages.row, pages.column)): k for k in range(len(SOME) + 1)}
     expected = [
-        next(held[key] for level in range(3) if (key := (level, r >> level, c >> level)) in held)
+        next(layers[key] for level in range(3) if (key := (level, r >> level, c >> level)) in layers)
         for r, c in zip(row.flat, column.flat, strict=True)
     ]
     assert len(set(expected)) >= 4

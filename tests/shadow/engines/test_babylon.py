@@ -269,7 +269,7 @@ def test_each_mesh_needs_its_culling():
 
 # --- The pictures can tell a wrong preset ---
 
-TOLD_BELOW = 0.998
+DIFFERENT = 0.998
 changed = lambda name, factor: lambda one: dataclasses.replace(one, **{name: getattr(one, name) * factor})
 CHANGES = {
     "bias": changed("bias", 0.9),
@@ -326,7 +326,7 @@ def test_a_changed_setting_is_told_apart(kind):
         golden = engine_golden("babylon", name)
         right = preset(golden)
         for what in sorted(missed):
-            if agreement(golden, from_own_map(golden, CHANGES[what](right))) < TOLD_BELOW:
+            if agreement(golden, from_own_map(golden, CHANGES[what](right))) < DIFFERENT:
                 missed.remove(what)
     assert not missed
 
@@ -379,4 +379,4 @@ def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
     monkeypatch.setattr(type(right), "visibility", lambda *given: traced_again(*given))
     assert agreement(golden, from_own_map(golden, right)) >= ENOUGH_BY_OWN_MAP
     monkeypatch.setattr(module, term, value)
-    assert agreement(golden, from_own_map(golden, right)) < TOLD_BELOW
+    assert agreement(golden, from_own_map(golden, right)) < DIFFERENT
