@@ -1412,14 +1412,14 @@ _FIT = (
         "fit/problems/_technique.py",
         "return dataclasses.replace(self, technique=subject, shadow_map=subject.prepare(self.scene, self.surface))",
         "return dataclasses.replace(self, technique=subject)",
-        "fit/test_search.py",
+        "test_search.py",
     ),
     _fault(
         "search: the second one searches everywhere",
         "fit/_search.py",
         "half = (upper - lower) * (part / 2)",
         "half = (upper - lower) / 2",
-        "fit/test_search.py",
+        "test_search.py",
     ),
     _fault(
         "bounds: not obeyed",

@@ -115,7 +115,11 @@ def test_the_engines_map_gives_the_engines_picture(name):
     assert agreement(golden, from_read_back(golden, preset(golden))) >= ENOUGH
 
 
-@pytest.mark.parametrize("name", CASES)
+OWN_MAPS = ("directional_none_bias", "directional_pcf_high", "point_none_bias")
+"""Those whose maps are drawn in every run of the tests."""
+
+
+@pytest.mark.parametrize("name", [n if n in OWN_MAPS else pytest.param(n, marks=pytest.mark.exhaustive) for n in CASES])
 def test_the_own_map_gives_the_engines_picture(name):
     golden = engine_golden("babylon", name)
     assert agreement(golden, from_own_map(golden, preset(golden))) >= CUT_OPEN.get(name, ENOUGH_BY_OWN_MAP)
@@ -319,6 +323,7 @@ KINDS = {
 }  # fmt: skip
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_setting_is_told_apart(kind):
     missed = set(KINDS[kind])
@@ -370,6 +375,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("what", HIDDEN)
 def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
     module, term, value, name = HIDDEN[what]

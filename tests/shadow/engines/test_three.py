@@ -67,7 +67,11 @@ def test_the_engines_map_gives_the_engines_picture(name):
     assert agreement(golden, from_read_back(golden, preset(golden))) >= TIES.get(name, ENOUGH)
 
 
-@pytest.mark.parametrize("name", CASES)
+OWN_MAPS = ("directional_basic_bias", "directional_pcf_radius_4", "point_basic_bias")
+"""Those whose maps are drawn in every run of the tests."""
+
+
+@pytest.mark.parametrize("name", [n if n in OWN_MAPS else pytest.param(n, marks=pytest.mark.exhaustive) for n in CASES])
 def test_the_own_map_gives_the_engines_picture(name):
     golden = engine_golden("three", name)
     assert agreement(golden, from_own_map(golden, preset(golden))) >= 0.999
@@ -121,6 +125,7 @@ KINDS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_setting_is_told_apart(kind):
     missed = set(KINDS[kind])
@@ -145,6 +150,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("what", HIDDEN)
 def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
     constant, value, name = HIDDEN[what]
