@@ -1,4 +1,4 @@
-"""The engines draw anew, and draw what was stored and what is predicted."""
+"""The engines draw their golden pictures again, and what a fit predicts."""
 
 from pathlib import Path
 

@@ -26,7 +26,7 @@ from .problems import AbstractProblem, Joint, PoseProblem, levels_of
 
 # Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
-# The part of the bounds in which the second search looks, and its part of the evaluations.
+# The part of the bounds in which the second search looks.
 _REFINED = 0.25
 
 

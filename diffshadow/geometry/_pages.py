@@ -25,7 +25,7 @@ class Tile(NamedTuple):
     size: Int[Array, "*n"]
 
     def facing(self, layer: Int[Array, "*n"]) -> "Tile":
-        """Of several layers, the tile of `layer` for each point."""
+        """The tile of `layer` for each point, of the tiles of several layers."""
         return Tile(take(self.origin, layer), take(self.size, layer))
 
 
