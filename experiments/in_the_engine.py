@@ -18,6 +18,7 @@ It needs node, Chromium and three packages, and says how to install what is miss
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from rich.table import Table
 
 from diffshadow import fit
 from diffshadow.config import EngineConfig
+from diffshadow.raster import Surface
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
 from diffshadow.study import style
 
@@ -98,23 +100,10 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
         interpolated_normal=jnp.asarray(drawing.arrays["normal"]),
     )
     error = lambda picture: float(np.sqrt(np.mean((picture - case.truth.visibility)[mask] ** 2)))
-    rows = []
-    for name, picture in zip(STATES, pictures, strict=False):
-        technique = techniques[name]
-        own = problem.laid_out(technique)
-        there = dataclasses.replace(own, surface=surface)
-        predicted, at_engines = (common.visibility(each, technique) for each in (own, there))
-        close, same = (np.abs(image - picture)[mask] <= NEAR for image in (predicted, at_engines))
-        rows.append(
-            {
-                "state": name,
-                **{key: float(getattr(technique, key)) for key in names},
-                "rmse_engine": error(picture),
-                "rmse_predicted": error(predicted),
-                "within_1_255": float(close.mean()),
-                "within_1_255_at_engine": float(same.mean()),
-            }
-        )
+    rows = [
+        _row(name, names, techniques[name], problem, surface, picture, mask, error)
+        for name, picture in zip(STATES, pictures, strict=False)
+    ]
     summary: dict[str, Any] = {"config": str(config), "overrides": list(overrides), "engine": drawing.info["version"]}
     if grid:
         errors = [error(picture) for picture in pictures[len(STATES) :]]
@@ -127,6 +116,32 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
     folder = common.write(settings, NAME, made, rows, summary)
     console.print(str(folder), soft_wrap=True)
     return {**summary, "rows": rows, "folder": str(folder)}
+
+
+def _row(
+    state: str,
+    names: list[str],
+    technique: Engine,
+    problem: fit.TechniqueProblem,
+    surface: Surface,
+    picture: np.ndarray,
+    mask: np.ndarray,
+    error: Callable[[np.ndarray], float],
+) -> dict[str, Any]:
+    """The errors of the engine's picture and of the predicted one, and how many of the pixels in `mask` are equal: of
+    the library's own surface, and of `surface`, which the engine's camera sees."""
+    own = problem.laid_out(technique)
+    there = dataclasses.replace(own, surface=surface)
+    predicted, at_engines = (common.visibility(each, technique) for each in (own, there))
+    close, same = (np.abs(image - picture)[mask] <= NEAR for image in (predicted, at_engines))
+    return {
+        "state": state,
+        **{key: float(getattr(technique, key)) for key in names},
+        "rmse_engine": error(picture),
+        "rmse_predicted": error(predicted),
+        "within_1_255": float(close.mean()),
+        "within_1_255_at_engine": float(same.mean()),
+    }
 
 
 def _job(case: common.Case, technique: Engine, drawn: list[Engine]) -> dict[str, Any]:

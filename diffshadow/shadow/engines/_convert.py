@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
 from ._abstract import engine_light
+from ._light import NO_NUDGE
 
 
 class EngineSetting(NamedTuple):
@@ -63,7 +64,7 @@ def engine_settings(
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
     """
-    light = engine_light(light, 1e-13)
+    light = engine_light(light, NO_NUDGE)
     if not light.is_directional and not distance > 0:
         raise ValueError(f"the distance is {distance}; expected world units in front of the light")
     if isinstance(light, PointLight):

@@ -11,8 +11,8 @@ from ._abstract import engine_light
 
 # Where the near plane of a directional light's camera is put: the light itself is far away.
 _NEAR = 1.0
-# Too little to move the light's target: the engine adds its own.
-_NUDGE = 1e-13
+NO_NUDGE = 1e-13
+"""Too little to move a light's target: the engine adds its own."""
 
 
 class EngineLight(NamedTuple):
@@ -40,7 +40,7 @@ class EngineLight(NamedTuple):
 
         **Raises** `ValueError` for a perspective camera that is off its axis, and what `engine_light` raises.
         """
-        light = engine_light(light, _NUDGE)
+        light = engine_light(light, NO_NUDGE)
         if isinstance(light, PointLight):
             return cls("point", _numbers(light.position), float(light.near), float(light.far))
         assert isinstance(light, MatrixLight)
