@@ -6,6 +6,7 @@ from ._arrangement import MeshPose as MeshPose
 from ._fit import FitResult as FitResult
 from ._fit import fit as fit
 from ._history import Step as Step
+from ._loss import Loss as Loss
 from ._parameters import Parameter as Parameter
 from ._parameters import Parameters as Parameters
 from ._parameters import parameter_names as parameter_names

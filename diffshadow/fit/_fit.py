@@ -9,6 +9,7 @@ from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
 from ._arrangement import Arrangement
 from ._history import Step
+from ._loss import Loss
 from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
@@ -16,6 +17,9 @@ from ._run import Outcome, Run, Start
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
 from .solvers import Solver, check_solver
+
+PIXELS = 1 << 18
+"""The most pixels that a step of a fit to several images evaluates, by default: as many as 512 x 512."""
 
 
 class FitResult(NamedTuple):
@@ -66,6 +70,8 @@ def fit(
     starts: int = 1,
     seed: int = 0,
     evaluations: int = 30,
+    loss: Loss | None = None,
+    pixels: int = PIXELS,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
@@ -88,26 +94,31 @@ def fit(
     - `seed`: of the starts.
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
+    - `loss`: of the errors of several problems; by default the mean over all pixels.
+    - `pixels`: the most pixels that a step of a fit of a technique to several images evaluates. If more count, it takes
+        a random part, except for the last phase of a loss other than the mean. The judge sees all.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, `solver`, `anneal`, `levels`, `starts` or `evaluations` hold values that make no sense, no
-    pixel counts, or the visibility is not finite at the start.
+    technique does not allow, `solver`, `anneal`, `levels`, `starts`, `evaluations` or `pixels` hold values that make no
+    sense, no pixel counts, or the visibility is not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
-    fitted, joint = Parameters.of(parameters), Joint.of(problem)
+    fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
     check_solver(solver)
     check_anneal(anneal)
     if evaluations < 1:
         raise ValueError(f"{evaluations} evaluations were requested for the search; expected 1 or more")
+    if pixels < 1:
+        raise ValueError(f"pixels is {pixels}; expected 1 or more")
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
     initial = as_float([p.initial for p in parameters])
     spread = starts_within(fitted, initial, starts, seed)
     began = time.perf_counter()
     joint = joint.each(lambda problem: problem.planned())
-    phases = phases_of(joint, fitted.paths, anneal, levels)
+    phases = phases_of(joint, fitted.paths, anneal, levels, pixels)
     run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, on_step)
     with run.reporter:
         path, tried = run.through(spread)

@@ -29,6 +29,8 @@ _GEOMETRIC = ("radius", "light_size", "min_radius")
 # The part of the bounds in which the second search looks.
 _REFINED = 0.25
 
+_ALL = 1 << 62
+
 
 class Phase(NamedTuple):
     """A part of a fit.
@@ -38,6 +40,7 @@ class Phase(NamedTuple):
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
+    - `pixels`: the most of them that a step of a fit of a technique to several images evaluates.
     """
 
     joint: Joint
@@ -45,11 +48,12 @@ class Phase(NamedTuple):
     width: float
     level: int = 1
     searched: float = 0.0
+    pixels: int = _ALL
 
     @property
     def program(self) -> tuple[object, ...]:
         """What identifies its compiled program among those of the fit."""
-        return self.level, self.active, self.width > 0
+        return self.level, self.active, self.width > 0, self.pixels
 
     @property
     def blurs(self) -> tuple[float, ...]:
@@ -57,15 +61,23 @@ class Phase(NamedTuple):
         return tuple(problem.blur_in_pixels for problem in self.joint.problems)
 
 
-def phases_of(joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequence[int] | None) -> list[Phase]:
-    """The phases of a fit of the numbers at `paths`.
+def phases_of(
+    joint: Joint, paths: Sequence[str], anneal: Anneal, levels: Sequence[int] | None, pixels: int
+) -> list[Phase]:
+    """The phases of a fit of the numbers at `paths`, whose steps evaluate about `pixels` of them at most.
 
     **Raises** `ValueError` if the levels do not suit the problems, or a number lays out maps while lights or meshes
     move.
     """
     searched = tuple(i for i, path in enumerate(paths) if joint.searched(path))
     smooth = tuple(i for i in range(len(paths)) if i not in searched)
-    annealed = [Phase(joint.with_compare(SoftCompare(width, anneal.kernel)), smooth, width) for width in anneal.widths]
+    annealed = []
+    for number, width in enumerate(anneal.widths):
+        part = (number + 1) / len(anneal.widths)
+        soft = joint.with_compare(SoftCompare(width, anneal.kernel)).with_loss(joint.loss.in_phase(part))
+        # A mean over a part of the pixels is close to that over all. The worst of several is not.
+        whole = part == 1 and joint.loss.over != "mean"
+        annealed.append(Phase(soft, smooth, width, pixels=_ALL if whole else pixels))
     if joint.moves:
         if searched:
             raise ValueError(

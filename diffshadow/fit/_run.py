@@ -145,8 +145,9 @@ class Run:
             return None
         span = np.asarray(self.parameters.upper - self.parameters.lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
-        on_host = lambda images: [np.asarray(image) for image in images]
-        return precision_of(names, on_host(solution.differences), on_host(solution.slopes), phase.blurs, span)
+        differences = [image for images in solution.differences for image in np.asarray(images)]
+        slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
+        return precision_of(names, differences, slopes, phase.blurs, span)
 
     def flat(self, path: Path) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
@@ -229,8 +230,10 @@ class Run:
 
     def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
         values = self.parameters.to_bounded(free)
-        joint = phase.joint if self.judge.moves else Joint(phase.joint.subject, self.judged_at(values).problems)
-        joint = joint.put(self.parameters, values).each(lambda p: p.padded())
+        joint = phase.joint
+        if not joint.moves:
+            joint = Joint(joint.subject, self.judged_at(values).problems, joint.loss).sampled(phase.pixels)
+        joint = joint.put(self.parameters, values).each(lambda p: p.padded()).stacked()
         y = jnp.asarray(np.asarray(free)[np.asarray(phase.active)])
         return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
 

@@ -11,8 +11,11 @@ from jaxtyping import Array, Float
 from ..shadow import Overflow
 from ._history import Report, report_overflow
 from ._parameters import Parameters
-from .problems import Images, Joint, any_of
+from .problems import Images, Joint, any_of, multiplied, products, squares
 from .solvers import Solver, optimistix_options, optimistix_solver
+
+Stacks = tuple[Float[Array, "..."], ...]
+"""The derivatives of images by each parameter, (p, n, h, w)."""
 
 
 class Solution(NamedTuple):
@@ -24,20 +27,20 @@ class Solution(NamedTuple):
     - `value`: (a,), the free values of the active parameters.
     - `gradient`: (a,), of the mean square of the compared differences.
     - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
-    - `differences`, `slopes`: of each problem, (h, w) and (a, h, w), before the blur.
+    - `differences`, `slopes`: of each problem, (n, h, w) and (a, n, h, w), before the blur, with the loss's weights.
     """
 
     value: Float[Array, " a"]
     gradient: Float[Array, " a"]
     slope: Float[Array, " a"]
     differences: Images
-    slopes: Images
+    slopes: Stacks
     steps: Array
     result: optx.RESULTS
 
 
 def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array) -> Solution:
-    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Images]]:
+    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks]]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
         # once for each; here it is a matrix, found once together with the residuals.
         joint, parameters, scale = args
@@ -46,8 +49,15 @@ def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token
         differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
         if joint.moves:
             report_overflow(token, overflow, y)
-        change = jnp.matmul(_columns(jax.vmap(joint.compared)(slopes)), fraction - fixed, precision="highest")
-        return scale * (_flat(joint.compared(differences)) + change), (differences, slopes)
+        compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
+        roots, bends = _weights(joint, compared, sloping)
+        weighted = lambda stacks: jax.vmap(lambda images: multiplied(images, roots))(stacks)
+        change = fraction - fixed
+        along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
+        rows = [_flat(multiplied(compared, roots)) + along]
+        if bends is not None:
+            rows.append(jnp.matmul(bends, change, precision="highest"))
+        return scale * jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes))
 
     solution = optx.least_squares(
         residual,
@@ -72,10 +82,17 @@ def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token
     )
 
 
-def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Images, Overflow]:
+def _weights(joint: Joint, compared: Images, slopes: Stacks) -> tuple[Float[Array, " v"], Float[Array, "v p"] | None]:
+    """The roots of the loss's weights, and the rows that stand for their change."""
+    errors = squares(compared)
+    gradients = 2 * jax.vmap(lambda slope: products(compared, slope), out_axes=1)(slopes)
+    return jnp.sqrt(joint.loss.weights(errors, joint.shares)), joint.loss.bends(errors, joint.shares, gradients)
+
+
+def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Stacks, Overflow]:
     """All differences at a `fraction` (p,) of the distance between the bounds, and their derivatives by each.
 
-    **Returns:** images (h, w), stacks of them (p, h, w), and whether silhouettes are missing from a map.
+    **Returns:** images (n, h, w), stacks of them (p, n, h, w), and whether silhouettes are missing from a map.
     """
 
     def differences(fraction: Array) -> tuple[Images, Overflow]:
@@ -92,7 +109,7 @@ def _flat(images: Images) -> Float[Array, " n"]:
     return jnp.concatenate([image.ravel() for image in images])
 
 
-def _columns(stacks: Images) -> Float[Array, "n p"]:
+def _columns(stacks: Stacks) -> Float[Array, "n p"]:
     return jnp.concatenate([stack.reshape(stack.shape[0], -1) for stack in stacks], axis=1).T
 
 

@@ -6,6 +6,9 @@ from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import any_of as any_of
 from ._joint import check_problem as check_problem
+from ._joint import multiplied as multiplied
+from ._joint import products as products
+from ._joint import squares as squares
 from ._levels import levels_of as levels_of
 from ._pose import PoseProblem as PoseProblem
 from ._pose import cone_fraction as cone_fraction

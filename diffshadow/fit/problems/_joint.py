@@ -5,28 +5,34 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
+from .._loss import Errors, Loss
 from .._parameters import Parameters, resolve
 from ._abstract import AbstractProblem
+from ._stack import Stack, stacked
 
 Images = tuple[Float[Array, "..."], ...]
+"""The images of each stack, (n, h, w), and of each other problem, (1, h, w)."""
 
 
 class Joint(eqx.Module):
-    """Problems that share what is fitted, such as one for each light; every pixel that counts has the same weight.
+    """Problems that share what is fitted, such as one for each view and light.
 
     - `subject`: what is fitted.
-    - `problems`: their own subjects are ignored.
+    - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
+    - `loss`: of their errors.
     """
 
     subject: Any
-    problems: tuple[AbstractProblem, ...]
+    problems: tuple[Any, ...]
+    loss: Loss = Loss()
 
     @classmethod
-    def of(cls, problems: AbstractProblem | Sequence[AbstractProblem]) -> "Joint":
+    def of(cls, problems: AbstractProblem | Sequence[AbstractProblem], loss: Loss | None = None) -> "Joint":
         """One problem or several, with the subject of the first.
 
         **Raises** `ValueError` if there is none, or they are of several kinds.
@@ -37,36 +43,76 @@ class Joint(eqx.Module):
         kinds = sorted({type(problem).__name__ for problem in each})
         if len(kinds) > 1:
             raise ValueError(f"got a {' and a '.join(kinds)} to fit jointly; expected all of one kind")
-        return cls(each[0].subject, each)
+        return cls(each[0].subject, each, Loss() if loss is None else loss)
 
     def differences(self, subject: Any, overflows: list[Overflow] | None = None) -> Images:
-        """Those of all problems, scaled so that the sum of all their squares is the mean square error.
+        """Those of all problems, scaled so that the sum of the squares of each is its mean square error.
+
+        Where the signs of differences have factors in the loss, their squares are multiplied by these.
 
         **Arguments:** `overflows` as for `draw_shadow_map`.
+
+        **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem.
         """
-        count = jnp.maximum(sum(problem.count for problem in self.problems), 1)
-        return tuple(problem.difference(subject, overflows) / jnp.sqrt(count) for problem in self.problems)
+
+        def scaled(problem: AbstractProblem | Stack) -> Float[Array, "n h w"]:
+            if isinstance(problem, Stack):
+                difference, count = problem.difference(subject), problem.count[:, None, None]
+            else:
+                difference, count = problem.difference(subject, overflows)[None], problem.count
+            return self.loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))
+
+        return tuple(map(scaled, self.problems))
 
     def compared(self, differences: Images) -> Images:
         """The part of all differences that the fit makes small."""
-        return tuple(problem.compared(each) for problem, each in zip(self.problems, differences, strict=True))
+        return tuple(
+            images if isinstance(problem, Stack) else problem.compared(images[0])[None]
+            for problem, images in zip(self.problems, differences, strict=True)
+        )
 
-    def mean_square_error(self, subject: Any) -> Scalar:
-        """The mean square error over all pixels that count."""
-        return _sum_of_squares(self.differences(subject))
+    @property
+    def shares(self) -> Errors:
+        """The share of each problem in all pixels that count, (v,)."""
+        counts = jnp.concatenate([jnp.atleast_1d(jnp.asarray(p.count, jnp.float32)) for p in self.problems])
+        return counts / jnp.maximum(jnp.sum(counts), 1)
 
     def losses(self, subject: Any) -> tuple[Scalar, Scalar, Overflow]:
-        """The mean square of the compared part of the differences, which a fit minimises, and of all of them.
+        """The loss of the compared part of the differences, which a fit minimises, and of all of them.
 
         **Returns** also whether silhouettes are missing from a map, and the images wrong.
         """
         overflows: list[Overflow] = []
         differences = self.differences(subject, overflows)
-        return _sum_of_squares(self.compared(differences)), _sum_of_squares(differences), any_of(overflows)
+        compared, whole = (
+            jnp.sum(self.loss.weights(errors, self.shares) * errors)
+            for errors in map(squares, (self.compared(differences), differences))
+        )
+        return compared, whole, any_of(overflows)
+
+    def mean_square_error(self, subject: Any) -> Scalar:
+        """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
+        count."""
+        return self.losses(subject)[1]
 
     def put(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With `values` (p,) in the subject."""
-        return Joint(parameters.put(self.subject, values), self.problems)
+        return Joint(parameters.put(self.subject, values), self.problems, self.loss)
+
+    def with_loss(self, loss: Loss) -> "Joint":
+        """With another loss."""
+        return Joint(self.subject, self.problems, loss)
+
+    def sampled(self, most: int) -> "Joint":
+        """With a part of the pixels of fits of a technique to several images, if more than `most` count."""
+        if self.moves or len(self.problems) == 1 or sum(int(problem.count) for problem in self.problems) <= most:
+            return self
+        count, problems = most // len(self.problems), enumerate(self.problems)
+        return Joint(self.subject, tuple(problem.sampled(count, i) for i, problem in problems), self.loss)
+
+    def stacked(self) -> "Joint":
+        """With fits of a technique that are of one structure as stacks."""
+        return Joint(self.subject, stacked(self.problems), self.loss)
 
     @property
     def technique(self) -> FittableTechnique:
@@ -83,9 +129,10 @@ class Joint(eqx.Module):
         return eqx.tree_at(lambda joint: joint.technique.compare, self, compare)
 
     def hard(self) -> "Joint":
-        """With the hard compare."""
+        """With the hard compare, and the loss itself."""
         compare = self.technique.compare
-        return self.with_compare(compare if isinstance(compare, HardCompare) else HardCompare())
+        hardened = self.with_compare(compare if isinstance(compare, HardCompare) else HardCompare())
+        return hardened.with_loss(self.loss.exact())
 
     def searched(self, path: str) -> bool:
         """Whether the number at `path` lays out the map, so that it is found by a search rather than by gradient."""
@@ -98,16 +145,28 @@ class Joint(eqx.Module):
 
     def each(self, function: Callable[[Any], AbstractProblem]) -> "Joint":
         """With `function` of each problem."""
-        return Joint(self.subject, tuple(map(function, self.problems)))
+        return Joint(self.subject, tuple(map(function, self.problems)), self.loss)
+
+
+def squares(images: Images) -> Errors:
+    """The sum of the squares of each image, (v,)."""
+    return products(images, images)
+
+
+def products(images: Images, others: Images) -> Errors:
+    """The sum of the products of each two images, (v,)."""
+    return jnp.concatenate([jnp.sum(a * b, axis=(1, 2)) for a, b in zip(images, others, strict=True)])
+
+
+def multiplied(images: Images, factors: Errors) -> Images:
+    """Each image times its factor."""
+    ends = np.cumsum([len(each) for each in images])
+    return tuple(each * factors[end - len(each) : end, None, None] for each, end in zip(images, ends, strict=True))
 
 
 def any_of(overflows: Sequence[Overflow]) -> Overflow:
     """Whether silhouettes are missing from any map."""
     return jnp.any(jnp.asarray(overflows, bool))
-
-
-def _sum_of_squares(images: Images) -> Scalar:
-    return sum((jnp.sum(image**2) for image in images), start=jnp.zeros(()))
 
 
 def check_problem(joint: Joint, parameters: Parameters) -> None:

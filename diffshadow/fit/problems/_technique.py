@@ -2,9 +2,13 @@
 
 import dataclasses
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float
 
+from ..._misc import as_float
 from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
@@ -12,6 +16,9 @@ from ...reference import Reference
 from ...shadow import EngineMap, FittableTechnique, Overflow, ShadowMap
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
+
+# Of an image of sampled pixels. Taps repeat in tiles of 16 pixels at most.
+_ROWS = 16
 
 
 class TechniqueProblem(AbstractProblem):
@@ -23,6 +30,7 @@ class TechniqueProblem(AbstractProblem):
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
+    - `weight`: how many pixels each stands for; more than 1 in a sample of them.
     """
 
     technique: FittableTechnique
@@ -31,6 +39,7 @@ class TechniqueProblem(AbstractProblem):
     reference: Visibility
     mask: Mask
     scene: Scene | None = None
+    weight: Scalar = eqx.field(converter=as_float, default=1.0)
 
     @classmethod
     def of(
@@ -61,9 +70,12 @@ class TechniqueProblem(AbstractProblem):
         return jnp.sum(self.residual(technique) ** 2)
 
     def difference(self, subject: FittableTechnique, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere. Nothing is drawn that could overflow."""
+        """Visibility less reference at the pixels that count, 0 elsewhere, times the square root of their weight.
+
+        Nothing is drawn that could overflow.
+        """
         visibility = subject.visibility(self.shadow_map, self.surface)
-        return jnp.where(self.mask, visibility - self.reference, 0)
+        return jnp.sqrt(self.weight) * jnp.where(self.mask, visibility - self.reference, 0)
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """All of a difference."""
@@ -94,6 +106,31 @@ class TechniqueProblem(AbstractProblem):
         """The problem itself: nothing is drawn again."""
         return self
 
+    def sampled(self, count: int, seed: int) -> "TechniqueProblem":
+        """With about `count` of the pixels that count, in an image of `_ROWS` rows.
+
+        They are drawn at random, one from each of as many runs of equal length in the image's order. Where fewer pixels
+        count, all are taken, and the rest of the image counts for nothing.
+        """
+        columns = -(-count // _ROWS)
+        counting = np.flatnonzero(np.asarray(self.mask))
+        taken = min(columns * _ROWS, len(counting))
+        within = np.random.default_rng(seed).random(taken)
+        chosen = counting[((np.arange(taken) + within) * (len(counting) / max(taken, 1))).astype(np.int64)]
+        # A filter's taps vary in tiles of a few pixels. Down the columns first, few samples see them all.
+        places = np.resize(chosen if taken else [0], columns * _ROWS).reshape(columns, _ROWS).T
+        counts = (np.arange(columns * _ROWS) < taken).reshape(columns, _ROWS).T
+        gathered = lambda image: jnp.asarray(np.asarray(image).reshape(-1, *image.shape[2:])[places])
+        return TechniqueProblem(
+            technique=self.technique,
+            shadow_map=self.shadow_map,
+            surface=jax.tree.map(gathered, self.surface),
+            reference=gathered(self.reference),
+            mask=jnp.asarray(counts),
+            scene=self.scene,
+            weight=float(self.weight) * len(counting) / max(taken, 1),
+        )
+
     def padded(self) -> "TechniqueProblem":
         """Without the scene, of which programs need nothing."""
         return dataclasses.replace(self, scene=None)
@@ -109,9 +146,9 @@ class TechniqueProblem(AbstractProblem):
         return self.technique
 
     @property
-    def count(self) -> Int[Array, ""]:
+    def count(self) -> Scalar:
         """How many pixels count."""
-        return jnp.sum(self.mask)
+        return self.weight * jnp.sum(self.mask)
 
     @property
     def blur_in_pixels(self) -> float:

@@ -1,0 +1,119 @@
+"""What a fit minimises: the errors of several images as one number."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._misc import as_float, concrete
+from .._types import Scalar
+
+Over = Literal["mean", "worst", "cvar"]
+OVER: tuple[str, ...] = ("mean", "worst", "cvar")
+
+Errors = Float[Array, " v"]
+"""A number for each image, (v,)."""
+
+# The powers of the mean that stands for the maximum, in the first phase of a fit and in the last.
+_FIRST_POWER, _LAST_POWER = 4.0, 64.0
+
+
+class Loss(eqx.Module):
+    """How the mean square errors E of several images become the loss L of a fit.
+
+    All of these are convex in E, and homogeneous: L(s E) = s L(E). So L = Σ w E with the weights w = ∂L/∂E, and least
+    squares of residuals that are weighted by √w have the loss L and its gradient.
+
+    - `over`: `"mean"`, the mean over all pixels; `"worst"`, the greatest E; `"cvar"`, the mean of E over the worst
+        `fraction` of pixels when images are sorted by E (conditional value at risk, Rockafellar & Uryasev 2000).
+    - `fraction`: for `"cvar"`.
+    - `false_shadow`, `false_light`: factors of the squares where an image is too dark, and where it is too light.
+    - `power`: for `"worst"`: the greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), with sₖ the share of all pixels
+        that image k has. None for the maximum itself.
+
+    **Raises** `ValueError` if `over` is unknown, `fraction` is not in (0, 1], or a factor is negative or both are 0.
+    """
+
+    over: Over = eqx.field(static=True, default="mean")
+    fraction: Scalar = eqx.field(converter=as_float, default=0.1)
+    false_shadow: Scalar = eqx.field(converter=as_float, default=1.0)
+    false_light: Scalar = eqx.field(converter=as_float, default=1.0)
+    power: Scalar | None = None
+
+    def __check_init__(self):
+        if self.over not in OVER:
+            raise ValueError(f"over is {self.over!r}; expected one of {', '.join(OVER)}")
+        fraction, dark, light = (concrete(x) for x in (self.fraction, self.false_shadow, self.false_light))
+        if fraction is not None and not 0 < fraction <= 1:
+            raise ValueError(f"fraction is {fraction}; expected more than 0 and at most 1")
+        if dark is None or light is None:
+            return
+        factors = np.array([dark, light])
+        if not (factors.min() >= 0 < factors.max() < np.inf):
+            raise ValueError(
+                f"false_shadow is {dark} and false_light is {light}; expected 0 or more, and one of them greater than 0"
+            )
+
+    def in_phase(self, part: float) -> "Loss":
+        """For a phase at `part` of the way from the first, 0, to the last, 1: with the power that it takes."""
+        if self.over != "worst":
+            return self
+        power = as_float(_FIRST_POWER * (_LAST_POWER / _FIRST_POWER) ** part)
+        return Loss(self.over, self.fraction, self.false_shadow, self.false_light, power)
+
+    def exact(self) -> "Loss":
+        """With the maximum itself."""
+        return Loss(self.over, self.fraction, self.false_shadow, self.false_light)
+
+    def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """A difference of visibilities, times the square root of the factor of its sign."""
+        factor = jnp.where(difference > 0, self.false_light, self.false_shadow)
+        # The square root has no derivative at 0, and the factors need none.
+        return difference * jnp.sqrt(jax.lax.stop_gradient(factor))
+
+    def weights(self, errors: Errors, shares: Errors) -> Errors:
+        """∂L/∂E at the `errors` E of images with `shares` of all pixels, which sum to 1."""
+        if self.over == "mean":
+            return shares
+        errors = jnp.where(shares > 0, errors, 0)
+        if self.over == "worst":
+            if self.power is None:
+                return jax.nn.one_hot(jnp.argmax(errors), errors.shape[0], dtype=errors.dtype)
+            return shares * self._relative(errors, shares) ** (self.power - 1)
+        order = jnp.argsort(-errors)
+        sorted_shares = shares[order]
+        before = jnp.cumsum(sorted_shares) - sorted_shares
+        taken = jnp.clip(self.fraction - before, 0, sorted_shares) / self.fraction
+        return jnp.zeros_like(errors).at[order].set(taken)
+
+    def bends(self, errors: Errors, shares: Errors, gradients: Float[Array, "v p"]) -> Float[Array, "v p"] | None:
+        """Rows B: BᵀB is what the change of the weights adds to the Gauss-Newton matrix.
+
+        For the mean of power p it is, to first order in E,
+
+            ½ ∂²L/∂E² ∇E ∇E = (p - 1) L / 2 · Σₖ πₖ (gₖ - ḡ)(gₖ - ḡ)ᵀ,   gₖ = ∇Eₖ / Eₖ,   πₖ = wₖ Eₖ / L,   ḡ = Σ πₖ gₖ.
+
+        **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or none if there is no such term.
+        """
+        if self.over != "worst" or self.power is None:
+            return None
+        weights = self.weights(errors, shares)
+        total = jnp.sum(weights * errors)
+        parts = weights * errors / jnp.maximum(total, _TINY)
+        relative = gradients / jnp.maximum(errors, _TINY)[:, None]
+        mean = jnp.matmul(parts, relative, precision="highest")
+        return jnp.sqrt((self.power - 1) * total * parts / 2)[:, None] * (relative - mean)
+
+    def _relative(self, errors: Errors, shares: Errors) -> Errors:
+        """The errors over their mean of this power."""
+        assert self.power is not None
+        scaled = errors / jnp.maximum(jnp.max(errors), _TINY)
+        mean = jnp.sum(shares * scaled**self.power) ** (1 / self.power)
+        return scaled / jnp.maximum(mean, _TINY)
+
+
+# No mean square error that matters is smaller.
+_TINY = 1e-12
