@@ -19,6 +19,11 @@ from .reading._sweep_runs import Sweep as Sweep
 from .reading._sweep_runs import SweepRun as SweepRun
 from .reading._sweep_runs import SweepRuns as SweepRuns
 from .reading._sweep_runs import load_sweep as load_sweep
+from .sections._axes import LABEL as LABEL
+from .sections._axes import PathConfig as PathConfig
+from .sections._axes import QuasiRandomAxisConfig as QuasiRandomAxisConfig
+from .sections._axes import QuasiRandomConfig as QuasiRandomConfig
+from .sections._axes import SunConfig as SunConfig
 from .sections._biases import AdaptiveBiasConfig as AdaptiveBiasConfig
 from .sections._biases import BiasConfig as BiasConfig
 from .sections._biases import NoPlaneConfig as NoPlaneConfig
@@ -65,11 +70,8 @@ from .sections._shading import AttenuationConfig as AttenuationConfig
 from .sections._shading import ModulatedConfig as ModulatedConfig
 from .sections._shading import PhongConfig as PhongConfig
 from .sections._shading import ShadingConfig as ShadingConfig
-from .sections._sweep import LABEL as LABEL
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig
-from .sections._sweep import QuasiRandomAxisConfig as QuasiRandomAxisConfig
-from .sections._sweep import QuasiRandomConfig as QuasiRandomConfig
 from .sections._sweep import SweepConfig as SweepConfig
 from .sections._technique import CascadesConfig as CascadesConfig
 from .sections._technique import CompareConfig as CompareConfig
@@ -83,7 +85,10 @@ from .sections._technique import ShadowMappingConfig as ShadowMappingConfig
 from .sections._technique import ShadowVolumesConfig as ShadowVolumesConfig
 from .sections._technique import SoftCompareConfig as SoftCompareConfig
 from .sections._technique import TechniqueConfig as TechniqueConfig
+from .sections._views import LossConfig as LossConfig
+from .sections._views import ViewsConfig as ViewsConfig
 from .whole._schema import Config as Config
+from .whole._schema import View as View
 
 if TYPE_CHECKING:
     from .building._modules import FitPlan as FitPlan

@@ -31,6 +31,7 @@ class FitPlan(NamedTuple):
     - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
+    - `loss`: of the errors of all views and lights.
     """
 
     parameters: list[fit.Parameter]
@@ -42,6 +43,7 @@ class FitPlan(NamedTuple):
     searches: bool = False
     evaluations: int = 30
     truth: dict[str, float] = {}  # noqa: RUF012
+    loss: fit.Loss = fit.Loss()
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -197,6 +199,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         any(is_searched(config, name) for name in config.fit.parameters),
         config.fit.evaluations,
         truth,
+        fit.Loss(**config.fit.loss.model_dump()),
     )
 
 

@@ -4,7 +4,7 @@ import difflib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
@@ -14,21 +14,11 @@ from ..sections._paths import path_of
 from ..sections._scene import BUILTIN, BUILTIN_MESHES
 from ..whole._between import data_faults_of_fit, fit_faults
 from ..whole._schema import Config
+from ._draft import Draft
 from ._mistakes import mistakes_at, mistakes_of
 from ._overrides import apply_overrides
+from ._views import resolve_views, views_of
 from ._yaml import read_yaml
-
-
-class Draft(NamedTuple):
-    """An unchecked configuration, and the mistakes found so far.
-
-    - `folder`: the folder that relative paths in the file start from.
-    """
-
-    data: dict[str, Any]
-    origin: Origin
-    folder: Path
-    mistakes: list[Mistake]
 
 
 def load_config(
@@ -123,6 +113,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     """
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
+    resolve_views(data, origin, draft.folder)
     mistakes = [*draft.mistakes, *(missing if files else ())]
     # Checked on the data, so that messages quote numbers as they were written.
     of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []
@@ -138,6 +129,8 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
         mistakes += [*of_fit, *mistakes_at(fit_faults(config), origin)]
     if mistakes:
         raise ConfigError(mistakes)
+    if files:
+        config._views, config._validation = views_of(config, draft, checked)
     return config
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 from .._errors import ConfigError, KeyPath, Mistake, Place, dotted, show
+from ..sections._axes import QuasiRandomAxisConfig
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
 from ..sections._poses import pose_of
 from ..sections._section import is_index, look
-from ..sections._sweep import QuasiRandomAxisConfig
 from ._yaml import has_surrogate, read_yaml
 
 
@@ -69,14 +69,17 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
         case ["fit", "parameters", _, *_]:
             start, keys = 2, FitParameterConfig.model_fields
             known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in existing
-        case ["sweep", "qmc", "axes", _, *_]:
-            start, keys = 3, QuasiRandomAxisConfig.model_fields
-            known = lambda name, rest: name in existing
-        case ["sweep", "grid" | "zip", _, *_]:
-            start, keys = 2, ()
-            known = lambda name, rest: name in existing and (not rest or is_index(rest[0]))
-        case ["sweep", "list", _, _, *_]:
-            return [*words[:3], ".".join(words[3:])]
+        case ["sweep", *axes] | ["fit", "views" | "validation", *axes]:
+            inner = {"grid": 1, "zip": 1, "files": 1, "qmc": 2, "path": 2}.get(axes[0] if axes else "", len(words))
+            if axes[:1] == ["list"] and len(axes) > 2:
+                end = len(words) - len(axes) + 2
+                return [*words[:end], ".".join(words[end:])]
+            if len(axes) <= inner:
+                return words
+            start, keys = len(words) - len(axes) + inner, ()
+            if axes[0] == "qmc":
+                keys = QuasiRandomAxisConfig.model_fields
+            known = lambda name, rest: name in existing and (keys or not rest or is_index(rest[0]))
         case _:
             return words
     existing = look(data, *words[:start])

@@ -1,6 +1,5 @@
 """Makes the configurations of a sweep's runs."""
 
-import copy
 import functools
 import hashlib
 import importlib.metadata
@@ -15,16 +14,16 @@ from typing import Any, NamedTuple, overload
 
 from pydantic import ValidationError
 
-from .._errors import ConfigError, Mistake, Origin, Place, show
+from .._errors import ConfigError, Mistake, Origin, show
+from ..sections._axes import LABEL
 from ..sections._filters import MOST_TAPS, RandomDiskConfig
 from ..sections._reference import ImageReferenceConfig
-from ..sections._sweep import LABEL, SweepConfig
+from ..sections._sweep import SweepConfig
 from ..sections._technique import MappedConfig
 from ..whole._schema import Config
+from ._axes import levels_of, written
 from ._load import Draft, checked, load_draft
 from ._mistakes import mistakes_of
-from ._overrides import apply_overrides
-from ._sweep_choices import Choice, count_of, levels_of
 
 # Part of every id. Increase it when the same configuration gives different numbers.
 _FORMAT = 1
@@ -70,7 +69,7 @@ class SweepRuns(Sequence[SweepRun]):
         data = {key: value for key, value in draft.data.items() if key != "sweep"}
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
         self._axes, self._seed = settings.axes, data.get("seed", 0)
-        self._levels = levels_of(settings, self._seed)
+        self._levels = levels_of(settings, draft)
         counts = [len(level) for level in self._levels]
         self._count = math.prod(counts)
         # For each level, the distance between the runs of neighbouring choices.
@@ -175,7 +174,7 @@ class SweepRuns(Sequence[SweepRun]):
             for choice in self._levels[depth]:
                 end = bisect_left(indices, first + self._strides[depth], low, high)
                 if end > low:
-                    yield from walk(depth + 1, first, _written(draft, choice, self._origin), low, end)
+                    yield from walk(depth + 1, first, written(draft, choice, self._origin), low, end)
                 low, first = end, first + self._strides[depth]
 
         return walk(0, 0, self._base, 0, len(indices))
@@ -227,14 +226,13 @@ def load_sweep(
     """
     draft = load_draft(path, overrides)
     settings = _settings_of(draft)
-    count = count_of(settings)
-    if count > _MOST_RUNS:
+    runs = SweepRuns(settings, draft)
+    if len(runs) > _MOST_RUNS:
         message = (
-            f"makes {count:,} runs; expected at most {_MOST_RUNS:,}, since each is checked and gets a folder; shorten "
-            "its lists, or split it into several sweeps"
+            f"makes {len(runs):,} runs; expected at most {_MOST_RUNS:,}, since each is checked and gets a folder; "
+            "shorten its lists, or split it into several sweeps"
         )
         raise ConfigError([Mistake(draft.origin.place(("sweep",)), "sweep", message)])
-    runs = SweepRuns(settings, draft)
     if check:
         runs.check(progress)
     return Sweep(settings, runs, draft.origin.source, tuple(overrides))
@@ -252,21 +250,6 @@ def _settings_of(draft: Draft) -> SweepConfig:
         if any(mistake.key.split(".")[0] == "sweep" for mistake in mistakes):
             raise ConfigError([*draft.mistakes, *mistakes]) from None
     return SweepConfig.model_validate(draft.data["sweep"])
-
-
-def _written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
-    """`draft` with the values of `choice`. Their places are those in the section `sweep`, taken from `origin`."""
-    data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
-    for key, value in choice.values.items():
-        # JSON is YAML, so an override preserves the value.
-        override = f"{key}={json.dumps(value, ensure_ascii=False)}"
-        passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
-        mistakes += [
-            replace(mistake, place=place) if mistake.place == passed else mistake
-            for mistake in apply_overrides(data, places, [override])
-        ]
-        places = {path: place if at == passed else at for path, at in places.items()}
-    return Draft(data, Origin(draft.origin.source, places), draft.folder, mistakes)
 
 
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
@@ -299,6 +282,8 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
             mesh["path"] = _content_of(section.path)
     if isinstance(config.reference, ImageReferenceConfig):
         data["reference"]["path"] = _content_of(config.reference.path)
+    for kind, views in (("views", config.views), ("validation", config.validation)):
+        data["fit"][kind] = [_id_of(view.config, settings) for view in views]
     whole = {
         "format": _FORMAT,
         "version": _version(),

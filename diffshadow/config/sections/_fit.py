@@ -11,6 +11,7 @@ from ._fitted import outside
 from ._poses import is_pose
 from ._section import Conflict, Count, Form, Section, Texels, Unit, as_list, fault, is_number, ordered
 from ._technique import LEAST_WIDTH, SoftKernel
+from ._views import LossConfig, ValidationConfig, ViewsConfig
 
 
 class FitParameterConfig(Section):
@@ -94,6 +95,13 @@ class FitConfig(Section):
     multistart: Annotated[int, Unit("starts")] = Field(
         default=1, ge=1, le=1024, description="number of starts: the initial values, and others within the bounds"
     )
+    views: ViewsConfig | None = Field(
+        default=None, description="scenes to fit to together, instead of the configuration's own"
+    )
+    validation: ValidationConfig | None = Field(
+        default=None, description="scenes to measure the result on, which the fit does not see"
+    )
+    loss: LossConfig = Field(default_factory=LossConfig, description="what the fit minimises")
     # Each draws the map again.
     evaluations: int = Field(
         default=30,

@@ -96,6 +96,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         yield from _beyond_guards(config, config.fit.parameters)
         yield from _beyond_gutters(config, config.fit.parameters)
     yield from _unused_in_layout(config)
+    yield from _unsuitable_views(config)
     if not config.moves:
         return
     if isinstance(config.technique, EngineConfig):
@@ -139,6 +140,22 @@ def _unused_in_layout(config: Parts) -> Iterator[Conflict]:
         if f"technique.{key}" in config.fit.parameters:
             what = fault(f"changes nothing, since {why}", "a number that the layout uses", mend)
             yield ("fit", "parameters", f"technique.{key}"), what
+
+
+def _unsuitable_views(config: Parts) -> Iterator[Conflict]:
+    """Faults of views in fits that are of one scene alone, and of maps of several sizes where only one can be."""
+    if config.fit.validation is not None and config.fit.views is None and config.moves:
+        yield ("fit", "validation"), fault("is given in a fit of lights or meshes", "a fit of a technique", "remove it")
+    if config.fit.views is None:
+        return
+    if config.moves:
+        yield ("fit", "views"), fault("are given in a fit of lights or meshes", "a fit of a technique", "remove them")
+    sizes = "shadow_map.resolution" in config.fit.views.axes
+    if sizes and (
+        isinstance(config.technique, EngineConfig) or any(is_searched(config, n) for n in config.fit.parameters)
+    ):
+        given = f"change shadow_map.resolution, with technique.type {config.technique.type} and its parameters"
+        yield ("fit", "views"), fault(given, "one size for all", "set it outside of the views")
 
 
 def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:

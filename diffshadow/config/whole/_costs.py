@@ -9,7 +9,8 @@ from ..sections._technique import MappedConfig, ProjectiveTextureConfig
 from ._parts import Parts
 
 # About 300 bytes each while an image is processed: 5 GB.
-_MOST_PIXELS = 1 << 24
+MOST_PIXELS = 1 << 24
+"""The most pixels of an image, and of all views of a fit together."""
 # About 64 bytes each while four moments of a map are blurred: 4 GB. This is one map of 8192 x 8192.
 _MOST_TEXELS = 1 << 26
 # 36 bytes each, all in memory at once: 2.4 GB.
@@ -46,9 +47,9 @@ def _pixels(config: Parts) -> int:
 
 def _too_many_pixels(config: Parts) -> Iterator[Conflict]:
     pixels = _pixels(config)
-    if pixels > _MOST_PIXELS:
+    if pixels > MOST_PIXELS:
         message = f"is {list(config.scene.camera.resolution)}, which makes {pixels:,} pixels"
-        expected = f"at most {_MOST_PIXELS:,}, which take 5 GB"
+        expected = f"at most {MOST_PIXELS:,}, which take 5 GB"
         yield ("scene", "camera", "resolution"), fault(message, expected, "make it smaller, such as [4096, 4096]")
 
 

@@ -1,7 +1,9 @@
 """The whole configuration of a run."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
+
+from pydantic import PrivateAttr
 
 from ..sections._fit import UPPER
 from ..sections._fitted import misnamed
@@ -10,8 +12,32 @@ from ._between import data_faults_of_fit, fit_faults, run_faults
 from ._parts import Parts
 
 
+class View(NamedTuple):
+    """A scene that a fit sees, or that it is validated on.
+
+    - `name`: what tells it from the others.
+    - `config`: of a run of its own.
+    """
+
+    name: str
+    config: "Config"
+
+
 class Config(Parts):
     """The configuration of a run, with all checks across sections."""
+
+    _views: tuple[View, ...] = PrivateAttr(default=())
+    _validation: tuple[View, ...] = PrivateAttr(default=())
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views of `fit.views`."""
+        return self._views
+
+    @property
+    def validation(self) -> tuple[View, ...]:
+        """The views of `fit.validation`."""
+        return self._validation
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -90,9 +90,17 @@ class _RenderedLight(_Part):
 
 
 class _FittedLight(_Part):
+    """`validation`: whether the fit has not seen it."""
+
     light: str
     before: _LightErrors
     after: _LightErrors
+    validation: bool = False
+
+
+class _BeforeAndAfter(_Part):
+    before: _Errors
+    after: _Errors
 
 
 class _Metrics(_Part):
@@ -107,9 +115,13 @@ class _RenderMetrics(_Metrics):
 
 
 class _FitMetrics(_Metrics):
+    """`shown`: for fits over views, the indices of those that have pictures, the worst first."""
+
     before: _Errors
     after: _Errors
     lights: list[_FittedLight] = Field(min_length=1)
+    validation: _BeforeAndAfter | None = None
+    shown: list[Count] | None = None
 
 
 class _Bounds(_Part):
@@ -192,6 +204,8 @@ class _Fit(_Run):
         for name, bounds in self.bounds.items():
             if bounds.lower >= bounds.upper:
                 raise _fault(f"bounds.{name}", f"are {bounds.lower:g} and {bounds.upper:g}", "lower less than upper")
+        if any(index >= len(self.metrics.lights) for index in self.metrics.shown or ()):
+            raise _fault("metrics.shown", f"is {self.metrics.shown}", f"less than {len(self.metrics.lights)}")
         phases, chosen = len(self.solver.phases), self.solver.chosen_phase
         if chosen >= phases:
             raise _fault("solver.chosen_phase", f"is {chosen}", f"less than {phases}, the number of phases")

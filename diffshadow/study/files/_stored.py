@@ -21,9 +21,9 @@ SWEEP = "sweep"
 
 
 class LightImages(NamedTuple):
-    """The images of one light.
+    """The images of one light, or of a view under one light.
 
-    - `key`: the light's key, such as `"scene.light"`; `end`: the suffix of its files.
+    - `key`: the light's key, such as `"scene.light"`, or the view's name; `end`: the suffix of its files.
     - `images`: title and visibility (h, w) of each state, the result last; `errors`: errors of each state, by name.
     - `mask`: (h, w), the pixels that count.
     """
@@ -82,6 +82,12 @@ class StoredRun(NamedTuple):
             )
             for i, light in enumerate(lights)
         ]
+
+    @property
+    def shown(self) -> list[LightImages]:
+        """The images that have pictures: those of all lights, or of the worst views, the worst first."""
+        lights, shown = self.lights, self.result["metrics"].get("shown")
+        return lights if shown is None else [lights[i] for i in shown]
 
     @property
     def shaded(self) -> list[tuple[str, HostArray]]:
@@ -155,8 +161,10 @@ def _existing(folder: Path, name: str) -> Path:
 
 def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None:
     """Checks that result and configuration belong to the same run."""
-    lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
-    named = {"lights": (lights, [light["light"] for light in result["metrics"]["lights"]])}
+    named = {}
+    if config.fit.views is None and config.fit.validation is None:
+        lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
+        named["lights"] = lights, [light["light"] for light in result["metrics"]["lights"]]
     if result["kind"] == "fit":
         named["parameters"] = list(config.fit.parameters), list(result["fitted"])
     for what, (ours, theirs) in named.items():

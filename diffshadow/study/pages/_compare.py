@@ -99,7 +99,7 @@ def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: 
     from . import _figures as figures
     from ._page import difference_scale, picture, write_page
 
-    limit, extend = figures.difference_limit([light for run in runs for light in run.lights], slice(-1, None))
+    limit, extend = figures.difference_limit([light for run in runs for light in run.shown], slice(-1, None))
     groups = list(_groups(runs, labels, limit))
     shaded = [
         picture(f"{label}, shaded", run.shaded[-1][1], title=label) for label, run in _named(labels, runs) if run.shaded
@@ -133,9 +133,9 @@ def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> I
     from .. import style
     from ._page import picture
 
-    for index in range(max(len(run.lights) for run in runs)):
-        lit = [(label, run.lights[index]) for label, run in _named(labels, runs) if index < len(run.lights)]
-        end = f", {lit[0][1].key}" if index or any(len(run.lights) > 1 for run in runs) else ""
+    for index in range(max(len(run.shown) for run in runs)):
+        lit = [(label, run.shown[index]) for label, run in _named(labels, runs) if index < len(run.shown)]
+        end = f", {lit[0][1].key}" if index or any(len(run.shown) > 1 for run in runs) else ""
         visibility, differences, references = [], [], []
         for label, light in lit:
             truth = np.where(light.mask, light.reference, np.nan)

@@ -42,9 +42,11 @@ def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = st
 
 
 def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
-    for light in run.lights:
+    for i, light in enumerate(run.shown):
         if run.kind == "fit":
-            yield f"comparison{light.end}", comparison(light, run.shaded[-1:])
+            # Of several views, the first is shaded.
+            is_shaded = i == 0 or "shown" not in run.result["metrics"]
+            yield f"comparison{light.end}", comparison(light, run.shaded[-1:] if is_shaded else [])
             continue
         ((_, image),) = light.images
         yield f"visibility{light.end}", visibility("Visibility", image, light.mask)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..files._stored import REPORT, StoredRun
+from ..files._stored import REPORT, LightImages, StoredRun
 from ._table import ERRORS, UNITS, noise_text, number
 
 # Figures in the folder that the page draws itself.
@@ -31,8 +31,8 @@ def write_report(run: StoredRun) -> Path:
     from ._page import difference_scale, file_pictures, write_page
 
     result, is_fit = run.result, run.kind == "fit"
-    limit, extend = figures.difference_limit(run.lights)
-    lights = [_light(run, i, limit) for i in range(len(run.lights))]
+    limit, extend = figures.difference_limit(run.shown)
+    lights = [_light(light, limit, many=len(run.lights) > 1) for light in run.shown]
     write_page(
         run.folder / REPORT,
         "report.html.j2",
@@ -43,9 +43,9 @@ def write_report(run: StoredRun) -> Path:
         errors=_errors(run),
         noise=noise_text(result["metrics"]["reference_noise_floor"]),
         labels=list(ERRORS.values()),
-        by_light=[
-            {"key": each.key, "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS]} for each in run.lights
-        ],
+        validation=_validation(result) if is_fit else [],
+        by_light=_by_light(run),
+        has_views="shown" in result["metrics"],
         aliasing=_aliasing(run),
         slides=[p.name for p in lights[0]["visibility"][-2:]],
         lights=lights,
@@ -140,13 +140,43 @@ def _aliasing(run: StoredRun) -> list[dict[str, Any]]:
     ]
 
 
-def _light(run: StoredRun, index: int, limit: float) -> dict[str, Any]:
-    """The pictures of one light, with names that are unique on the page."""
+def _validation(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Each error before and after the fit over the views that it has not seen."""
+    measured = result["metrics"].get("validation")
+    if measured is None:
+        return []
+    return [
+        {
+            "label": label,
+            "numbers": [number(name, measured[state].get(name)) for state in ("before", "after")],
+            "unit": UNITS[name],
+        }
+        for name, label in ERRORS.items()
+    ]
+
+
+def _by_light(run: StoredRun) -> list[dict[str, Any]]:
+    """The errors of each light or view; those of views before and after the fit, the worst first."""
+    unseen = [light.get("validation", False) for light in run.result["metrics"]["lights"]]
+    rows = [
+        {
+            "key": each.key,
+            "before": number("rmse", each.errors[0].get("rmse")),
+            "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS],
+            "unseen": unseen[i],
+            "order": -(each.errors[-1].get("rmse") or 0),
+        }
+        for i, each in enumerate(run.lights)
+    ]
+    return sorted(rows, key=lambda row: row["order"]) if "shown" in run.result["metrics"] else rows
+
+
+def _light(light: LightImages, limit: float, *, many: bool) -> dict[str, Any]:
+    """The pictures of one light or view, with names that are unique on the page."""
     from .. import style
     from ._page import picture
 
-    light = run.lights[index]
-    end = f", {light.key}" if len(run.lights) > 1 else ""
+    end = f", {light.key}" if many else ""
     counted = lambda image: np.where(light.mask, image, np.nan)
     visibility = [picture(f"Reference{end}", counted(light.reference), title="Reference")]
     differences = []

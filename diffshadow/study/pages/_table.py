@@ -69,6 +69,16 @@ def print_fit(
     console.print(table)
 
 
+def print_validation(console: Console, views: int, before: Mapping[str, float], after: Mapping[str, float]) -> None:
+    """Prints the errors before and after a fit over views that it has not seen."""
+    table = Table("", "before", "after", "unit", title=f"{views} views for validation", title_justify="left")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for key, label in ERRORS.items():
+        table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
+    console.print(table)
+
+
 def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
     """Prints the errors of each light's image, by the light's key."""
     table = Table("", title=words(name), title_justify="left")

@@ -21,27 +21,34 @@ from ._engine import CODE, code_of
 from ._page_remarks import page_remarks
 from ._progress import Stages
 from ._remarks import remarks
-from ._scene_remarks import scene_remarks
-from ._setup import Drawn, draw, load, visibility_of
+from ._setup import Drawn, load, visibility_of
 from ._shade import shade
+from ._views import Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
+# Of views, the worst have pictures.
+_MOST_SHOWN = 8
 
 
 class FittedRun(NamedTuple):
-    """A finished fit, with its images, one for each light, and its errors under the hard compare.
+    """A finished fit, with its images, one for each view and light, and its errors under the hard compare.
 
-    - `seen`: the scene before and after the fit, which may move lights and meshes; `drawn` is the truth.
+    - `views`: all that the fit sees, and what it is validated on.
+    - `seen`: the scenes before and after the fit, which may move lights and meshes; `drawn` is the truth.
+    - `errors_before`, `errors_after`: over all that the fit sees; `validated`: both over the validation, if there is
+        one.
     """
 
     config: Config
     plan: FitPlan
+    views: Views
     drawn: list[Drawn]
     result: fit.FitResult
     before: Images
     after: Images
     errors_before: dict[str, float]
     errors_after: dict[str, float]
+    validated: tuple[dict[str, float], dict[str, float]] | None
     remarks: list[str]
     seen: tuple[list[Drawn], list[Drawn]]
 
@@ -49,6 +56,24 @@ class FittedRun(NamedTuple):
     def mapped(self) -> list[Drawn]:
         """The scene with the maps that are stored: those of the fitted technique, or of the true lights and meshes."""
         return self.seen[1] if self.plan.arrangement is None else self.drawn
+
+    @property
+    def has_views(self) -> bool:
+        """Whether there are other views than the configuration's own scene."""
+        return len(self.views.fitted) + len(self.views.validation) > 1 or bool(self.config.views)
+
+    @property
+    def code(self) -> dict[str, str]:
+        """The code for the lights of an engine, by their keys; of several views, for the first."""
+        return code_of(self.result.technique, self.mapped[: len(self.views.fitted[0].drawn)])
+
+    @property
+    def shown(self) -> list[int]:
+        """The indices of the scenes and lights whose pictures are written: all, or those of the worst views."""
+        if not self.has_views:
+            return list(range(len(self.drawn)))
+        errors = [record.measured(image, each)["rmse"] for image, each in zip(self.after, self.drawn, strict=True)]
+        return np.argsort(-np.nan_to_num(errors), kind="stable")[:_MOST_SHOWN].tolist()
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
@@ -66,6 +91,9 @@ def run_fit(config: Config, *, console: Console) -> Path:
     table.print_fit(
         console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
     )
+    if fitted.validated is not None:
+        count = len(fitted.views.validation)
+        table.print_validation(console, count, *fitted.validated)
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
     noise = table.noise_text(record.noise(fitted.drawn))
     if fitted.plan.arrangement is not None:
@@ -73,7 +101,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
     table.print_lines(
         console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
     )
-    for key, code in code_of(fitted.result.technique, fitted.mapped).items():
+    for key, code in fitted.code.items():
         table.print_code(console, f"{CODE}, for {key}:", code)
     table.print_lines(console, fitted.remarks, warn=True)
     return folder
@@ -88,15 +116,16 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     """Fits the parameters of `config`, and measures the images before and after."""
     loaded = load(config, stages)
     plan, technique = build_fit(config, loaded.scene), build_fittable(config)
-    drawn = draw(config, loaded, technique, stages)
+    views = draw_views(config, loaded, technique, stages)
+    drawn = views.drawn
     if plan.arrangement is None:
-        problems = [_problem(technique, each) for each in drawn]
+        problems: list[Any] = [_problem(technique, each) for each in drawn]
     else:
         problems = poses.problems_of(plan, loaded.scene, drawn)
         drawn = poses.with_references_of(problems, drawn)
     stages.show("compiling")
     result = fit.fit(
-        problems,
+        problems[: views.count],
         plan.parameters,
         solver=plan.solver,
         anneal=plan.anneal,
@@ -104,6 +133,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         starts=plan.starts,
         seed=config.seed,
         evaluations=plan.evaluations,
+        loss=plan.loss,
         on_step=_watch(stages, plan),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
@@ -111,7 +141,8 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
         if result.arrangement is None:
             techniques = fit.with_values(result.technique, paths, start), result.technique
-            seen_before, seen_after = (_seen_with(technique, result.problems, drawn) for technique in techniques)
+            laid_out = [*result.problems, *problems[views.count :]]
+            seen_before, seen_after = (_seen_with(technique, laid_out, drawn) for technique in techniques)
             seen = seen_before, seen_after
             before, after = (
                 [visibility_of(technique, each) for each in shown]
@@ -123,15 +154,13 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
                 poses.images_at(result.problems, drawn, s) for s in subjects
             )
             seen = seen_before[0], seen_after[0]
-        errors_before, errors_after = (_errors(images, drawn) for images in (before, after))
-    lit = [each.scene for each in drawn]
-    messages = [
-        *loaded.remarks,
-        *scene_remarks(config, lit, drawn[0].surface),
-        *page_remarks(config, drawn),
-        *remarks(config, plan.parameters, result),
-    ]
-    return FittedRun(config, plan, drawn, result, before, after, errors_before, errors_after, messages, seen)
+        errors_before, errors_after = (_errors(images, drawn, slice(views.count)) for images in (before, after))
+        apart = slice(views.count, None)
+        validated = (_errors(before, drawn, apart), _errors(after, drawn, apart)) if views.validation else None
+    messages = [*views.remarks, *page_remarks(config, drawn), *remarks(config, plan.parameters, result)]
+    return FittedRun(
+        config, plan, views, drawn, result, before, after, errors_before, errors_after, validated, messages, seen
+    )
 
 
 def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
@@ -147,8 +176,9 @@ def _seen_with(
     return [each._replace(state=problem.shadow_map) for each, problem in zip(drawn, laid_out, strict=True)]
 
 
-def _errors(images: Images, drawn: list[Drawn]) -> dict[str, float]:
-    return record.combined([record.measured(image, each) for image, each in zip(images, drawn, strict=True)], drawn)
+def _errors(images: Images, drawn: list[Drawn], part: slice) -> dict[str, float]:
+    of_part = list(zip(images, drawn, strict=True))[part]
+    return record.combined([record.measured(image, each) for image, each in of_part], [each for _, each in of_part])
 
 
 def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
@@ -173,14 +203,20 @@ def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, floa
     drawn, truth = fitted.drawn, [each.reference.visibility for each in fitted.drawn]
     before, after = fitted.seen
     states = [("reference", drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
-    shaded = {f"shaded_{name}": to_bytes(shade(fitted.config, seen, images)) for name, seen, images in states}
+    # One view can be shaded: the worst.
+    view, shown = fitted.views.of(fitted.shown[0]), fitted.shown
+    lit = [i for i, each in enumerate(fitted.drawn) if fitted.views.of(i) is view]
+    shaded = {
+        f"shaded_{name}": to_bytes(shade(view.config, [seen[i] for i in lit], [images[i] for i in lit]))
+        for name, seen, images in states
+    }
     result, arrays = _result(folder, fitted, seconds), {**_arrays(fitted), **shaded}
     run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config)
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
-    for i, each in enumerate(fitted.mapped):
-        figures.write_from_light(draft, record.suffix(i, drawn), each.state)
+    for i in shown:
+        figures.write_from_light(draft, record.suffix(i, drawn), fitted.mapped[i].state)
     if fitted.plan.arrangement is not None:
         from ..pages._pose_figures import write_paths
 
@@ -198,7 +234,7 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
         "before": record.stacked(fitted.before),
         "after": record.stacked(fitted.after),
         "mask": record.stacked([each.mask for each in fitted.drawn]),
-        **record.light_arrays(fitted.mapped),
+        **({} if fitted.has_views else record.light_arrays(fitted.mapped)),
         "history_start": np.asarray([step.start for step in history], np.int32),
         "history_phase": np.asarray([step.phase for step in history], np.int32),
         "history_step": np.asarray([step.step for step in history], np.int32),
@@ -227,9 +263,16 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
             "reference_noise_floor": record.noise(fitted.drawn),
             "pixels": sum(each.pixels for each in fitted.drawn),
             "lights": [
-                {"light": each.key, "before": record.measured(before, each), "after": record.measured(after, each)}
-                for each, before, after in zip(fitted.drawn, fitted.before, fitted.after, strict=True)
+                {
+                    "light": each.key,
+                    "before": record.measured(before, each),
+                    "after": record.measured(after, each),
+                    **({"validation": i >= fitted.views.count} if fitted.views.validation else {}),
+                }
+                for i, (each, before, after) in enumerate(zip(fitted.drawn, fitted.before, fitted.after, strict=True))
             ],
+            **({} if fitted.validated is None else {"validation": dict(zip(("before", "after"), fitted.validated))}),
+            **({"shown": fitted.shown} if fitted.has_views else {}),
         },
         "solver": {
             "name": fitted.plan.solver.name,
@@ -242,7 +285,7 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
             "seconds_running": result.seconds_running,
             "phases": phases,
         },
-        **({"code": code} if (code := code_of(result.technique, fitted.mapped)) else {}),
+        **({"code": fitted.code} if fitted.code else {}),
         **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},

@@ -1,0 +1,128 @@
+"""The views of a fit: configurations that differ in their scenes."""
+
+import itertools
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from .._errors import ConfigError, KeyPath, Mistake, Origin, show
+from ..sections._axes import LABEL
+from ..sections._paths import path_of
+from ..sections._scene import BUILTIN
+from ..sections._section import look
+from ..sections._views import ViewsConfig
+from ..whole._costs import MOST_PIXELS
+from ..whole._schema import Config, View
+from ._axes import Choice, levels_of, written
+from ._draft import Draft
+
+KINDS = ("views", "validation")
+"""The sections of a fit that hold views."""
+_MOST_VIEWS = 4096
+# What tells views apart.
+_COMPARED = {"scene", "reference", "shadow_map"}
+
+Views = tuple[View, ...]
+
+
+def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> tuple[Views, Views]:
+    """The views that a fit of `config` sees, and those of its validation.
+
+    **Arguments:**
+
+    - `draft`: the draft of `config`.
+    - `check`: makes a configuration of a draft.
+
+    **Raises** `ConfigError` with everything that is wrong with any of them, if there are too many, or if a view is
+    among both.
+    """
+    fit, places = dict(draft.data.get("fit") or {}), draft.origin.places
+    for kind in KINDS:
+        fit.pop(kind, None)
+    kept = {path: place for path, place in places.items() if path[:2] not in [("fit", kind) for kind in KINDS]}
+    base = draft._replace(data={**draft.data, "fit": fit}, origin=Origin(draft.origin.source, kept))
+    seen, unseen = (
+        _views(config, section, draft, base, check) for section in (config.fit.views, config.fit.validation)
+    )
+    described = [_described(view) for view in seen]
+    for view in unseen:
+        if _described(view) in described:
+            message = f"holds the view {view.name}, which the fit sees; expected views apart from fit.views; change it"
+            raise ConfigError([Mistake(draft.origin.place(("fit", "validation")), "fit.validation", message)])
+    return seen, unseen
+
+
+def resolve_views(data: dict[str, Any], origin: Origin, folder: Path) -> None:
+    """Makes the paths of input files in the views of `data` absolute."""
+    for kind in KINDS:
+        for holder, key, path in _files(look(data, "fit", kind), ("fit", kind)):
+            # Paths in overrides are relative to the current folder.
+            base = folder if origin.place(path).line is not None else Path()
+            holder[key] = os.path.abspath(base / path_of(holder[key]))
+
+
+def _views(
+    config: Config, section: ViewsConfig | None, draft: Draft, base: Draft, check: Callable[[Draft], Config]
+) -> Views:
+    if section is None:
+        return ()
+    levels, key = levels_of(section, draft), section.at
+    place = draft.origin.place(tuple(key.split(".")))
+    count = math.prod(map(len, levels))
+    if count > _MOST_VIEWS:
+        message = f"makes {count:,} views; expected at most {_MOST_VIEWS:,}; shorten its lists"
+        raise ConfigError([Mistake(place, key, message)])
+    views, mistakes = [], {}
+    for choices in itertools.product(*levels):
+        name = ", ".join(map(_name, choices))
+        try:
+            changed = base
+            for choice in choices:
+                changed = written(changed, choice, draft.origin)
+            views.append(View(name, check(changed)))
+        except ConfigError as error:
+            mistakes |= {(mistake.key, mistake.message): mistake for mistake in error.mistakes}
+    if mistakes:
+        raise ConfigError(mistakes.values())
+    for view in views:
+        if view.config.scene.camera.resolution != config.scene.camera.resolution:
+            have, need = list(view.config.scene.camera.resolution), list(config.scene.camera.resolution)
+            message = f"has images of {have} in the view {view.name}, and others have {need}; expected the same"
+            raise ConfigError([Mistake(place, key, f"{message}; set scene.camera.resolution outside of the views")])
+    pixels = sum(math.prod(view.config.scene.camera.resolution) for view in views)
+    if pixels > MOST_PIXELS:
+        message = f"has {pixels:,} pixels in {count:,} views; expected at most {MOST_PIXELS:,}, which take 5 GB"
+        mend = "lower scene.camera.resolution, or take fewer views"
+        raise ConfigError([Mistake(place, key, f"{message}; {mend}")])
+    return tuple(views)
+
+
+def _name(choice: Choice) -> str:
+    """What tells a choice from others, on one line."""
+    if choice.label is not None:
+        return choice.label
+    shown = lambda value: Path(value).name if isinstance(value, str) else show(value)
+    return ", ".join(f"{key.removeprefix('scene.')} = {shown(value)}" for key, value in choice.values.items())
+
+
+def _described(view: View) -> Any:
+    return view.config.model_dump(mode="json", include=_COMPARED, warnings=False)
+
+
+def _files(value: Any, path: KeyPath) -> Iterator[tuple[Any, Any, KeyPath]]:
+    """The holder, the key and the path of each text in `value`, a section of views, that is the path of a file."""
+    entries: Any = ()
+    if isinstance(value, Mapping):
+        entries = value.items()
+    elif isinstance(value, list):
+        entries = enumerate(value)
+    for key, inner in entries:
+        here = (*path, key)
+        if isinstance(inner, str):
+            names = [str(step) for step in here if not isinstance(step, int)]
+            if inner and not inner.startswith(BUILTIN) and names[-1] != LABEL and names[-1].split(".")[-1] == "path":
+                yield value, key, here
+        else:
+            yield from _files(inner, here)

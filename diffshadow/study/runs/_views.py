@@ -1,0 +1,76 @@
+"""The views of a fit: its own scene, or those of `fit.views` and `fit.validation`."""
+
+from typing import NamedTuple
+
+from ... import shadow
+from ...config import Config, build_technique
+from ._progress import Stages
+from ._scene_remarks import scene_remarks
+from ._setup import Drawn, Loaded, draw, load
+
+
+class Seen(NamedTuple):
+    """A view, drawn.
+
+    - `name`: what tells it from the others; empty for the configuration's own scene.
+    - `drawn`: its scene, for each of its lights.
+    """
+
+    name: str
+    config: Config
+    drawn: list[Drawn]
+
+
+class Views(NamedTuple):
+    """All views of a fit.
+
+    - `fitted`: those that it sees; `validation`: those that its result is measured on.
+    """
+
+    fitted: list[Seen]
+    validation: list[Seen]
+
+    @property
+    def drawn(self) -> list[Drawn]:
+        """All scenes and lights, those that the fit sees first."""
+        return [each for view in (*self.fitted, *self.validation) for each in view.drawn]
+
+    @property
+    def count(self) -> int:
+        """How many of the scenes and lights the fit sees."""
+        return sum(len(view.drawn) for view in self.fitted)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences on all scenes, each once."""
+        found: dict[str, None] = {}
+        for view in (*self.fitted, *self.validation):
+            lit = [each.scene for each in view.drawn]
+            of_files = view.drawn[0].remarks
+            found |= dict.fromkeys([*of_files, *scene_remarks(view.config, lit, view.drawn[0].surface)])
+        return list(found)
+
+    def of(self, index: int) -> Seen:
+        """The view of the scene and light at `index` among all."""
+        return [view for view in (*self.fitted, *self.validation) for _ in view.drawn][index]
+
+
+def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> Views:
+    """Draws the views of `config` and finds their references. Each is cached, so a change of one traces one again.
+
+    **Arguments:**
+
+    - `loaded`, `technique`: of `config`.
+
+    **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
+    """
+    own = lambda: [Seen("", config, draw(config, loaded, technique, stages))]
+    fitted = [_drawn(view.name, view.config, stages) for view in config.views] or own()
+    return Views(fitted, [_drawn(view.name, view.config, stages) for view in config.validation])
+
+
+def _drawn(name: str, config: Config, stages: Stages) -> Seen:
+    loaded = load(config, stages)
+    drawn = draw(config, loaded, build_technique(config), stages)
+    key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
+    return Seen(name, config, [each._replace(key=key(each)) for each in drawn])
