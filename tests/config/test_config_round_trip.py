@@ -134,7 +134,7 @@ def numbers(slot: Slot = ROOT, path: str = "") -> list[tuple[str, Slot]]:
 # Those that have the limits of the key that they are for.
 AS_ANOTHER = {
     *(f"fit.parameters.*.{key}" for key in ("initial", "lower", "upper")),
-    *(f"sweep.qmc.axes.*.{key}" for key in ("lower", "upper")),
+    *(f"{at}.qmc.axes.*.{key}" for at in ("sweep", "fit.views", "fit.validation") for key in ("lower", "upper")),
     "sweep.seeds.*",
 }
 

@@ -79,7 +79,7 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
             start, keys = len(words) - len(axes) + inner, ()
             if axes[0] == "qmc":
                 keys = QuasiRandomAxisConfig.model_fields
-            known = lambda name, rest: name in existing and (keys or not rest or is_index(rest[0]))
+            known = lambda name, rest: name in existing and (bool(keys) or not rest or is_index(rest[0]))
         case _:
             return words
     existing = look(data, *words[:start])

@@ -151,9 +151,8 @@ def _unsuitable_views(config: Parts) -> Iterator[Conflict]:
     if config.moves:
         yield ("fit", "views"), fault("are given in a fit of lights or meshes", "a fit of a technique", "remove them")
     sizes = "shadow_map.resolution" in config.fit.views.axes
-    if sizes and (
-        isinstance(config.technique, EngineConfig) or any(is_searched(config, n) for n in config.fit.parameters)
-    ):
+    searches = any(is_searched(config, name) for name in config.fit.parameters)
+    if sizes and (searches or isinstance(config.technique, EngineConfig)):
         given = f"change shadow_map.resolution, with technique.type {config.technique.type} and its parameters"
         yield ("fit", "views"), fault(given, "one size for all", "set it outside of the views")
 

@@ -125,7 +125,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         drawn = poses.with_references_of(problems, drawn)
     stages.show("compiling")
     result = fit.fit(
-        problems[: views.count],
+        problems[: views.seen],
         plan.parameters,
         solver=plan.solver,
         anneal=plan.anneal,
@@ -141,7 +141,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
         if result.arrangement is None:
             techniques = fit.with_values(result.technique, paths, start), result.technique
-            laid_out = [*result.problems, *problems[views.count :]]
+            laid_out = [*result.problems, *problems[views.seen :]]
             seen_before, seen_after = (_seen_with(technique, laid_out, drawn) for technique in techniques)
             seen = seen_before, seen_after
             before, after = (
@@ -154,8 +154,8 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
                 poses.images_at(result.problems, drawn, s) for s in subjects
             )
             seen = seen_before[0], seen_after[0]
-        errors_before, errors_after = (_errors(images, drawn, slice(views.count)) for images in (before, after))
-        apart = slice(views.count, None)
+        errors_before, errors_after = (_errors(images, drawn, slice(views.seen)) for images in (before, after))
+        apart = slice(views.seen, None)
         validated = (_errors(before, drawn, apart), _errors(after, drawn, apart)) if views.validation else None
     messages = [*views.remarks, *page_remarks(config, drawn), *remarks(config, plan.parameters, result)]
     return FittedRun(
@@ -267,11 +267,11 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
                     "light": each.key,
                     "before": record.measured(before, each),
                     "after": record.measured(after, each),
-                    **({"validation": i >= fitted.views.count} if fitted.views.validation else {}),
+                    **({"validation": i >= fitted.views.seen} if fitted.views.validation else {}),
                 }
                 for i, (each, before, after) in enumerate(zip(fitted.drawn, fitted.before, fitted.after, strict=True))
             ],
-            **({} if fitted.validated is None else {"validation": dict(zip(("before", "after"), fitted.validated))}),
+            **({"validation": {"before": unseen[0], "after": unseen[1]}} if (unseen := fitted.validated) else {}),
             **({"shown": fitted.shown} if fitted.has_views else {}),
         },
         "solver": {

@@ -36,7 +36,7 @@ class Views(NamedTuple):
         return [each for view in (*self.fitted, *self.validation) for each in view.drawn]
 
     @property
-    def count(self) -> int:
+    def seen(self) -> int:
         """How many of the scenes and lights the fit sees."""
         return sum(len(view.drawn) for view in self.fitted)
 
