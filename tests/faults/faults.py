@@ -2154,6 +2154,35 @@ _CONFIG = (
 
 _STUDY = (
     _fault(
+        "FLIP of several lights: where all count",
+        "study/runs/_shade.py",
+        "np.any([each.mask",
+        "np.all([each.mask",
+        "test_study.py",
+    ),
+    _fault(
+        "FLIP after a fit: of the picture before",
+        "study/runs/_fit.py",
+        'perceived("after")',
+        'perceived("before")',
+        "test_study.py",
+    ),
+    _fault(
+        "result: FLIP required, which older ones lack",
+        "study/files/_schema.py",
+        "flip: Fraction | None = None",
+        "flip: Fraction | None",
+        "test_report.py",
+        "test_damaged_runs.py",
+    ),
+    _fault(
+        "FLIP: its missing package ends the run",
+        "study/runs/_shade.py",
+        "except ImportError:",
+        "except ValueError:",
+        "test_study.py",
+    ),
+    _fault(
         "errors of several lights: mean of RMSEs",
         "study/runs/_record.py",
         'if name == "rmse"',

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..files._stored import REPORT, StoredRun
-from ._table import ERRORS, UNITS, noise_text, number
+from ._table import ERRORS, LIGHT_ERRORS, UNITS, noise_text, number
 
 # Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
@@ -42,9 +42,11 @@ def write_report(run: StoredRun) -> Path:
         fitted=_fitted(result) if is_fit else [],
         errors=_errors(run),
         noise=noise_text(result["metrics"]["reference_noise_floor"]),
-        labels=list(ERRORS.values()),
+        perceived=run.errors[-1][1].get("flip") is not None,
+        labels=list(LIGHT_ERRORS.values()),
         by_light=[
-            {"key": each.key, "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS]} for each in run.lights
+            {"key": each.key, "numbers": [number(e, each.errors[-1].get(e)) for e in LIGHT_ERRORS]}
+            for each in run.lights
         ],
         aliasing=_aliasing(run),
         slides=[p.name for p in lights[0]["visibility"][-2:]],

@@ -23,7 +23,7 @@ from ._progress import Stages
 from ._remarks import remarks
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
-from ._shade import shade
+from ._shade import Pictures, perceptual_error, shade
 
 Images = list[Float32[HostArray, "h w"]]
 
@@ -62,9 +62,9 @@ def run_fit(config: Config, *, console: Console) -> Path:
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)
         with stages.stage("writing"):
-            write_fit(folder, fitted, stages.seconds)
+            measured = write_fit(folder, fitted, stages.seconds)
     table.print_fit(
-        console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
+        console, config.name, fitted.plan.parameters, fitted.result.fitted, measured["before"], measured["after"]
     )
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
     noise = table.noise_text(record.noise(fitted.drawn))
@@ -79,9 +79,12 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
-    """Writes the run's folder; `seconds` are the times of its stages."""
-    write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
+def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
+    """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
+    shaded = _shaded(fitted)
+    result = _result(folder, fitted, shaded, seconds)
+    write_whole(folder, lambda draft: _write(draft, fitted, shaded, result))
+    return result["metrics"]
 
 
 def fit_technique(config: Config, stages: Stages) -> FittedRun:
@@ -164,17 +167,20 @@ def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
     return show
 
 
-def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
+def _shaded(fitted: FittedRun) -> Pictures:
+    """The shaded pictures by the names of their arrays."""
+    (before, after), truth = fitted.seen, [each.reference.visibility for each in fitted.drawn]
+    states = [("reference", fitted.drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
+    return {f"shaded_{name}": to_bytes(shade(fitted.config, seen, images)) for name, seen, images in states}
+
+
+def _write(draft: Path, fitted: FittedRun, shaded: Pictures, result: dict[str, Any]) -> None:
     """Writes every file of the run to `draft`, which becomes `folder`."""
     # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
     from ..pages._report import write_report
 
-    drawn, truth = fitted.drawn, [each.reference.visibility for each in fitted.drawn]
-    before, after = fitted.seen
-    states = [("reference", drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
-    shaded = {f"shaded_{name}": to_bytes(shade(fitted.config, seen, images)) for name, seen, images in states}
-    result, arrays = _result(folder, fitted, seconds), {**_arrays(fitted), **shaded}
+    drawn, arrays = fitted.drawn, {**_arrays(fitted), **shaded}
     run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config)
     record.write_arrays(draft, arrays)
@@ -208,8 +214,9 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
     }
 
 
-def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
+def _result(folder: Path, fitted: FittedRun, shaded: Pictures, seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
+    perceived = lambda when: perceptual_error(shaded[f"shaded_{when}"], shaded["shaded_reference"], fitted.drawn)
     outcome = result.phases[result.chosen]
     phases = [
         {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
@@ -222,8 +229,8 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
         "bounds": {p.name: {"lower": p.lower, "upper": p.upper, "unit": p.unit} for p in fitted.plan.parameters},
         "metrics": {
             "compare": "hard",
-            "before": fitted.errors_before,
-            "after": fitted.errors_after,
+            "before": {**fitted.errors_before, "flip": perceived("before")},
+            "after": {**fitted.errors_after, "flip": perceived("after")},
             "reference_noise_floor": record.noise(fitted.drawn),
             "pixels": sum(each.pixels for each in fitted.drawn),
             "lights": [
