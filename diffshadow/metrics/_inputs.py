@@ -21,17 +21,7 @@ def as_images(
             f"the visibility has shape {image.shape} and the reference {truth.shape}; expected the same shape "
             "(height, width): render both with the same camera"
         )
-    inside = np.ones(image.shape, dtype=bool) if mask is None else np.asarray(mask)
-    if inside.shape != image.shape or inside.dtype != bool:
-        raise ValueError(
-            f"the mask has shape {inside.shape} and type {inside.dtype}; expected booleans of the images' "
-            f"shape {image.shape}"
-        )
-    if not inside.any():
-        raise ValueError(
-            f"the mask holds none of the {inside.size} pixels; expected at least one: check that the camera sees "
-            "the scene"
-        )
+    inside = as_mask(mask, image.shape)
     for name, values in (("visibility", image), ("reference", truth)):
         bad = np.argwhere(inside & ~np.isfinite(values))
         if len(bad):
@@ -40,3 +30,21 @@ def as_images(
                 f"{bad[0][1]}); expected finite values from 0 to 1"
             )
     return image, truth, inside
+
+
+def as_mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> Bool[HostArray, "h w"]:
+    """The mask (h, w) of images of `shape`; all pixels by default.
+
+    **Raises** `ValueError` if its shape is another, it is not boolean or it is empty.
+    """
+    inside = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask)
+    if inside.shape != shape or inside.dtype != bool:
+        raise ValueError(
+            f"the mask has shape {inside.shape} and type {inside.dtype}; expected booleans of the images' shape {shape}"
+        )
+    if not inside.any():
+        raise ValueError(
+            f"the mask holds none of the {inside.size} pixels; expected at least one: check that the camera sees "
+            "the scene"
+        )
+    return inside

@@ -1642,6 +1642,35 @@ _FIT = (
 
 _METRICS = (
     _fault(
+        "FLIP: mean over all pixels",
+        "metrics/_flip.py",
+        "np.mean(errors[inside], ",
+        "np.mean(errors, ",
+        "test_flip.py",
+    ),
+    _fault(
+        "FLIP: pixels outside the mask affect others",
+        "metrics/_flip.py",
+        "np.where(inside[..., None], image, truth)",
+        "image",
+        "test_flip.py",
+    ),
+    _fault(
+        "FLIP: an error outside the mask",
+        "metrics/_flip.py",
+        "np.where(inside, np.asarray(found)[..., 0], np.float32(0))",
+        "np.asarray(found)[..., 0]",
+        "test_flip.py",
+    ),
+    _fault("FLIP: of linear colours of a high range", "metrics/_flip.py", '"LDR"', '"HDR"', "test_flip.py"),
+    _fault(
+        "FLIP: values above white pass",
+        "metrics/_flip.py",
+        "(values >= 0) & (values <= 1)",
+        "values >= 0",
+        "test_flip.py",
+    ),
+    _fault(
         "SSIM: constants not squared",
         "metrics/_ssim.py",
         "0.01**2, 0.03**2",
@@ -2124,6 +2153,35 @@ _CONFIG = (
 )
 
 _STUDY = (
+    _fault(
+        "FLIP of several lights: where all count",
+        "study/runs/_shade.py",
+        "np.any([each.mask",
+        "np.all([each.mask",
+        "test_study.py",
+    ),
+    _fault(
+        "FLIP after a fit: of the picture before",
+        "study/runs/_fit.py",
+        'perceived("after")',
+        'perceived("before")',
+        "test_study.py",
+    ),
+    _fault(
+        "result: FLIP required, which older ones lack",
+        "study/files/_schema.py",
+        "flip: Fraction | None = None",
+        "flip: Fraction | None",
+        "test_report.py",
+        "test_damaged_runs.py",
+    ),
+    _fault(
+        "FLIP: its missing package ends the run",
+        "study/runs/_shade.py",
+        "except ImportError:",
+        "except ValueError:",
+        "test_study.py",
+    ),
     _fault(
         "errors of several lights: mean of RMSEs",
         "study/runs/_record.py",

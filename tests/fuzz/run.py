@@ -6,6 +6,7 @@ make fuzz SEED=0 CASE=17          one of them once more, with all that it prints
 
 import argparse
 import contextlib
+import importlib.util
 import io
 import json
 import multiprocessing
@@ -49,6 +50,9 @@ _CHUNK = 300
 _NO_KEY = ("is not YAML: ", "holds ", "has the key ", "is no KEY=VALUE; ", "sections or lists are nested ")
 _PLACE = re.compile(r"(?s:.*?\.yaml(?:'|\")?):\d+: |override .*?['\"]: ")
 _RANGES = {"ssim": (-1.0, 1.0)}
+_MEASURED = {"rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"}
+if importlib.util.find_spec("flip_evaluator"):
+    _MEASURED.add("flip")
 
 
 class Overtime(BaseException):
@@ -193,7 +197,7 @@ def wrong_with_run(folder: Path) -> Iterator[str]:
 def _errors(value: Any) -> Iterator[tuple[str, Any]]:
     """Every error in `metrics`, but for those of lights for which no pixel counts."""
     for key, inner in value.items() if isinstance(value, dict) else enumerate(value if isinstance(value, list) else ()):
-        if key in ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"):
+        if key in _MEASURED:
             yield key, inner
         elif not (isinstance(inner, dict) and inner.get("pixels") == 0):
             yield from _errors(inner)

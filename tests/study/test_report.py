@@ -82,6 +82,19 @@ def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
     assert len(parsed.page) < 400_000
 
 
+def test_report_says_whether_flip_was_measured(tmp_path):
+    folder = write_fit(tmp_path / "tiny")
+    # As runs were before this error was measured.
+    assert "FLIP was not measured" in Parsed(study.report(folder)).text
+    result = json.loads((folder / "result.json").read_text())
+    for when, value in (("before", 0.4321), ("after", 0.1234)):
+        result["metrics"][when]["flip"] = value
+    (folder / "result.json").write_text(json.dumps(result))
+    text = Parsed(study.report(folder)).text
+    assert "FLIP of the shaded picture 0.4321 0.1234" in text
+    assert "not measured" not in text
+
+
 def test_pictures_show_every_pixel_with_its_colour(tmp_path):
     from diffshadow.study.pages._page import picture
     from diffshadow.study.style import NO_SURFACE

@@ -1,6 +1,7 @@
 """Runs from a configuration to a folder: what is written, what is said, and what a failure leaves behind."""
 
 import ast
+import importlib.util
 import io as text_io
 import json
 import re
@@ -16,11 +17,12 @@ import pytest
 from rich.console import Console
 from scenes import fit_section, staying_in
 
-from diffshadow import fit, io, study
+from diffshadow import fit, io, metrics, study
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, load_config
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import _traced
+from diffshadow.study.runs._shade import perceptual_error
 
 ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -131,7 +133,7 @@ def test_result_follows_its_schema(finished):
     assert result["kind"] == "fit"
     assert result["initial"] == pytest.approx({"bias.constant": 0.1, "filter.radius": 1.0})
     assert result["fitted"].keys() == result["initial"].keys()
-    errors = {"rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"}
+    errors = {"rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate", "flip"}
     assert result["metrics"]["before"].keys() == result["metrics"]["after"].keys() == errors
     assert 0 < result["metrics"]["reference_noise_floor"] < 0.2
     solver = result["solver"]
@@ -168,6 +170,33 @@ def test_fit_improves_by_its_own_arrays(finished):
         assert {arrays[f"history_{name}"].shape for name in ("phase", "step", "width", "loss")} == {(steps,)}
         assert set(arrays["history_phase"]) == {0, 1}
         np.testing.assert_allclose(arrays["history_values"][0], [0.1, 1.0], rtol=1e-3)
+
+
+def test_flip_is_of_the_stored_pictures_over_the_pixels_that_count(finished):
+    pytest.importorskip("flip_evaluator")
+    folder, said, _ = finished
+    measured = result_of(folder)["metrics"]
+    assert 0 < measured["after"]["flip"] < measured["before"]["flip"] < 1
+    with np.load(folder / "arrays.npz") as arrays:
+        for when in ("before", "after"):
+            pictures = (arrays[f"shaded_{name}"] / 255 for name in (when, "reference"))
+            assert metrics.flip(*pictures, arrays["mask"])[0] == measured[when]["flip"]
+    (line,) = (line for line in said.splitlines() if "FLIP" in line)
+    assert re.findall(r"\d\.\d+", line) == [f"{measured[when]['flip']:.4f}" for when in ("before", "after")]
+
+
+def test_flip_counts_what_any_light_counts_and_is_none_without_its_package(monkeypatch):
+    truth = np.full((8, 12, 3), 200, np.uint8)
+    picture, masks = truth.copy(), np.zeros((2, 8, 12), bool)
+    picture[:, :6] = 20
+    masks[0, :, :6] = masks[1, :, 6:] = True
+    error = lambda lights: perceptual_error(picture, truth, [types.SimpleNamespace(mask=mask) for mask in lights])
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert error(masks) is None
+    monkeypatch.undo()
+    pytest.importorskip("flip_evaluator")
+    assert error(masks) == metrics.flip(picture / 255, truth / 255)[0]
+    assert 0 < error(masks) < error(masks[:1])
 
 
 def test_printed_table_reads_without_colour(finished):
@@ -405,6 +434,12 @@ def test_render_writes_its_images_beside_the_fit_s():
     assert result["metrics"]["errors"]["rmse"] > 0
     assert result["command"] == "diffshadow render runs/tiny-render/config.yaml"
     assert "SSIM" in out.getvalue()
+    if importlib.util.find_spec("flip_evaluator"):
+        with np.load(folder / "arrays.npz") as arrays:
+            pictures = (arrays[f"shaded_{name}"] / 255 for name in ("visibility", "reference"))
+            perceived, _ = metrics.flip(*pictures, arrays["mask"])
+        assert result["metrics"]["errors"]["flip"] == perceived > 0
+        assert f"{perceived:.4f}" in out.getvalue()
 
 
 SMALL = ("fit.parameters={bias.constant: {lower: 0, upper: 10}}",)

@@ -3,7 +3,7 @@
 import itertools
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from .._errors import ConfigError, KeyPath, Mistake, Origin, show
 from ..sections._axes import LABEL
 from ..sections._paths import path_of
 from ..sections._scene import BUILTIN
-from ..sections._section import look
+from ..sections._section import is_number, look
 from ..sections._views import ViewsConfig
 from ..whole._costs import MOST_PIXELS
 from ..whole._schema import Config, View
@@ -75,8 +75,8 @@ def _views(
         message = f"makes {count:,} views; expected at most {_MOST_VIEWS:,}; shorten its lists"
         raise ConfigError([Mistake(place, key, message)])
     views, mistakes = [], {}
-    for choices in itertools.product(*levels):
-        name = ", ".join(map(_name, choices))
+    rows = list(itertools.product(*levels))
+    for name, choices in zip(_names(rows), rows, strict=True):
         try:
             changed = base
             for choice in choices:
@@ -99,12 +99,27 @@ def _views(
     return tuple(views)
 
 
-def _name(choice: Choice) -> str:
+def _names(rows: Sequence[Sequence[Choice]]) -> list[str]:
+    """A short name for each combination of choices; if short names are not unique, with whole keys."""
+    for short in (True, False):
+        names = [", ".join(_name(choice, short) for choice in row) for row in rows]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def _name(choice: Choice, short: bool) -> str:
     """What tells a choice from others, on one line."""
     if choice.label is not None:
         return choice.label
-    shown = lambda value: Path(value).name if isinstance(value, str) else show(value)
-    return ", ".join(f"{key.removeprefix('scene.')} = {shown(value)}" for key, value in choice.values.items())
+
+    def shown(key: str, value: Any) -> str:
+        if isinstance(value, str):
+            return Path(value.removeprefix(BUILTIN)).stem if short else f"{key} = {value}"
+        text = f"{value:.4g}" if is_number(value) and short else show(value)
+        return f"{key.split('.')[-1]} {text}" if short else f"{key} = {text}"
+
+    return ", ".join(shown(key, value) for key, value in choice.values.items())
 
 
 def _described(view: View) -> Any:

@@ -50,13 +50,14 @@ class _Part(BaseModel):
 
 
 class _Errors(_Part):
-    """Errors of one state, over all lights."""
+    """Errors of one state, over all lights; `flip`, of the shaded picture, is `None` if it was not measured."""
 
     rmse: Fraction
     mae: Fraction
     ssim: Similarity
     false_shadow_rate: Fraction
     false_light_rate: Fraction
+    flip: Fraction | None = None
 
 
 class _LightErrors(_Part):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..files._stored import REPORT, LightImages, StoredRun
-from ._table import ERRORS, UNITS, noise_text, number
+from ._table import ERRORS, LIGHT_ERRORS, UNITS, noise_text, number
 
 # Figures in the folder that the page draws itself.
 _SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
@@ -42,7 +42,8 @@ def write_report(run: StoredRun) -> Path:
         fitted=_fitted(result) if is_fit else [],
         errors=_errors(run),
         noise=noise_text(result["metrics"]["reference_noise_floor"]),
-        labels=list(ERRORS.values()),
+        perceived=run.errors[-1][1].get("flip") is not None,
+        labels=list(LIGHT_ERRORS.values()),
         validation=_validation(result) if is_fit else [],
         by_light=_by_light(run),
         has_views="shown" in result["metrics"],
@@ -162,7 +163,7 @@ def _by_light(run: StoredRun) -> list[dict[str, Any]]:
         {
             "key": each.key,
             "before": number("rmse", each.errors[0].get("rmse")),
-            "numbers": [number(e, each.errors[-1].get(e)) for e in ERRORS],
+            "numbers": [number(e, each.errors[-1].get(e)) for e in LIGHT_ERRORS],
             "unseen": unseen[i],
             "order": -(each.errors[-1].get("rmse") or 0),
         }

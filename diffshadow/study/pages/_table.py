@@ -11,14 +11,17 @@ from ...config import printable
 from ...fit import Parameter
 from ...shadow import EngineSetting
 
-ERRORS = {
+LIGHT_ERRORS = {
     "rmse": "RMSE",
     "mae": "MAE",
     "ssim": "SSIM",
     "false_shadow_rate": "false shadow (acne)",
     "false_light_rate": "false light (leaks, Peter-panning)",
 }
-"""The names of errors in tables and reports. Smaller is better, except for SSIM."""
+"""The names of the errors of each light's visibility in tables and reports. Smaller is better, except for SSIM."""
+
+ERRORS = {**LIGHT_ERRORS, "flip": "FLIP of the shaded picture"}
+"""The names of all errors; the last is of the picture under all lights."""
 
 UNITS = {
     "rmse": "visibility",
@@ -26,6 +29,7 @@ UNITS = {
     "ssim": "",
     "false_shadow_rate": "of light",
     "false_light_rate": "of light",
+    "flip": "",
 }
 """The units of errors."""
 
@@ -54,8 +58,8 @@ def print_fit(
     name: str,
     parameters: Sequence[Parameter],
     fitted: Mapping[str, float],
-    before: Mapping[str, float],
-    after: Mapping[str, float],
+    before: Mapping[str, float | None],
+    after: Mapping[str, float | None],
 ) -> None:
     """Prints the parameters and the errors under the hard compare, before and after the fit."""
     table = Table("", "before", "after", "unit", title=words(name), title_justify="left")
@@ -64,28 +68,36 @@ def print_fit(
     for p in parameters:
         table.add_row(words(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
     table.add_section()
-    for key, label in ERRORS.items():
-        table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
+    _add_errors(table, before, after)
     console.print(table)
 
 
-def print_validation(console: Console, views: int, before: Mapping[str, float], after: Mapping[str, float]) -> None:
+def print_validation(
+    console: Console, views: int, before: Mapping[str, float | None], after: Mapping[str, float | None]
+) -> None:
     """Prints the errors before and after a fit over views that it has not seen."""
     table = Table("", "before", "after", "unit", title=f"{views} views for validation", title_justify="left")
     for column in table.columns[1:3]:
         column.justify = "right"
-    for key, label in ERRORS.items():
-        table.add_row(label, number(key, before[key]), number(key, after[key]), UNITS[key])
+    _add_errors(table, before, after)
     console.print(table)
 
 
-def print_errors(console: Console, name: str, errors: Mapping[str, Mapping[str, float]]) -> None:
-    """Prints the errors of each light's image, by the light's key."""
+def _add_errors(table: Table, before: Mapping[str, float | None], after: Mapping[str, float | None]) -> None:
+    for key, label in ERRORS.items():
+        table.add_row(label, number(key, before.get(key)), number(key, after.get(key)), UNITS[key])
+
+
+def print_errors(
+    console: Console, name: str, errors: Mapping[str, float | None], lights: Mapping[str, Mapping[str, float]]
+) -> None:
+    """Prints the errors of each of several lights' images, by the light's key, and those over all lights."""
+    columns = {"error": errors} if len(lights) == 1 else {**lights, "all lights": errors}
     table = Table("", title=words(name), title_justify="left")
-    for head in ["error"] if len(errors) == 1 else errors:
+    for head in columns:
         table.add_column(words(head), justify="right")
     for key, label in ERRORS.items():
-        table.add_row(label, *(number(key, of_light[key]) for of_light in errors.values()))
+        table.add_row(label, *(number(key, column.get(key)) for column in columns.values()))
     console.print(table)
 
 

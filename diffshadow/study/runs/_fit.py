@@ -22,7 +22,7 @@ from ._page_remarks import page_remarks
 from ._progress import Stages
 from ._remarks import remarks
 from ._setup import Drawn, load, visibility_of
-from ._shade import shade
+from ._shade import Pictures, perceptual_error, shade
 from ._views import Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
@@ -87,13 +87,13 @@ def run_fit(config: Config, *, console: Console) -> Path:
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)
         with stages.stage("writing"):
-            write_fit(folder, fitted, stages.seconds)
+            measured = write_fit(folder, fitted, stages.seconds)
     table.print_fit(
-        console, config.name, fitted.plan.parameters, fitted.result.fitted, fitted.errors_before, fitted.errors_after
+        console, config.name, fitted.plan.parameters, fitted.result.fitted, measured["before"], measured["after"]
     )
     if fitted.validated is not None:
-        count = len(fitted.views.validation)
-        table.print_validation(console, count, *fitted.validated)
+        unseen = measured["validation"]
+        table.print_validation(console, len(fitted.views.validation), unseen["before"], unseen["after"])
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
     noise = table.noise_text(record.noise(fitted.drawn))
     if fitted.plan.arrangement is not None:
@@ -107,9 +107,12 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
-    """Writes the run's folder; `seconds` are the times of its stages."""
-    write_whole(folder, lambda draft: _write(draft, folder, fitted, seconds))
+def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
+    """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
+    shaded = _shaded(fitted)
+    result = _result(folder, fitted, shaded, seconds)
+    write_whole(folder, lambda draft: _write(draft, fitted, shaded, result))
+    return result["metrics"]
 
 
 def fit_technique(config: Config, stages: Stages) -> FittedRun:
@@ -194,28 +197,51 @@ def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
     return show
 
 
-def _write(draft: Path, folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> None:
+def _shaded(fitted: FittedRun) -> list[Pictures]:
+    """The shaded pictures of each view by the names of their arrays."""
+    (before, after), truth = fitted.seen, [each.reference.visibility for each in fitted.drawn]
+    states = [("reference", fitted.drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
+    return [
+        {f"shaded_{name}": to_bytes(shade(view.config, seen[part], images[part])) for name, seen, images in states}
+        for view, part in fitted.views.parts
+    ]
+
+
+def _perceived(fitted: FittedRun, shaded: list[Pictures], part: slice) -> dict[str, float | None]:
+    """The mean of ꟻLIP before and after the fit over a part of the views; `None` without the package for it."""
+    views = list(zip(fitted.views.all, shaded, strict=True))[part]
+
+    def mean(state: str) -> float | None:
+        name, truth = f"shaded_{state}", "shaded_reference"
+        errors = [perceptual_error(pictures[name], pictures[truth], view.drawn) for view, pictures in views]
+        known = [error for error in errors if error is not None]
+        return float(np.mean(known)) if known else None
+
+    return {state: mean(state) for state in ("before", "after")}
+
+
+def _validation(fitted: FittedRun, shaded: list[Pictures]) -> dict[str, dict[str, float | None]]:
+    """The errors over views that the fit does not see, before and after it."""
+    assert fitted.validated is not None
+    perceived = _perceived(fitted, shaded, slice(len(fitted.views.fitted), None))
+    before, after = fitted.validated
+    return {"before": {**before, "flip": perceived["before"]}, "after": {**after, "flip": perceived["after"]}}
+
+
+def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[str, Any]) -> None:
     """Writes every file of the run to `draft`, which becomes `folder`."""
     # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
     from ..pages._report import write_report
 
-    drawn, truth = fitted.drawn, [each.reference.visibility for each in fitted.drawn]
-    before, after = fitted.seen
-    states = [("reference", drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
-    # One view can be shaded: the worst.
-    view, shown = fitted.views.of(fitted.shown[0]), fitted.shown
-    lit = [i for i, each in enumerate(fitted.drawn) if fitted.views.of(i) is view]
-    shaded = {
-        f"shaded_{name}": to_bytes(shade(view.config, [seen[i] for i in lit], [images[i] for i in lit]))
-        for name, seen, images in states
-    }
-    result, arrays = _result(folder, fitted, seconds), {**_arrays(fitted), **shaded}
+    # Of several views, the worst is shown shaded.
+    worst = fitted.views.of(fitted.shown[0])
+    drawn, arrays = fitted.drawn, {**_arrays(fitted), **shaded[worst]}
     run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config)
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
-    for i in shown:
+    for i in fitted.shown:
         figures.write_from_light(draft, record.suffix(i, drawn), fitted.mapped[i].state)
     if fitted.plan.arrangement is not None:
         from ..pages._pose_figures import write_paths
@@ -244,8 +270,10 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
     }
 
 
-def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
+def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
+    seen = len(fitted.views.fitted)
+    perceived = _perceived(fitted, shaded, slice(seen))
     outcome = result.phases[result.chosen]
     phases = [
         {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
@@ -258,8 +286,8 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
         "bounds": {p.name: {"lower": p.lower, "upper": p.upper, "unit": p.unit} for p in fitted.plan.parameters},
         "metrics": {
             "compare": "hard",
-            "before": fitted.errors_before,
-            "after": fitted.errors_after,
+            "before": {**fitted.errors_before, "flip": perceived["before"]},
+            "after": {**fitted.errors_after, "flip": perceived["after"]},
             "reference_noise_floor": record.noise(fitted.drawn),
             "pixels": sum(each.pixels for each in fitted.drawn),
             "lights": [
@@ -271,7 +299,7 @@ def _result(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[
                 }
                 for i, (each, before, after) in enumerate(zip(fitted.drawn, fitted.before, fitted.after, strict=True))
             ],
-            **({"validation": {"before": unseen[0], "after": unseen[1]}} if (unseen := fitted.validated) else {}),
+            **({} if fitted.validated is None else {"validation": _validation(fitted, shaded)}),
             **({"shown": fitted.shown} if fitted.has_views else {}),
         },
         "solver": {

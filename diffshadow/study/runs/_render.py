@@ -17,7 +17,7 @@ from ._page_remarks import page_remarks
 from ._progress import Stages
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
-from ._shade import shade
+from ._shade import Pictures, perceptual_error, shade
 
 SUFFIX = "-render"
 """Suffix of a render's folder, which distinguishes it from the fit's."""
@@ -52,9 +52,9 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
         loaded, technique = load(config, stages), build_technique(config, fitting=False)
         rendered = render_drawn(config, technique, draw(config, loaded, technique, stages), stages)
         with stages.stage("writing"):
-            write_render(folder, rendered, stages.seconds, debug)
-    named = zip(rendered.drawn, rendered.errors, strict=True)
-    table.print_errors(console, config.name, {each.key: errors for each, errors in named})
+            measured = write_render(folder, rendered, stages.seconds, debug)
+    lights = {light["light"]: light["errors"] for light in measured["lights"]}
+    table.print_errors(console, config.name, measured["errors"], lights)
     table.print_lines(console, [table.noise_text(record.noise(rendered.drawn))])
     table.print_lines(console, rendered.remarks, warn=True)
     return folder
@@ -75,28 +75,35 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
     return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
 
 
-def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> None:
-    """Writes the run's folder; `seconds` are the times of its stages."""
-    write_whole(folder, lambda draft: _write(draft, folder, rendered, seconds, debug))
+def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> dict[str, Any]:
+    """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
+    shaded = _shaded(rendered)
+    result = _result(folder, rendered, shaded, seconds)
+    write_whole(folder, lambda draft: _write(draft, rendered, shaded, result, debug))
+    return result["metrics"]
 
 
-def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool) -> None:
+def _shaded(rendered: Rendered) -> Pictures:
+    """The shaded pictures by the names of their arrays."""
+    config, drawn = rendered.config, rendered.drawn
+    images = {"reference": [each.reference.visibility for each in drawn], "visibility": rendered.visibility}
+    return {f"shaded_{name}": to_bytes(shade(config, drawn, image)) for name, image in images.items()}
+
+
+def _write(draft: Path, rendered: Rendered, shaded: Pictures, result: dict[str, Any], debug: bool) -> None:
     # Imported here, since only a run that gets this far needs Matplotlib.
     from ..pages import _figures as figures
     from ..pages._report import write_report
     from . import _debug as debug_figures
 
     config, drawn = rendered.config, rendered.drawn
-    truth = [each.reference.visibility for each in drawn]
     arrays = {
-        "reference": record.stacked(truth),
+        "reference": record.stacked([each.reference.visibility for each in drawn]),
         "visibility": record.stacked(rendered.visibility),
         "mask": record.stacked([each.mask for each in drawn]),
         **record.light_arrays(drawn),
-        "shaded_reference": to_bytes(shade(config, drawn, truth)),
-        "shaded_visibility": to_bytes(shade(config, drawn, rendered.visibility)),
+        **shaded,
     }
-    result = _result(folder, rendered, seconds)
     run = stored(draft, result, arrays, config)
     record.write_config(draft, config)
     record.write_arrays(draft, arrays)
@@ -110,15 +117,16 @@ def _write(draft: Path, folder: Path, rendered: Rendered, seconds: dict[str, flo
     record.write_result(draft, result)
 
 
-def _result(folder: Path, rendered: Rendered, seconds: dict[str, float]) -> dict[str, Any]:
+def _result(folder: Path, rendered: Rendered, shaded: Pictures, seconds: dict[str, float]) -> dict[str, Any]:
     config, drawn, errors = rendered.config, rendered.drawn, rendered.errors
+    perceived = perceptual_error(shaded["shaded_visibility"], shaded["shaded_reference"], drawn)
     return {
         "name": config.name,
         "kind": "render",
         "metrics": {
             "technique": config.technique.type,
             "compare": config.compare.type,
-            "errors": record.combined(errors, drawn),
+            "errors": {**record.combined(errors, drawn), "flip": perceived},
             "reference_noise_floor": record.noise(drawn),
             "pixels": sum(each.pixels for each in drawn),
             "lights": [

@@ -1,15 +1,19 @@
-"""Shaded images of a run, for display only: nothing is measured on them."""
+"""Shaded pictures of a run, and their perceptual error."""
 
 from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
+from ... import metrics
 from ..._types import HostArray
 from ...config import Config, build_shading
 from ._setup import Drawn
+
+Pictures = dict[str, UInt8[HostArray, "h w 3"]]
+"""Pictures in sRGB, 8 bits per channel, by the names of their arrays."""
 
 
 def shade(
@@ -19,6 +23,19 @@ def shade(
     lights, seen = [each.scene.light for each in drawn], [jnp.asarray(image) for image in visibility]
     linear = _shaded(build_shading(config), drawn[0].surface, seen, lights, drawn[0].scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
+
+
+def perceptual_error(
+    picture: UInt8[HostArray, "h w 3"], reference: UInt8[HostArray, "h w 3"], drawn: Sequence[Drawn]
+) -> float | None:
+    """ꟻLIP of a shaded picture as it is stored, over the pixels that count under any of the lights; `None` without the
+    package that measures it."""
+    mask = np.any([each.mask for each in drawn], axis=0)
+    try:
+        mean, _ = metrics.flip(picture / 255, reference / 255, mask)
+    except ImportError:
+        return None
+    return mean
 
 
 _shaded = eqx.filter_jit(lambda shading, *args: shading(*args))

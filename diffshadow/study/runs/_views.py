@@ -1,5 +1,6 @@
 """The views of a fit: its own scene, or those of `fit.views` and `fit.validation`."""
 
+import itertools
 from typing import NamedTuple
 
 from ... import shadow
@@ -31,9 +32,20 @@ class Views(NamedTuple):
     validation: list[Seen]
 
     @property
+    def all(self) -> list[Seen]:
+        """All of them, those that the fit sees first."""
+        return [*self.fitted, *self.validation]
+
+    @property
     def drawn(self) -> list[Drawn]:
-        """All scenes and lights, those that the fit sees first."""
-        return [each for view in (*self.fitted, *self.validation) for each in view.drawn]
+        """The scenes and lights of all views."""
+        return [each for view in self.all for each in view.drawn]
+
+    @property
+    def parts(self) -> list[tuple[Seen, slice]]:
+        """Each view, and where its scenes and lights are among all."""
+        ends = list(itertools.accumulate(len(view.drawn) for view in self.all))
+        return [(view, slice(end - len(view.drawn), end)) for view, end in zip(self.all, ends, strict=True)]
 
     @property
     def seen(self) -> int:
@@ -44,15 +56,15 @@ class Views(NamedTuple):
     def remarks(self) -> list[str]:
         """Sentences on all scenes, each once."""
         found: dict[str, None] = {}
-        for view in (*self.fitted, *self.validation):
+        for view in self.all:
             lit = [each.scene for each in view.drawn]
             of_files = view.drawn[0].remarks
             found |= dict.fromkeys([*of_files, *scene_remarks(view.config, lit, view.drawn[0].surface)])
         return list(found)
 
-    def of(self, index: int) -> Seen:
-        """The view of the scene and light at `index` among all."""
-        return [view for view in (*self.fitted, *self.validation) for _ in view.drawn][index]
+    def of(self, index: int) -> int:
+        """The index of the view that has the scene and light at `index` among all."""
+        return next(i for i, (_, part) in enumerate(self.parts) if index < part.stop)
 
 
 def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> Views:
