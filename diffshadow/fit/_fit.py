@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from .._misc import as_float
 from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
@@ -13,13 +15,14 @@ from ._loss import Loss
 from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
+from ._profile import Profile, Profiler, Side
 from ._run import Outcome, Run, Start
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
 from .solvers import Solver, check_solver
 
-PIXELS = 1 << 18
-"""The most pixels that a step of a fit to several images evaluates, by default: as many as 512 x 512."""
+PIXELS = 1 << 16
+"""The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
 
 
 class FitResult(NamedTuple):
@@ -36,6 +39,8 @@ class FitResult(NamedTuple):
     - `precision`: how well the values are determined; none if the start was best.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
+    - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
+    - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
     - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
@@ -53,6 +58,8 @@ class FitResult(NamedTuple):
     starts: list[Start] = []  # noqa: RUF012
     enlargements: int = 0
     problems: tuple[AbstractProblem, ...] = ()
+    profiles: list[Profile] = []  # noqa: RUF012
+    best: dict[str, float] = {}  # noqa: RUF012
 
     @property
     def steps(self) -> int:
@@ -72,6 +79,9 @@ def fit(
     evaluations: int = 30,
     loss: Loss | None = None,
     pixels: int = PIXELS,
+    within: Sequence[float] = (),
+    prefer: Sequence[tuple[str, Side]] = (),
+    tolerance: float = 0.01,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
@@ -95,8 +105,13 @@ def fit(
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
     - `loss`: of the errors of several problems; by default the mean over all pixels.
-    - `pixels`: the most pixels that a step of a fit of a technique to several images evaluates. If more count, it takes
-        a random part, except for the last phase of a loss other than the mean. The judge sees all.
+    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part,
+        except in the last phase of a loss other than the mean. The judge sees all.
+    - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
+        (1 + ε) times the best, while the others are fitted again.
+    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
+        Of all values whose error is at most (1 + `tolerance`) times the best, these are the result: the first parameter
+        goes as far as it can, then the second, and so on. For fits of a technique, as `within` is.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 
@@ -112,6 +127,7 @@ def fit(
         raise ValueError(f"{evaluations} evaluations were requested for the search; expected 1 or more")
     if pixels < 1:
         raise ValueError(f"pixels is {pixels}; expected 1 or more")
+    _check_choice(joint, parameters, within, prefer, tolerance)
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
     initial = as_float([p.initial for p in parameters])
@@ -123,11 +139,17 @@ def fit(
     with run.reporter:
         path, tried = run.through(spread)
     best = path.chosen(solver.noise or 0.0)
-    end = run.judged_at(as_float(path.values[best]))
+    values, profiles, least = path.values[best], [], path.values[best]
+    if within or prefer:
+        profiler = Profiler(run, parameters, values)
+        profiles = profiler.profiles(within) if within else []
+        least = profiler.best.values
+        values = profiler.preferred(prefer, tolerance).values if prefer else least
+    end = run.judged_at(as_float(values))
     return FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),
-        fitted=dict(zip(run.names, path.values[best], strict=True)),
+        fitted=dict(zip(run.names, values, strict=True)),
         phases=path.outcomes,
         chosen=best - 1,
         history=run.history,
@@ -139,4 +161,27 @@ def fit(
         starts=tried,
         enlargements=run.enlargements,
         problems=run.judge.problems,
+        profiles=profiles,
+        best=dict(zip(run.names, least, strict=True)),
     )
+
+
+def _check_choice(
+    joint: Joint,
+    parameters: Sequence[Parameter],
+    within: Sequence[float],
+    prefer: Sequence[tuple[str, Side]],
+    tolerance: float,
+) -> None:
+    """**Raises** `ValueError` for intervals and preferences that cannot be found."""
+    if (within or prefer) and joint.moves:
+        raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
+    for fraction in (*within, tolerance):
+        if not 0 < fraction < np.inf:
+            raise ValueError(f"a fraction of the error is {fraction}; expected a number greater than 0, such as 0.05")
+    names = [p.name for p in parameters]
+    for name, side in prefer:
+        if name not in names:
+            raise ValueError(f"{name} is preferred and not fitted; expected one of {', '.join(names)}")
+        if side not in ("lower", "upper"):
+            raise ValueError(f"{side!r} of {name} is preferred; expected lower or upper")

@@ -40,7 +40,7 @@ class Phase(NamedTuple):
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
-    - `pixels`: the most of them that a step of a fit of a technique to several images evaluates.
+    - `pixels`: the most of them that a step of a fit of a technique evaluates.
     """
 
     joint: Joint

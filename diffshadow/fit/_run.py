@@ -1,7 +1,7 @@
 """The course of a fit: its starts, its phases, and the memory for silhouettes that they need."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .._misc import as_float
+from .._misc import as_float, as_int
 from ._history import Reporter, Step
 from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
@@ -29,8 +29,13 @@ _NEVER_ENOUGH = (
 )
 # Mean square errors below this count as 0.
 _LEAST_LOSS = 1e-10
+# The token of no reporter.
+_UNHEARD = -1
 # The error of layouts that do not suit the scene: visibility cannot be wrong by more than 1.
 _UNSUITABLE = 1.0
+
+Values = tuple[float, ...]
+"""Those of all parameters, (p,)."""
 
 
 class Outcome(NamedTuple):
@@ -228,14 +233,47 @@ class Run:
             [*path.ends, (phase, None)],
         )
 
-    def _arguments(self, phase: Phase, free: Float[Array, " p"], scale: float) -> tuple[Any, ...]:
-        values = self.parameters.to_bounded(free)
+    def refitted(self, values: Values, kept: Collection[int]) -> Values:
+        """The end of the last phase if it starts at `values`, of which those at the indices `kept` stay."""
+        phase = self.phases[-1]
+        active = np.asarray(phase.active)
+        stays = np.isin(active, list(kept))
+        if stays.all():
+            return values
+        at, now = self.parameters[phase.active], np.asarray(values, np.float32)[active]
+        # What has no room between its bounds stays, and the program is the same.
+        lower, upper = (np.where(stays, now, np.asarray(end)) for end in (at.lower, at.upper))
+        free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
+        narrowed = Parameters(at.paths, jnp.asarray(lower), jnp.asarray(upper))
+        arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD))
+        found = np.asarray(self._program(phase.program, solve, arguments)(*arguments).value)
+        if not np.isfinite(found).all():
+            return values
+        ended = lower + (upper - lower) * (1 + np.sin(found)) / 2
+        return tuple(_replaced(as_float(values), active, as_float(ended)).tolist())
+
+    def error(self, values: Values) -> float:
+        """The root of the judge's loss at `values`; infinite for a layout that does not suit the scene."""
+        try:
+            return self._judged(as_float(values))[0] ** 0.5
+        except ValueError:
+            return np.inf
+
+    def _arguments(
+        self,
+        phase: Phase,
+        values: Float[Array, " p"],
+        parameters: Parameters,
+        free: Float[np.ndarray, " a"],
+        scale: float,
+        token: Array,
+    ) -> tuple[Any, ...]:
+        """The arguments of a phase's program from the `free` values of its active `parameters`."""
         joint = phase.joint
         if not joint.moves:
             joint = Joint(joint.subject, self.judged_at(values).problems, joint.loss).sampled(phase.pixels)
         joint = joint.put(self.parameters, values).each(lambda p: p.padded()).stacked()
-        y = jnp.asarray(np.asarray(free)[np.asarray(phase.active)])
-        return joint, self.parameters[phase.active], y, self.solver, self.reporter.token, as_float(scale)
+        return joint, parameters, as_float(free), self.solver, token, as_float(scale)
 
     def judged_at(self, values: Float[Array, " p"]) -> Joint:
         """The judge with `values` (p,), and maps laid out for them."""
@@ -259,7 +297,9 @@ class Run:
         """What the program of a phase returns, repeated with memory for more silhouettes until none is missing."""
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
-            arguments = self._arguments(phase, free, scale)
+            values, active = self.parameters.to_bounded(free), np.asarray(phase.active)
+            at = self.parameters[phase.active]
+            arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
             found = self._program(phase.program, solve, arguments)(*arguments)
             jax.effects_barrier()
             if not self.reporter.overflowed:

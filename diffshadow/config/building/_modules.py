@@ -14,6 +14,7 @@ from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
 from ..sections._shading import ModulatedConfig
 from ..sections._technique import MappedConfig, ProjectiveTextureConfig, ShadowVolumesConfig
+from ..whole._preferences import preferences
 from ..whole._schema import Config
 from ._scene import build_camera, build_light, build_mesh, stage_of
 from ._technique import build_bias, build_compare, build_filter, build_layout
@@ -31,7 +32,7 @@ class FitPlan(NamedTuple):
     - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
-    - `loss`: of the errors of all views and lights.
+    - `loss`, `within`, `prefer`, `tolerance`: as in `fit.fit`.
     """
 
     parameters: list[fit.Parameter]
@@ -44,6 +45,9 @@ class FitPlan(NamedTuple):
     evaluations: int = 30
     truth: dict[str, float] = {}  # noqa: RUF012
     loss: fit.Loss = fit.Loss()
+    within: tuple[float, ...] = ()
+    prefer: tuple[tuple[str, fit.Side], ...] = ()
+    tolerance: float = 0.01
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -200,6 +204,9 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         config.fit.evaluations,
         truth,
         fit.Loss(**config.fit.loss.model_dump()),
+        config.fit.intervals,
+        tuple((name, _towards_zero(config.fit.parameters[name])) for name in preferences(config.fit)),
+        config.fit.tolerance,
     )
 
 
@@ -228,6 +235,11 @@ def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tu
         return pose.path, float(fit.resolve(arrangement, pose.path))
     path = fit_paths(config)[name]
     return path if arrangement is None else f"technique.{path}", config.initial(name)
+
+
+def _towards_zero(bounds: FitParameterConfig) -> fit.Side:
+    """The bound that is closer to 0."""
+    return "lower" if abs(bounds.lower) <= abs(bounds.upper) else "upper"
 
 
 def _within(value: float, bounds: FitParameterConfig, unit: str) -> float:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ._fitted import outside
 from ._poses import is_pose
@@ -71,6 +71,11 @@ class AnnealConfig(Section):
         yield from ordered(cls, data, "end", "start", equal=True)
 
 
+_Excess = Annotated[float, Field(gt=0, le=10)]
+_as_names = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
+LEAST_BIAS = "least_bias"
+"""The preference for the least biases, then the least radii."""
+
 UPPER = 10.0
 """The upper bound of the constant bias in a fit that names no parameters, in texels. A large start raises it."""
 
@@ -100,6 +105,19 @@ class FitConfig(Section):
     )
     validation: ValidationConfig | None = Field(
         default=None, description="scenes to measure the result on, which the fit does not see"
+    )
+    intervals: Annotated[tuple[_Excess, ...], as_list, Form("a list of fractions, such as [0.01, 0.05]")] = Field(
+        default=(),
+        description="for each, how far every parameter may move before the error exceeds its best by this fraction, "
+        "with the others fitted again",
+    )
+    prefer: Annotated[tuple[str, ...], as_list, _as_names, Form("least_bias, or a list of parameters")] = Field(
+        default=(),
+        description="parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, "
+        "then radii",
+    )
+    tolerance: _Excess = Field(
+        default=0.01, description="for prefer: fraction of its best by which the error may exceed it"
     )
     loss: LossConfig = Field(default_factory=LossConfig, description="what the fit minimises")
     # Each draws the map again.

@@ -20,6 +20,7 @@ from ..sections._technique import (
 )
 from ._costs import FACES_OF_A_CUBE, cost_faults, fit_cost_faults
 from ._parts import Parts
+from ._preferences import preference_faults
 
 
 def run_faults(config: Parts) -> Iterator[Conflict]:
@@ -97,6 +98,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         yield from _beyond_gutters(config, config.fit.parameters)
     yield from _unused_in_layout(config)
     yield from _unsuitable_views(config)
+    yield from preference_faults(config)
     if not config.moves:
         return
     if isinstance(config.technique, EngineConfig):

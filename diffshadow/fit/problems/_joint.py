@@ -104,8 +104,8 @@ class Joint(eqx.Module):
         return Joint(self.subject, self.problems, loss)
 
     def sampled(self, most: int) -> "Joint":
-        """With a part of the pixels of fits of a technique to several images, if more than `most` count."""
-        if self.moves or len(self.problems) == 1 or sum(int(problem.count) for problem in self.problems) <= most:
+        """With a part of the pixels of a fit of a technique, if more than `most` count."""
+        if self.moves or sum(int(problem.count) for problem in self.problems) <= most:
             return self
         count, problems = most // len(self.problems), enumerate(self.problems)
         return Joint(self.subject, tuple(problem.sampled(count, i) for i, problem in problems), self.loss)

@@ -164,6 +164,29 @@ class _Poses(_Part):
     starts: list[_Start] | None = None
 
 
+class _At(_Part):
+    value: Single
+    error: Annotated[float, Field(ge=0)]
+
+
+class _End(_At):
+    is_bound: bool
+
+
+class _Interval(_Part):
+    within: Annotated[float, Field(gt=0)]
+    lower: _End
+    upper: _End
+
+
+class _Profile(_Part):
+    """The error along a parameter, (value, error) in order of the values, and where it is close to the best."""
+
+    best: _At
+    points: list[Annotated[list[Single | None], Field(min_length=2, max_length=2)]]
+    intervals: list[_Interval]
+
+
 class _Run(_Part):
     name: str = Field(min_length=1)
     warnings: list[str] | None = None
@@ -187,6 +210,7 @@ class _Fit(_Run):
     bounds: dict[str, _Bounds]
     solver: _Solver
     poses: _Poses | None = None
+    profiles: dict[str, _Profile] = {}
     code: dict[str, str] = {}
 
     @model_validator(mode="after")
@@ -196,6 +220,7 @@ class _Fit(_Run):
         named = {
             "initial": self.initial,
             "bounds": self.bounds,
+            **({"profiles": self.profiles} if self.profiles else {}),
             **{f"solver.phases.{i}.values": phase.values for i, phase in enumerate(self.solver.phases)},
             **{f"poses.starts.{i}.initial": start.initial for i, start in enumerate(poses.starts or ())},
         }

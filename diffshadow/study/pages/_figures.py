@@ -57,6 +57,8 @@ def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
     if run.kind == "fit":
         yield "loss", loss(run.result, run.arrays)
         yield "parameters", parameters(run.result, run.arrays)
+        if run.result.get("profiles"):
+            yield "profiles", profiles(run.result)
 
 
 def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
@@ -277,6 +279,37 @@ def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Fi
         _show_bounds(one, [*values.tolist(), final, *known_truth], bounds["lower"], bounds["upper"])
         style.heading(one, f"{name} = {final:.4g}", above=16 if i < columns else 4)
     for one in axes[len(names) :]:
+        one.axis("off")
+    return figure
+
+
+def widths(result: Mapping[str, Any]) -> list[float]:
+    """The fractions of the error that the intervals of a fit are for."""
+    first = next(iter(result.get("profiles", {}).values()), {"intervals": ()})
+    return [interval["within"] for interval in first["intervals"]]
+
+
+def profiles(result: Mapping[str, Any]) -> Figure:
+    """The error along each parameter over the best, with its intervals and the result."""
+    found, fractions = list(result["profiles"].items())[:_MOST_PARAMETERS], widths(result)
+    columns = min(len(found), 3)
+    rows = -(-len(found) // columns)
+    figure, axes = style.figure(3.4 * columns, 2.7 * rows, rows, columns)
+    for one, (name, profile) in zip(axes, found, strict=False):
+        best, unit = profile["best"]["error"], result["bounds"][name]["unit"]
+        points = np.asarray([(x, 100 * (y / max(best, 1e-12) - 1)) for x, y in profile["points"] if y is not None])
+        style.chart(one, f"{name} [{unit}]", "error above the best [%]")
+        for interval in reversed(profile["intervals"]):
+            one.axvspan(interval["lower"]["value"], interval["upper"]["value"], color=style.BAND, linewidth=0, zorder=0)
+            one.axhline(100 * interval["within"], color=style.INK, linewidth=0.7, linestyle=":")
+        one.plot(*points.T, color=style.BLUE, marker="o", markersize=3, linewidth=1.3)
+        one.axvline(result["fitted"][name], color=style.VERMILION, linewidth=1.2, linestyle="--")
+        one.plot(profile["best"]["value"], 0, color=style.VERMILION, marker="D", markersize=5)
+        wide = profile["intervals"][-1]
+        margin = 0.25 * (wide["upper"]["value"] - wide["lower"]["value"]) + 1e-9
+        one.set_xlim(wide["lower"]["value"] - margin, wide["upper"]["value"] + margin)
+        one.set_ylim(-8 * max(fractions), 160 * max(fractions))
+    for one in axes[len(found) :]:
         one.axis("off")
     return figure
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..files._stored import REPORT, LightImages, StoredRun
-from ._table import ERRORS, LIGHT_ERRORS, UNITS, noise_text, number
+from ._table import ERRORS, LIGHT_ERRORS, UNITS, interval_text, noise_text, number, within_text
 
 # Figures in the folder that the page draws itself.
-_SHOWN = ("comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
+_SHOWN = ("profiles", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
 # Techniques whose name alone does not say what is drawn.
 _FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 # If this many parameters precede the last one, the summary counts them instead of naming them.
@@ -27,6 +27,7 @@ _HEADINGS = {
 def write_report(run: StoredRun) -> Path:
     """Writes the page of `run` to its folder. **Returns** the page."""
     # Imported here, since they load Matplotlib.
+    from .. import style
     from . import _figures as figures
     from ._page import difference_scale, file_pictures, write_page
 
@@ -52,6 +53,8 @@ def write_report(run: StoredRun) -> Path:
         lights=lights,
         scale=difference_scale(limit, extend == "both"),
         shaded=_shaded(run),
+        widths=list(map(within_text, figures.widths(result))) if is_fit else [],
+        profiles=style.inline_svg(figures.profiles(result), "profiles") if is_fit and result.get("profiles") else "",
         curves=_curves(run) if is_fit else [],
         is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
         phases=_phases(result) if is_fit else [],
@@ -89,7 +92,7 @@ def _render_summary(run: StoredRun) -> str:
     return f"{name}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
 
 
-def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:
+def _fitted(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Each parameter before and after the fit; for poses also the truth and the standard deviation."""
     poses = result.get("poses") or {}
     truth, deviations = poses.get("truth", {}), (poses.get("precision") or {}).get("deviations", {})
@@ -101,11 +104,22 @@ def _fitted(result: Mapping[str, Any]) -> list[dict[str, str]]:
             "deviation": "" if deviations.get(name) is None else f"± {deviations[name]:.1g}",
             "truth": "" if truth.get(name) is None else f"{truth[name]:.5g}",
             "unit": result["bounds"][name]["unit"],
+            **_sureness(result.get("profiles", {}).get(name)),
             "lower": f"{result['bounds'][name]['lower']:g}",
             "upper": f"{result['bounds'][name]['upper']:g}",
         }
         for name, value in result["fitted"].items()
     ]
+
+
+def _sureness(profile: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Where a parameter's error is least, and where it is close to that."""
+    if profile is None:
+        return {"best": "", "intervals": []}
+    ends = [
+        [(each[end]["value"], each[end]["is_bound"]) for end in ("lower", "upper")] for each in profile["intervals"]
+    ]
+    return {"best": f"{profile['best']['value']:.4g}", "intervals": [interval_text(*both) for both in ends]}
 
 
 def _errors(run: StoredRun) -> list[dict[str, Any]]:

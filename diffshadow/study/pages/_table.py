@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...config import printable
-from ...fit import Parameter
+from ...fit import Parameter, Profile
 from ...shadow import EngineSetting
 
 LIGHT_ERRORS = {
@@ -70,6 +70,29 @@ def print_fit(
     table.add_section()
     _add_errors(table, before, after)
     console.print(table)
+
+
+def print_profiles(console: Console, profiles: Sequence[Profile], fitted: Mapping[str, float]) -> None:
+    """Prints where each parameter may lie for errors close to the best, with the others fitted again."""
+    heads = [within_text(each.within) for each in profiles[0].intervals]
+    table = Table("error along each", "fitted", "best", *heads, title_justify="left")
+    for profile in profiles:
+        ranges = [
+            interval_text(*((end.value, end.is_bound) for end in (each.lower, each.upper)))
+            for each in profile.intervals
+        ]
+        table.add_row(words(profile.name), f"{fitted[profile.name]:.4g}", f"{profile.best[0]:.4g}", *ranges)
+    console.print(table)
+
+
+def within_text(within: float) -> str:
+    """The head of a column of intervals."""
+    return f"within {100 * within:.3g} %"
+
+
+def interval_text(*ends: tuple[float, bool]) -> str:
+    """From where to where; an end is marked if it is a parameter's bound."""
+    return " to ".join(f"{value:.3g}{' (bound)' if is_bound else ''}" for value, is_bound in ends)
 
 
 def print_validation(

@@ -89,8 +89,15 @@ def run_fit(config: Config, *, console: Console) -> Path:
         with stages.stage("writing"):
             measured = write_fit(folder, fitted, stages.seconds)
     table.print_fit(
-        console, config.name, fitted.plan.parameters, fitted.result.fitted, measured["before"], measured["after"]
+        console,
+        config.name,
+        fitted.plan.parameters,
+        fitted.result.fitted,
+        measured["before"],
+        measured["after"],
     )
+    if fitted.result.profiles:
+        table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
     if fitted.validated is not None:
         unseen = measured["validation"]
         table.print_validation(console, len(fitted.views.validation), unseen["before"], unseen["after"])
@@ -137,6 +144,9 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         seed=config.seed,
         evaluations=plan.evaluations,
         loss=plan.loss,
+        within=plan.within,
+        prefer=plan.prefer,
+        tolerance=plan.tolerance,
         on_step=_watch(stages, plan),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
@@ -270,6 +280,21 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
     }
 
 
+def _profiles(result: fit.FitResult) -> dict[str, Any]:
+    """The error along each parameter."""
+    return {
+        profile.name: {
+            "best": {"value": profile.best[0], "error": profile.best[1]},
+            "points": [list(point) for point in profile.points],
+            "intervals": [
+                {"within": each.within, "lower": each.lower._asdict(), "upper": each.upper._asdict()}
+                for each in profile.intervals
+            ],
+        }
+        for profile in result.profiles
+    }
+
+
 def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
     seen = len(fitted.views.fitted)
@@ -313,6 +338,7 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
             "seconds_running": result.seconds_running,
             "phases": phases,
         },
+        **({"profiles": _profiles(result)} if result.profiles else {}),
         **({"code": fitted.code} if fitted.code else {}),
         **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,

@@ -10,6 +10,8 @@ _CUT_SHORT = "max_steps reached"
 # Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
 # every step, as pixels switch between lit and shadowed.
 _STILL_FALLING = 0.25
+# An interval longer than this part of the distance between the bounds says that a value hardly matters.
+_FLAT = 0.5
 # A value is on a bound if it is within this fraction of the bounds' distance from it.
 _ON_BOUND = 1e-3
 
@@ -25,8 +27,25 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
             "no phase ended better than the start under the hard compare, so the start is the result: try other "
             "initial values, or a smaller fit.anneal.start"
         )
-    sentences += [text for p in parameters if p.name not in result.flat for text in _on_bound(p, result.fitted[p.name])]
-    return [*sentences, *_unconverged(result)]
+    # A preferred value lies on purpose where it does.
+    preferred = result.fitted != result.best
+    for p in parameters:
+        if p.name not in result.flat and not preferred:
+            sentences += _on_bound(p, result.fitted[p.name])
+    return [*sentences, *_undecided(parameters, result), *_unconverged(result)]
+
+
+def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+    """A sentence for each parameter that hardly matters."""
+    for parameter, profile in zip(parameters, result.profiles, strict=False):
+        span = parameter.upper - parameter.lower
+        flat = [each for each in profile.intervals if each.upper.value - each.lower.value > _FLAT * span]
+        if flat:
+            lower, upper = flat[0].lower.value, flat[0].upper.value
+            yield (
+                f"the error hardly depends on {profile.name}: it stays within {flat[0].within:.2%} of the best from "
+                f"{lower:.3g} to {upper:.3g} {parameter.unit}"
+            )
 
 
 def _unconverged(result: FitResult) -> Iterator[str]:

@@ -1,0 +1,181 @@
+"""How sure fitted values are: the error along each, with the others fitted again."""
+
+from collections.abc import Collection, Sequence
+from typing import Literal, NamedTuple
+
+from ._parameters import Parameter
+from ._run import Run, Values
+
+# An end of an interval is found when the error there is as close to its limit as this part of the limit's excess.
+_CLOSE = 0.1
+# The most trials for an end, and the part of the bounds below which trials end.
+_TRIALS, _NARROW = 12, 1e-4
+# The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
+_FIRST, _LEAST_GROWTH, _MOST_GROWTH = 0.01, 1.3, 4.0
+# A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
+_BETTER, _RESTARTS = 1e-3, 4
+
+Side = Literal["lower", "upper"]
+
+
+class End(NamedTuple):
+    """An end of an interval.
+
+    - `value`: of the parameter.
+    - `error`: the root of the loss there, with the other parameters fitted again.
+    - `is_bound`: whether the error stays within the limit up to the parameter's bound.
+    """
+
+    value: float
+    error: float
+    is_bound: bool
+
+
+class Interval(NamedTuple):
+    """The values about the best at which the error is at most `1 + within` of the best.
+
+    It ends where the error first exceeds this limit. The error may jump there, since pixels do.
+    """
+
+    within: float
+    lower: End
+    upper: End
+
+
+class Profile(NamedTuple):
+    """The error along a parameter.
+
+    - `best`: its value where the error is least, and that error.
+    - `points`: (value, error) of all trials, in order of their values.
+    - `intervals`: from the narrowest to the widest.
+    """
+
+    name: str
+    best: tuple[float, float]
+    points: list[tuple[float, float]]
+    intervals: list[Interval]
+
+
+class Trial(NamedTuple):
+    """Values of all parameters, and the root of the loss there."""
+
+    values: Values
+    error: float
+
+
+class Profiler:
+    """Follows the error of a finished fit along its parameters.
+
+    - `best`: the trial with the least error so far.
+    """
+
+    def __init__(self, run: Run, parameters: Sequence[Parameter], values: Values):
+        self.run, self.parameters = run, parameters
+        self.best = Trial(values, run.error(values))
+        self._trials: dict[tuple[int, Side], list[Trial]] = {}
+
+    def profiles(self, within: Sequence[float]) -> list[Profile]:
+        """The profile of each parameter, with an interval for each of the fractions `within`."""
+        found: list[Profile] = []
+        for _ in range(_RESTARTS):
+            best = self.best
+            found = [self._profile(index, sorted(within)) for index in range(len(self.parameters))]
+            if self.best == best:
+                break
+        return found
+
+    def preferred(self, order: Sequence[tuple[str, Side]], within: float) -> Trial:
+        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` of the best.
+
+        The first parameter goes as far as it can; the next as far as it then can, and so on.
+        """
+        names, kept, limit = [p.name for p in self.parameters], [], (1 + within) * self.best.error
+        at = self.best
+        for name, side in order:
+            index = names.index(name)
+            at = self._furthest(at, index, side, limit, kept)
+            kept.append(index)
+        return at
+
+    def _profile(self, index: int, within: Sequence[float]) -> Profile:
+        parameter = self.parameters[index]
+        ends: list[tuple[Trial, Trial]] = []
+        for fraction in within:
+            limit = (1 + fraction) * self.best.error
+            ends.append(
+                (self._furthest(self.best, index, "lower", limit), self._furthest(self.best, index, "upper", limit))
+            )
+        tried = [self.best, *self._trials.get((index, "lower"), ()), *self._trials.get((index, "upper"), ())]
+        end = lambda trial, bound: End(trial.values[index], trial.error, trial.values[index] == bound)
+        return Profile(
+            parameter.name,
+            (self.best.values[index], self.best.error),
+            sorted({(trial.values[index], trial.error) for trial in tried}),
+            [
+                Interval(fraction, end(lower, parameter.lower), end(upper, parameter.upper))
+                for fraction, (lower, upper) in zip(within, ends, strict=True)
+            ],
+        )
+
+    def _furthest(self, start: Trial, index: int, side: Side, limit: float, kept: Collection[int] = ()) -> Trial:
+        """The trial with an error of at most `limit` that lies furthest to a `side` of `start`, within its interval."""
+        bound = getattr(self.parameters[index], side)
+        span = self.parameters[index].upper - self.parameters[index].lower
+        known = [] if kept else self._trials.setdefault((index, side), [])
+        distance = lambda trial: abs(trial.values[index] - start.values[index])
+        inside, outside = start, None
+        for trial in sorted(known, key=distance):
+            if trial.error > limit:
+                outside = trial
+                break
+            inside = trial
+        for _ in range(_TRIALS):
+            if distance(inside) >= abs(bound - start.values[index]):
+                break
+            if limit - inside.error <= _CLOSE * (limit - self.best.error) and inside is not start:
+                break
+            if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
+                break
+            value = self._next(start, inside, outside, index, side, limit)
+            trial = self._trial(inside, index, value, limit, kept)
+            known.append(trial)
+            if trial.error < (1 - _BETTER) * self.best.error:
+                self._restart(trial)
+                return trial
+            if trial.error > limit:
+                outside = trial
+            else:
+                inside = trial
+        return inside
+
+    def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
+        """The best with the parameter at `value`, from the values of a trial that is near."""
+        moved = (*near.values[:index], value, *near.values[index + 1 :])
+        again = self.run.refitted(moved, (*kept, index))
+        trial = Trial(again, self.run.error(again))
+        if trial.error <= limit or again == moved:
+            return trial
+        # What is fitted under a soft compare may be worse under the hard one.
+        return min(trial, Trial(moved, self.run.error(moved)), key=lambda trial: trial.error)
+
+    def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float) -> float:
+        """The value to try: where a parabola about `start` has the error `limit`."""
+        parameter, here = self.parameters[index], start.values[index]
+        known = inside if outside is None else outside
+        far, excess = known.values[index] - here, known.error**2 - self.best.error**2
+        if outside is not None:
+            near = inside.values[index] - here
+            part = (limit**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
+            reach = (near**2 + part * (far**2 - near**2)) ** 0.5
+            reach = min(max(reach, abs(near) + 0.1 * abs(far - near)), abs(near) + 0.9 * abs(far - near))
+        elif far == 0:
+            reach = _FIRST * (parameter.upper - parameter.lower)
+        else:
+            reach = abs(far) * ((limit**2 - self.best.error**2) / max(excess, 1e-30)) ** 0.5
+            reach = min(max(reach, _LEAST_GROWTH * abs(far)), _MOST_GROWTH * abs(far))
+        value = here + reach if side == "upper" else here - reach
+        return min(max(value, parameter.lower), parameter.upper)
+
+    def _restart(self, best: Trial) -> None:
+        self.best = best
+        self._trials.clear()
