@@ -10,6 +10,7 @@ from .._misc import as_float
 from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
 from ._arrangement import Arrangement
+from ._front import FEWEST, FrontPoint, front_of
 from ._history import Step
 from ._loss import Loss
 from ._parameters import Parameter, Parameters
@@ -41,6 +42,7 @@ class FitResult(NamedTuple):
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
     - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
     - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
+    - `front`: of false shadow against false light, if it was asked for.
     - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
@@ -60,6 +62,7 @@ class FitResult(NamedTuple):
     problems: tuple[AbstractProblem, ...] = ()
     profiles: list[Profile] = []  # noqa: RUF012
     best: dict[str, float] = {}  # noqa: RUF012
+    front: list[FrontPoint] = []  # noqa: RUF012
 
     @property
     def steps(self) -> int:
@@ -82,6 +85,7 @@ def fit(
     within: Sequence[float] = (),
     prefer: Sequence[tuple[str, Side]] = (),
     tolerance: float = 0.01,
+    front: int = 0,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
@@ -112,6 +116,8 @@ def fit(
     - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
         Of all values whose error is at most (1 + `tolerance`) times the best, these are the result: the first parameter
         goes as far as it can, then the second, and so on. For fits of a technique, as `within` is.
+    - `front`: how many weighted sums of false shadow and false light are made least, 3 or more; 0 for none. For fits
+        of a technique.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 
@@ -128,6 +134,8 @@ def fit(
     if pixels < 1:
         raise ValueError(f"pixels is {pixels}; expected 1 or more")
     _check_choice(joint, parameters, within, prefer, tolerance)
+    if front and (front < FEWEST or joint.moves):
+        raise ValueError(f"a front of {front} points is asked for; expected {FEWEST} or more, in a fit of a technique")
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
     initial = as_float([p.initial for p in parameters])
@@ -145,6 +153,7 @@ def fit(
         profiles = profiler.profiles(within) if within else []
         least = profiler.best.values
         values = profiler.preferred(prefer, tolerance).values if prefer else least
+    points = front_of(run, least, front) if front else []
     end = run.judged_at(as_float(values))
     return FitResult(
         technique=end.technique,
@@ -163,6 +172,7 @@ def fit(
         problems=run.judge.problems,
         profiles=profiles,
         best=dict(zip(run.names, least, strict=True)),
+        front=points,
     )
 
 

@@ -68,6 +68,16 @@ class Loss(eqx.Module):
         """With the maximum itself."""
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light)
 
+    def tilted(self, ratio: float) -> "Loss":
+        """With factors of which that of false shadow over that of false light is `ratio` times as large."""
+        root = as_float(ratio**0.5)
+        return Loss(self.over, self.fraction, self.false_shadow * root, self.false_light / root, self.power)
+
+    def sides(self) -> tuple["Loss", "Loss"]:
+        """Its parts: of false shadow alone, and of false light alone."""
+        dark, light = (self.false_shadow, 0.0), (0.0, self.false_light)
+        return Loss(self.over, self.fraction, *dark, self.power), Loss(self.over, self.fraction, *light, self.power)
+
     def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """A difference of visibilities, times the square root of the factor of its sign."""
         factor = jnp.where(difference > 0, self.false_light, self.false_shadow)

@@ -233,9 +233,13 @@ class Run:
             [*path.ends, (phase, None)],
         )
 
-    def refitted(self, values: Values, kept: Collection[int]) -> Values:
-        """The end of the last phase if it starts at `values`, of which those at the indices `kept` stay."""
+    def refitted(self, values: Values, kept: Collection[int], ratio: float = 1.0) -> Values:
+        """The end of the last phase if it starts at `values`, of which those at the indices `kept` stay.
+
+        **Arguments:** `ratio` as for `Loss.tilted`.
+        """
         phase = self.phases[-1]
+        phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.tilted(ratio)))
         active = np.asarray(phase.active)
         stays = np.isin(active, list(kept))
         if stays.all():
@@ -258,6 +262,12 @@ class Run:
             return self._judged(as_float(values))[0] ** 0.5
         except ValueError:
             return np.inf
+
+    def sides(self, values: Values) -> tuple[float, float]:
+        """The roots of the judge's losses at `values`: of false shadow, and of false light."""
+        judge = self.judged_at(as_float(values))
+        dark, light = (float(judge.with_loss(loss).losses(judge.subject)[1]) ** 0.5 for loss in judge.loss.sides())
+        return dark, light
 
     def _arguments(
         self,

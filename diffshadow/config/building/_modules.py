@@ -32,7 +32,7 @@ class FitPlan(NamedTuple):
     - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
-    - `loss`, `within`, `prefer`, `tolerance`: as in `fit.fit`.
+    - `loss`, `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
     """
 
     parameters: list[fit.Parameter]
@@ -48,6 +48,7 @@ class FitPlan(NamedTuple):
     within: tuple[float, ...] = ()
     prefer: tuple[tuple[str, fit.Side], ...] = ()
     tolerance: float = 0.01
+    front: int = 0
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -207,6 +208,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         config.fit.intervals,
         tuple((name, _towards_zero(config.fit.parameters[name])) for name in preferences(config.fit)),
         config.fit.tolerance,
+        config.fit.front,
     )
 
 

@@ -119,6 +119,12 @@ class FitConfig(Section):
     tolerance: _Excess = Field(
         default=0.01, description="for prefer: fraction of its best by which the error may exceed it"
     )
+    front: Annotated[int, Unit("points")] = Field(
+        default=0,
+        ge=0,
+        le=101,
+        description="points of the front of false shadow against false light, 3 or more; default: not found",
+    )
     loss: LossConfig = Field(default_factory=LossConfig, description="what the fit minimises")
     # Each draws the map again.
     evaluations: int = Field(
@@ -132,6 +138,9 @@ class FitConfig(Section):
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         parameters, levels = data.get("parameters"), data.get("levels")
         names = parameters if isinstance(parameters, Mapping) else {}
+        if data.get("front") in (1, 2):
+            what = fault(f"is {data['front']}", "0 for none, or at least 3 points", "raise it, such as to 9")
+            yield ("front",), what
         if parameters == {}:
             mend = "add 'bias.constant: {lower: 0, upper: 10}'"
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)

@@ -187,6 +187,15 @@ class _Profile(_Part):
     intervals: list[_Interval]
 
 
+class _FrontPoint(_Part):
+    """A setting, its roots of the mean square of what is too dark and too light."""
+
+    values: Numbers
+    false_shadow: Annotated[float, Field(ge=0)]
+    false_light: Annotated[float, Field(ge=0)]
+    is_knee: bool
+
+
 class _Run(_Part):
     name: str = Field(min_length=1)
     warnings: list[str] | None = None
@@ -211,6 +220,7 @@ class _Fit(_Run):
     solver: _Solver
     poses: _Poses | None = None
     profiles: dict[str, _Profile] = {}
+    front: list[_FrontPoint] = []
     code: dict[str, str] = {}
 
     @model_validator(mode="after")
@@ -221,6 +231,7 @@ class _Fit(_Run):
             "initial": self.initial,
             "bounds": self.bounds,
             **({"profiles": self.profiles} if self.profiles else {}),
+            **{f"front.{i}.values": point.values for i, point in enumerate(self.front)},
             **{f"solver.phases.{i}.values": phase.values for i, phase in enumerate(self.solver.phases)},
             **{f"poses.starts.{i}.initial": start.initial for i, start in enumerate(poses.starts or ())},
         }

@@ -57,6 +57,8 @@ def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
     if run.kind == "fit":
         yield "loss", loss(run.result, run.arrays)
         yield "parameters", parameters(run.result, run.arrays)
+        if run.result.get("front"):
+            yield "front", front(run.result)
         if run.result.get("profiles"):
             yield "profiles", profiles(run.result)
 
@@ -311,6 +313,20 @@ def profiles(result: Mapping[str, Any]) -> Figure:
         one.set_ylim(-8 * max(fractions), 160 * max(fractions))
     for one in axes[len(found) :]:
         one.axis("off")
+    return figure
+
+
+def front(result: Mapping[str, Any]) -> Figure:
+    """The front of false shadow against false light."""
+    figure, (axes,) = style.figure(4.6, 3.4)
+    style.chart(axes, "false shadow, RMS [visibility]", "false light, RMS [visibility]")
+    points = result["front"]
+    along = np.asarray([(point["false_shadow"], point["false_light"]) for point in points])
+    axes.plot(*along.T, color=style.BLUE, marker="o", markersize=4, linewidth=1.3, label="front")
+    for (x, y), point in zip(along, points, strict=True):
+        if point["is_knee"]:
+            axes.plot(x, y, color=style.VERMILION, marker="D", markersize=6, linestyle="none", label="knee")
+    style.legend(axes)
     return figure
 
 

@@ -10,7 +10,7 @@ from ..files._stored import REPORT, LightImages, StoredRun
 from ._table import ERRORS, LIGHT_ERRORS, UNITS, interval_text, noise_text, number, within_text
 
 # Figures in the folder that the page draws itself.
-_SHOWN = ("profiles", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
+_SHOWN = ("profiles", "front", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
 # Techniques whose name alone does not say what is drawn.
 _FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 # If this many parameters precede the last one, the summary counts them instead of naming them.
@@ -55,6 +55,8 @@ def write_report(run: StoredRun) -> Path:
         shaded=_shaded(run),
         widths=list(map(within_text, figures.widths(result))) if is_fit else [],
         profiles=style.inline_svg(figures.profiles(result), "profiles") if is_fit and result.get("profiles") else "",
+        front=_front(result) if is_fit else [],
+        front_chart=style.inline_svg(figures.front(result), "front") if is_fit and result.get("front") else "",
         curves=_curves(run) if is_fit else [],
         is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
         phases=_phases(result) if is_fit else [],
@@ -109,6 +111,18 @@ def _fitted(result: Mapping[str, Any]) -> list[dict[str, Any]]:
             "upper": f"{result['bounds'][name]['upper']:g}",
         }
         for name, value in result["fitted"].items()
+    ]
+
+
+def _front(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The settings of the front of false shadow against false light."""
+    return [
+        {
+            "errors": [f"{point[name]:.4f}" for name in ("false_shadow", "false_light")],
+            "numbers": [f"{value:.4g}" for value in point["values"].values()],
+            "is_knee": point["is_knee"],
+        }
+        for point in result.get("front", ())
     ]
 
 

@@ -4,11 +4,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from ...config import printable
-from ...fit import Parameter, Profile
+from ...fit import FrontPoint, Parameter, Profile
 from ...shadow import EngineSetting
 
 LIGHT_ERRORS = {
@@ -82,6 +83,15 @@ def print_profiles(console: Console, profiles: Sequence[Profile], fitted: Mappin
             for each in profile.intervals
         ]
         table.add_row(words(profile.name), f"{fitted[profile.name]:.4g}", f"{profile.best[0]:.4g}", *ranges)
+    console.print(table)
+
+
+def print_front(console: Console, names: Sequence[str], front: Sequence[FrontPoint]) -> None:
+    """Prints the front of false shadow against false light."""
+    table = Table("false shadow", "false light", *map(escape, names), "", title_justify="left")
+    for point in front:
+        errors = f"{point.false_shadow:.4f}", f"{point.false_light:.4f}"
+        table.add_row(*errors, *(f"{value:.4g}" for value in point.values), "knee" if point.is_knee else "")
     console.print(table)
 
 

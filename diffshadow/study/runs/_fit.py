@@ -98,6 +98,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     )
     if fitted.result.profiles:
         table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
+    if fitted.result.front:
+        table.print_front(console, list(fitted.result.fitted), fitted.result.front)
     if fitted.validated is not None:
         unseen = measured["validation"]
         table.print_validation(console, len(fitted.views.validation), unseen["before"], unseen["after"])
@@ -147,6 +149,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         within=plan.within,
         prefer=plan.prefer,
         tolerance=plan.tolerance,
+        front=plan.front,
         on_step=_watch(stages, plan),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
@@ -295,6 +298,10 @@ def _profiles(result: fit.FitResult) -> dict[str, Any]:
     }
 
 
+def _front_point(result: fit.FitResult, point: fit.FrontPoint) -> dict[str, Any]:
+    return {**point._asdict(), "values": dict(zip(result.fitted, point.values, strict=True))}
+
+
 def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
     seen = len(fitted.views.fitted)
@@ -339,6 +346,7 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
             "phases": phases,
         },
         **({"profiles": _profiles(result)} if result.profiles else {}),
+        **({"front": [_front_point(result, point) for point in result.front]} if result.front else {}),
         **({"code": fitted.code} if fitted.code else {}),
         **({} if fitted.plan.arrangement is None else {"poses": poses.as_record(fitted.plan, result)}),
         "warnings": fitted.remarks,

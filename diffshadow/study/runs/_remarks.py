@@ -28,7 +28,7 @@ def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) 
             "initial values, or a smaller fit.anneal.start"
         )
     # A preferred value lies on purpose where it does.
-    preferred = result.fitted != result.best
+    preferred = bool(result.best) and result.fitted != result.best
     for p in parameters:
         if p.name not in result.flat and not preferred:
             sentences += _on_bound(p, result.fitted[p.name])
