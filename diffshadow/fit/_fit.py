@@ -190,8 +190,6 @@ def _check_choice(
         if not 0 < fraction < np.inf:
             raise ValueError(f"a fraction of the error is {fraction}; expected a number greater than 0, such as 0.05")
     names = [p.name for p in parameters]
-    for name, side in prefer:
+    for name, _ in prefer:
         if name not in names:
             raise ValueError(f"{name} is preferred and not fitted; expected one of {', '.join(names)}")
-        if side not in ("lower", "upper"):
-            raise ValueError(f"{side!r} of {name} is preferred; expected lower or upper")

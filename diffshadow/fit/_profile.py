@@ -176,6 +176,7 @@ class Profiler:
         value = here + reach if side == "upper" else here - reach
         return min(max(value, parameter.lower), parameter.upper)
 
-    def _restart(self, best: Trial) -> None:
-        self.best = best
+    def _restart(self, better: Trial) -> None:
+        free = self.run.refitted(better.values, ())
+        self.best = min(better, Trial(free, self.run.error(free)), key=lambda trial: trial.error)
         self._trials.clear()

@@ -1,0 +1,178 @@
+"""How sure a fit is: intervals, preferences and the front, on errors in closed form and on a scene."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import problem, technique
+
+from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, fit
+from diffshadow.fit._front import front_of
+from diffshadow.fit._profile import Profiler
+from diffshadow.fit._run import Run
+from diffshadow.fit.problems import Joint
+from diffshadow.shadow import RandomDisk, stratified
+
+BOUNDS = [Parameter("a", 1.0, 0.0, 10.0), Parameter("b", 1.0, -4.0, 4.0)]
+LEAST, SLANT = 0.2, 0.6
+BEST = (3.0, 1.0)
+
+
+class Bowl(Run):
+    """A fit whose mean square error is LEAST² + u² + 2 SLANT u v + v², about `BEST`, in place of a scene's.
+
+    The best v for a given u is -SLANT u, where it is LEAST² + (1 - SLANT²) u².
+    """
+
+    def __init__(self, jump=np.inf):
+        self.jump, self.refits = jump, 0
+
+    def error(self, values):
+        u, v = np.subtract(values, BEST)
+        return float(np.sqrt(LEAST**2 + u * u + 2 * SLANT * u * v + v * v)) + (1.0 if values[0] > self.jump else 0.0)
+
+    def refitted(self, values, kept, ratio=1.0):
+        self.refits += 1
+        u, v = np.subtract(values, BEST)
+        if 0 not in kept:
+            u = -SLANT * v if 1 in kept else 0.0
+        if 1 not in kept:
+            v = -SLANT * u
+        return (float(BEST[0] + u), float(BEST[1] + v))
+
+
+def half_width(within):
+    """How far either parameter may go if the other follows."""
+    return LEAST * np.sqrt(((1 + within) ** 2 - 1) / (1 - SLANT**2))
+
+
+def test_intervals_end_where_the_error_reaches_its_limit():
+    bowl = Bowl()
+    profiles = Profiler(bowl, BOUNDS, BEST).profiles([0.05, 0.01])
+    for i, profile in enumerate(profiles):
+        assert profile.best == (BEST[i], pytest.approx(LEAST))
+        assert [each.within for each in profile.intervals] == [0.01, 0.05]
+        for each in profile.intervals:
+            for end, sign in ((each.lower, -1), (each.upper, 1)):
+                assert end.value == pytest.approx(BEST[i] + sign * half_width(each.within), abs=0.05 * half_width(0.05))
+                assert (1 + 0.85 * each.within) * LEAST <= end.error <= (1 + each.within) * LEAST
+                assert not end.is_bound
+        values = [value for value, _ in profile.points]
+        assert values == sorted(values)
+    # Some tries for each of eight ends.
+    assert bowl.refits <= 60
+
+
+def test_an_interval_ends_at_a_bound_or_at_a_jump():
+    narrow = [Parameter("a", 3.0, 2.98, 10.0), BOUNDS[1]]
+    (profile, _) = Profiler(Bowl(jump=3.02), narrow, BEST).profiles([0.05])
+    (interval,) = profile.intervals
+    assert interval.lower.value == narrow[0].lower
+    assert interval.lower.is_bound
+    assert interval.lower.error < 1.05 * LEAST
+    # Just below the jump, where the error is still far from its limit.
+    assert 3.01 < interval.upper.value <= 3.02
+    assert not interval.upper.is_bound
+    assert interval.upper.error < 1.01 * LEAST
+
+
+def test_a_better_fit_found_on_the_way_becomes_the_best():
+    begun = (BEST[0] + 0.2, BEST[1] - 0.1)
+    profiler = Profiler(Bowl(), BOUNDS, begun)
+    profiles = profiler.profiles([0.05])
+    assert profiler.best.error == pytest.approx(LEAST, rel=2e-3)
+    assert profiles[0].best[1] == profiler.best.error
+    assert profiles[0].intervals[0].upper.error <= 1.05 * profiler.best.error
+
+
+def test_preferences_go_as_far_as_the_error_allows():
+    within, reach = 0.05, half_width(0.05)
+    least_a = Profiler(Bowl(), BOUNDS, BEST).preferred([("a", "lower")], within)
+    assert least_a.values[0] == pytest.approx(BEST[0] - reach, rel=0.03)
+    # The other follows.
+    assert least_a.values[1] == pytest.approx(BEST[1] + SLANT * reach, rel=0.05)
+    assert least_a.error <= (1 + within) * LEAST
+    most_b = Profiler(Bowl(), BOUNDS, BEST).preferred([("b", "upper"), ("a", "lower")], within)
+    assert most_b.values[1] == pytest.approx(BEST[1] + reach, rel=0.05)
+    # Where b is as great as it can be, a has nearly no room left.
+    assert most_b.values[0] == pytest.approx(BEST[0] - SLANT * reach, abs=0.4 * reach)
+    assert most_b.error <= (1 + within) * LEAST
+
+
+class Trade(Run):
+    """False shadow (1 - x)² and false light x², between which a fit chooses x by their weights."""
+
+    def __init__(self):
+        pass
+
+    def sides(self, values):
+        return 1 - values[0], values[0]
+
+    def refitted(self, values, kept, ratio=1.0):
+        # √r (1 - x)² + x² / √r is least here.
+        return (ratio / (1 + ratio),)
+
+
+def test_a_front_is_what_weighted_sums_make_least():
+    front = front_of(Trade(), (0.5,), 9)
+    assert len(front) == 9
+    shadow, light = ([getattr(point, side) for point in front] for side in ("false_shadow", "false_light"))
+    assert shadow == sorted(shadow)
+    assert light == sorted(light, reverse=True)
+    for point in front:
+        assert point.values[0] == pytest.approx(point.ratio / (1 + point.ratio))
+    assert sum(point.is_knee for point in front) == 1
+    # All lie on a line in these errors, and the first of them is taken.
+    assert front[0].ratio == pytest.approx(256)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A fit with everything, and its problem: the reference has less acne than any bias below 0.8 texels leaves."""
+    disk = lambda radius, bias: technique(RandomDisk(radius, stratified((2, 2))), bias)
+    known = problem(disk(2.0, 1.6), target=disk(3.2, 0.8))
+    parameters = [Parameter("bias.constant", 1.6, 0.0, 6.0), Parameter("filter.radius", 2.0, 0.0, 8.0)]
+    settings = {"solver": Solver("levenberg_marquardt", 60, 1e-4, 1e-7), "anneal": Anneal(1.0, 0.1, 3)}
+    prefer = [("bias.constant", "lower"), ("filter.radius", "lower")]
+    return known, fit(known, parameters, **settings, within=[0.1], prefer=prefer, tolerance=0.1, front=3)
+
+
+def test_a_fit_reports_what_is_preferred_and_how_sure_it_is(found):
+    known, result = found
+    error = lambda technique: float(known.mean_square_error(technique)) ** 0.5
+    best = min(profile.best[1] for profile in result.profiles)
+    assert error(result.technique) <= 1.1 * best * (1 + 1e-5)
+    assert result.fitted["bias.constant"] <= result.best["bias.constant"]
+    (interval,) = result.profiles[0].intervals
+    assert interval.lower.value == pytest.approx(result.fitted["bias.constant"], abs=0.02)
+    assert interval.lower.value <= result.best["bias.constant"] <= interval.upper.value
+
+
+def test_the_parts_of_a_front_are_parts_of_the_error(found):
+    known, result = found
+    whole, names = Joint.of(known), Parameters.of([Parameter(name, 0.0, 0.0, 8.0) for name in result.fitted])
+    for point in result.front:
+        subject = whole.put(names, jnp.asarray(point.values)).hard()
+        both = point.false_shadow**2 + point.false_light**2
+        assert both == pytest.approx(float(subject.mean_square_error(subject.subject)), rel=1e-4)
+    assert [p.false_shadow for p in result.front] == sorted(p.false_shadow for p in result.front)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"within": [0.0]}, "a fraction of the error is 0.0"),
+        ({"prefer": [("bias.slope", "lower")]}, "bias.slope is preferred and not fitted"),
+        ({"front": 2}, "a front of 2 points"),
+        ({"pixels": 0}, "pixels is 0"),
+    ],
+)
+def test_impossible_choices_are_refused(settings, message, found):
+    with pytest.raises(ValueError, match=message):
+        fit(found[0], [Parameter("bias.constant", 1.6, 0.0, 6.0)], **settings)
+
+
+def test_tilted_losses_keep_the_product_of_their_factors():
+    loss = Loss("worst", false_shadow=2.0, false_light=0.5).in_phase(1.0).tilted(16.0)
+    assert float(loss.false_shadow) == pytest.approx(8.0)
+    assert float(loss.false_light) == pytest.approx(0.125)
+    assert loss.power is not None
