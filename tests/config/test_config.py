@@ -526,7 +526,7 @@ SCENES = {
     "fault of one of several lights": (
         "  meshes: [path: 'builtin:box']\n  lights:\n    - type: point\n    - {type: spot, radios: 1}\n",
         "5: scene.lights.1.radios: is not a key of scene.lights.1 (type: spot); expected type, orbit, position, near, "
-        "far, target, outer_angle, inner_angle or radius; did you mean 'radius'?",
+        "far, target, outer_angle, inner_angle, radius or aspect; did you mean 'radius'?",
     ),
     "cone wider inside than outside": (
         "  meshes: [path: 'builtin:box']\n  light: {type: spot, inner_angle: 30, outer_angle: 20}\n",

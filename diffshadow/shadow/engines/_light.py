@@ -9,7 +9,7 @@ from ..._types import Resolution
 from ...geometry import AbstractLight, MatrixLight, PointLight
 from ._abstract import engine_light
 
-# Where the near plane of a directional light's camera is put: the light itself is far away.
+# Where the near plane of a directional light's camera is put if it would begin behind the light.
 _NEAR = 1.0
 NO_NUDGE = 1e-13
 """Too little to move a light's target: the engine adds its own."""
@@ -57,11 +57,13 @@ class EngineLight(NamedTuple):
             return cls("spot", _numbers(eye), near, far, _numbers(eye + forward), None, angle, aspect)
         middle, half = -projection[:2, 3] / np.diag(projection)[:2], 1 / np.diag(projection)[:2]
         (left, bottom), (right, top) = middle - half, middle + half
-        back = _NEAR - near
+        # Engines place a directional light, too: in front of what its camera sees.
+        back = _NEAR - near if near <= 0 else 0.0
         position = eye - back * forward
+        target = position + (near + far + 2 * back) / 2 * forward
         window = {"left": left, "right": right, "top": top, "bottom": bottom}
         window = {name: float(value) for name, value in window.items()}
-        return cls("directional", _numbers(position), _NEAR, far + back, _numbers(eye), window)
+        return cls("directional", _numbers(position), near + back, far + back, _numbers(target), window)
 
 
 def _numbers(values: Any) -> list[float]:
