@@ -1,5 +1,7 @@
-// node scenes.mjs FOLDER: writes scenes of three.js as its users save them, FOLDER/NAME.json, and its own shapes with
-// the vertices that it makes of them, FOLDER/shapes.json. The tests import these files.
+// node scenes.mjs FOLDER: writes what the tests import.
+//
+// FOLDER/NAME.json are scenes as users of three.js save them, FOLDER/expected.json what the engine makes of them, and
+// FOLDER/shapes.json its own shapes with the vertices that it makes of them.
 
 import { writeFile } from "node:fs/promises";
 import path from "node:path";
@@ -176,13 +178,52 @@ function room() {
 }
 
 const folder = process.argv[2];
+
+// Nine digits name any single.
+const short = (value) => Number(value.toPrecision(9));
+
+// Some corners of each mesh's triangles, in world space, with their normals.
+function corners(object) {
+  const { geometry } = object;
+  const { position, normal } = geometry.attributes;
+  const index = geometry.index?.array ?? [...Array(position.count).keys()];
+  const rows = [];
+  for (let copy = 0; copy < (object.isInstancedMesh ? object.count : 1); copy++) {
+    const matrix = object.matrixWorld.clone();
+    if (object.isInstancedMesh) {
+      const own = new THREE.Matrix4();
+      object.getMatrixAt(copy, own);
+      matrix.multiply(own);
+    }
+    const turn = new THREE.Matrix3().getNormalMatrix(matrix);
+    for (const corner of index) {
+      const place = new THREE.Vector3().fromBufferAttribute(position, corner).applyMatrix4(matrix);
+      const way = new THREE.Vector3().fromBufferAttribute(normal, corner).applyMatrix3(turn).normalize();
+      rows.push([...place.toArray(), ...way.toArray()].map(short));
+    }
+  }
+  return { name: object.name, count: rows.length, every: 31, rows: rows.filter((_, i) => i % 31 === 0) };
+}
+
+const expected = {};
 for (const [name, build] of Object.entries({ yard, stage, room })) {
   const scene = build();
   scene.updateMatrixWorld();
   await writeFile(path.join(folder, `${name}.json`), JSON.stringify(scene.toJSON()));
+  const view = scene.getObjectByName("view");
+  const light = scene.children.find((child) => child.isLight && child.castShadow);
+  light.shadow.camera.updateProjectionMatrix();
+  if (!light.isPointLight) light.shadow.updateMatrices(light);
+  const meshes = [];
+  scene.traverseVisible((object) => object.isMesh && object.layers.test(view.layers) && meshes.push(corners(object)));
+  expected[name] = {
+    view: view.matrixWorldInverse.elements,
+    projection: view.projectionMatrix.elements,
+    shadow: light.isPointLight ? null : light.shadow.matrix.elements,
+    meshes,
+  };
 }
-// Nine digits name any single.
-const short = (value) => Number(value.toPrecision(9));
+await writeFile(path.join(folder, "expected.json"), JSON.stringify(expected));
 const shapes = SHAPES.map((shape) => ({
   ...shape.toJSON(),
   made: {

@@ -377,7 +377,7 @@ def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
         if name.endswith("segments") or name == "detail":
             value = _whole(kind, key, value, least=0 if name == "detail" else 1)
         elif not isinstance(value, list) and not (isinstance(value, int | float) and math.isfinite(value)):
-            raise damaged(f"its {kind} has {key} = {excerpt(str(value))}; expected a finite number")
+            raise damaged(f"its {kind} has {key} = {_shown(value)}; expected a finite number")
         known[name] = value
     try:
         return build(**known)
@@ -388,9 +388,13 @@ def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
 def _whole(kind: str, key: str, value: Any, least: int) -> int:
     if not (isinstance(value, int | float) and least <= value <= _MOST_SEGMENTS):
         raise damaged(
-            f"its {kind} has {key} = {excerpt(str(value))}; expected a number from {least} to {_MOST_SEGMENTS}"
+            f"its {kind} has {key} = {_shown(value)}; expected a number from {least} to {_MOST_SEGMENTS}"
         )
     return int(value)
+
+
+def _shown(value: Any) -> str:
+    return str(value) if isinstance(value, int | float) else excerpt(str(value))
 
 
 def _grid(rows: int, columns: int) -> tuple[Float[HostArray, " v"], Float[HostArray, " v"]]:

@@ -74,7 +74,7 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
     remarks += [f"{count} × {name}: left out" for name, count in others.items()]
     # A camera sees whether it is in the scene's visible part or not.
     cameras = [_camera(entry, remarks) for entry, _ in everything if entry.object.type in _CAMERAS]
-    positions = {entry.object.uuid: entry.position for entry, _ in everything}
+    positions = {entry.object.uuid: entry.position for entry, _ in everything if entry.object.uuid}
     lights = [_light(entry, positions, remarks) for entry in drawn if entry.object.type in _LIGHTS]
     return SceneFile(_meshes(document, drawn, remarks), cameras, lights, "three.js", remarks)
 
