@@ -387,9 +387,7 @@ def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
 
 def _whole(kind: str, key: str, value: Any, least: int) -> int:
     if not (isinstance(value, int | float) and least <= value <= _MOST_SEGMENTS):
-        raise damaged(
-            f"its {kind} has {key} = {_shown(value)}; expected a number from {least} to {_MOST_SEGMENTS}"
-        )
+        raise damaged(f"its {kind} has {key} = {_shown(value)}; expected a number from {least} to {_MOST_SEGMENTS}")
     return int(value)
 
 
