@@ -83,6 +83,24 @@ def test_meshes_that_do_not_cast_or_receive_are_marked(tmp_path):
     assert config.technique.intensity == 0.8
 
 
+def test_a_material_without_shadow_side_casts_what_the_engine_chooses(tmp_path):
+    config, _ = imported(tmp_path, "room")
+    assert config.technique.side == ("front", "front", "double", "front")
+    assert config.technique.shadow_side == ("front", "front", "double", "back")
+
+
+def test_bounds_hold_what_is_given(tmp_path):
+    def strong(children):
+        for light in children:
+            if light["type"] == "SpotLight":
+                light["shadow"] |= {"bias": -0.3, "normalBias": 2, "radius": 40}
+
+    made = import_scene(scene_file(tmp_path, strong), console=Console(quiet=True), output=tmp_path)
+    config = load_config(made, fitting=True)
+    for name, bounds in config.fit.parameters.items():
+        assert bounds.lower < getattr(config.technique, name.removeprefix("technique.")) < bounds.upper
+
+
 def test_with_vsm_a_material_casts_its_own_side(tmp_path):
     config, _ = imported(tmp_path, "stage", shadow_type="VSMShadowMap")
     assert config.technique.shadow_side == ("front", "front", "front", "double", "front")

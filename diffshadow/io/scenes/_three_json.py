@@ -215,6 +215,8 @@ def _remark_material(name: str, material: Material, object: Object, remarks: lis
     cut = material.alpha_test > 0 or material.alpha_hash or material.alpha_map is not None
     if cut:
         remarks.append(f"{name}: its alpha test or alpha map is left out; the whole surface casts")
+    if material.side == 1:
+        remarks.append(f"{name}: its material shows back faces alone; the image shows its front faces as well")
     if material.displacement_map is not None:
         remarks.append(f"{name}: its displacement map is left out")
     if material.clipping_planes:
