@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gltf_scene import gltf
 from rich.console import Console
 
 from diffshadow.cli import main
@@ -187,3 +188,23 @@ def test_the_code_of_an_imported_light_has_its_own_camera(tmp_path):
     assert given.position == pytest.approx([-1.3, 2.6, 1.2], abs=1e-6)
     assert given.window == pytest.approx({"left": -2, "right": 2, "top": 3, "bottom": -3}, abs=1e-5)
     assert (given.near, given.far) == (pytest.approx(0.7), pytest.approx(8))
+
+
+@pytest.mark.parametrize(("light", "kind"), [("light 0", "directional"), ("light 1", "point"), ("light 2", "spot")])
+def test_a_scene_of_gltf_gets_the_techniques_defaults(tmp_path, light, kind):
+    content = gltf()
+    # The triangle faces the lights and the camera, which look up.
+    content["nodes"][0]["translation"] = [-0.3, 5, -0.3]
+    path = tmp_path / "scene.gltf"
+    path.write_text(json.dumps(content))
+    with (tmp_path / "said.txt").open("w") as file:
+        made = import_scene(path, console=Console(file=file, width=300), light=light, output=tmp_path)
+    config = load_config(made, fitting=True)
+    assert config.scene.light.type == kind
+    assert (config.technique.bias, config.technique.radius, config.technique.side) == (0, 1, "double")
+    scene, said = build_scene(config), (tmp_path / "said.txt").read_text()
+    assert "glTF has no settings of shadows" in said
+    assert "it has no aspect ratio" in said
+    np.testing.assert_allclose(scene.meshes[0].corner_normals, [[[0, -1, 0]] * 3], atol=1e-6)
+    towards = np.asarray(scene.lights[0].towards(scene.mesh.vertices))
+    assert (towards[:, 1] < 0).all()
