@@ -237,6 +237,54 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     _print_path(study.report(folder, form=figures, dpi=dpi))
 
 
+@app.command(name="import")
+def import_(
+    scene: Path,
+    /,
+    *,
+    camera: str | None = None,
+    light: str | None = None,
+    technique: Literal["three.js", "shadow_map"] = "three.js",
+    shadow_type: Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"] = "PCFShadowMap",
+    output: Path | None = None,
+) -> None:
+    """Makes a configuration of SCENE, a file that three.js or another program stored: JSON of scene.toJSON(), GLB or
+    glTF 2.0.
+
+    Says what is taken over, and what is left out or otherwise than in the scene. The path of the configuration is the
+    last line printed.
+
+    Example: `diffshadow import scene.json --output scene`
+
+    Parameters
+    ----------
+    scene
+        The scene's file.
+    camera
+        Name of the camera, by default the first; or the file of a scene that holds one.
+    light
+        Name of the light, by default the first that casts shadows.
+    technique
+        Technique of the configuration; three.js takes the settings of the light's shadow over.
+    shadow_type
+        Type of renderer.shadowMap, which no scene's file holds.
+    output
+        Folder for the configuration and its meshes, by default one named like the file, in the current folder.
+    """
+    from . import study
+
+    made = study.import_scene(
+        scene,
+        console=_console(),
+        camera=camera,
+        light=light,
+        technique=technique,
+        shadow_type=shadow_type,
+        output=output,
+    )
+    _print_path(made)
+
+
 @app.command
 def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("compare.html")) -> None:
     """Prints the differences between finished runs, and writes a page with their images side by side.

@@ -1,11 +1,19 @@
-"""The engines draw their golden pictures again, and what a fit predicts."""
+"""The engines draw their golden pictures again, what a fit predicts, and scenes as their own files hold them."""
 
+import dataclasses
+import json
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from golden_engines import engine_golden
+from rich.console import Console
 from scenes import staying_in
+
+from diffshadow.config import build_scene, build_technique, load_config
+from diffshadow.raster import draw_surface
+from diffshadow.study import import_scene
 
 ROOT = Path(__file__).parent.parent
 
@@ -58,3 +66,32 @@ def test_a_fit_holds_in_the_engine(tmp_path):
     assert min(row["within_1_255_at_engine"] for row in rows.values()) >= 0.9997
     assert rows["after"]["rmse_engine"] < min(rows["before"]["rmse_engine"], rows["defaults"]["rmse_engine"])
     assert found["ratio"] <= 1.03
+
+
+def agreement(technique, state, surface, picture, counted):
+    """The part of the counted pixels that are equal to the engine's."""
+    return float((np.abs(np.asarray(technique.visibility(state, surface)) - picture)[counted] <= 1 / 255).mean())
+
+
+@pytest.mark.parametrize("shadow_type", ["PCFShadowMap", "BasicShadowMap", "VSMShadowMap"])
+def test_an_imported_scene_is_drawn_as_the_engine_draws_its_file(engines, tmp_path, shadow_type):
+    width, height = 160, 128
+    # three.js draws no VSM of the room's point light.
+    names = ("yard", "stage") if shadow_type == "VSMShadowMap" else ("yard", "stage", "room")
+    files = [ROOT / "tests" / "golden" / "imports" / f"{name}.json" for name in names]
+    job = {"engine": "three_file", "width": width, "height": height, "outputs": ["mesh", "position", "normal"]}
+    job["shadowType"] = shadow_type.removesuffix("ShadowMap")
+    drawings = engines.draw([{**job, "scene": json.loads(file.read_text())} for file in files])
+    for file, drawing in zip(files, drawings, strict=True):
+        made = import_scene(file, console=Console(quiet=True), shadow_type=shadow_type, output=tmp_path)
+        config = load_config(made, [f"scene.camera.resolution=[{height}, {width}]", "technique.subpixels=16"])
+        scene, technique = build_scene(config), build_technique(config, fitting=False)
+        own, seen = draw_surface(scene.mesh, scene.camera), drawing.arrays["mesh"] >= 0
+        counted = np.asarray(own.mask) & seen
+        assert (np.asarray(own.mask) == seen).mean() > 0.999
+        # At the engine's receivers, as Chromium's camera places vertices at coarser steps than ours.
+        position, normal = (jnp.asarray(drawing.arrays[key]) for key in ("position", "normal"))
+        surface = dataclasses.replace(own, position=position, interpolated_normal=normal)
+        there = technique.prepare(scene), surface, drawing.arrays["visibility"], counted
+        assert agreement(technique, *there) >= 0.999, file.stem
+        assert agreement(dataclasses.replace(technique, bias=technique.bias * 0.7), *there) < 0.999, file.stem

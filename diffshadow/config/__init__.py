@@ -56,6 +56,7 @@ from .sections._lights import LightConfig as LightConfig
 from .sections._lights import LightOrbit as LightOrbit
 from .sections._lights import PointLightConfig as PointLightConfig
 from .sections._lights import RectangleLightConfig as RectangleLightConfig
+from .sections._lights import ShadowCamera as ShadowCamera
 from .sections._lights import SpotLightConfig as SpotLightConfig
 from .sections._reference import ImageReferenceConfig as ImageReferenceConfig
 from .sections._reference import ReferenceConfig as ReferenceConfig

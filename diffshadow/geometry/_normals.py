@@ -25,7 +25,7 @@ _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2
 
 def weld(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], tolerance: float | int = 1e-6
-) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"]]:
+) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"], Int[HostArray, " g"]]:
     """Merges vertices at the same place.
 
     Files split vertices at texture seams and hard edges, but silhouettes and shadow volumes need to know which
@@ -39,9 +39,9 @@ def weld(
         so are chains of such vertices; 0 merges only equal ones. If the tolerance is so large that the average vertex
         has dozens of others within it, some of these may stay separate.
 
-    **Returns:** vertices (w, 3), float64, and faces (g, 3), int64. Faces that lose a corner by the merge are dropped,
-    and so are vertices that no face uses. The order is otherwise kept, and a merged vertex has the position of the
-    first.
+    **Returns:** vertices (w, 3), float64, faces (g, 3), int64, and (g,), which of the given faces these are. Faces that
+    lose a corner by the merge are dropped, and so are vertices that no face uses. The order is otherwise kept, and a
+    merged vertex has the position of the first.
 
     **Raises** `ValueError` if a vertex that a face uses is not finite, or the tolerance is negative.
     """
@@ -64,8 +64,9 @@ def weld(
     points, faces = points[first[order]], rank[group][faces]
 
     a, b, c = faces.T
-    used, faces = _compact(faces[(a != b) & (b != c) & (c != a)])
-    return points[used], faces
+    kept = np.flatnonzero((a != b) & (b != c) & (c != a))
+    used, faces = _compact(faces[kept])
+    return points[used], faces, kept
 
 
 def crease_normals(

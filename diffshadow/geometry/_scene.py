@@ -29,24 +29,29 @@ class Scene(eqx.Module):
     - `lights`: one light or several, stored as a tuple.
     - `casts`: for each mesh, whether techniques draw its shadow; all cast if left out. A mesh that does not cast still
         receives shadows, and still blocks rays of the ray-traced reference.
+    - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
+        all meshes.
 
-    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or unless `casts` has one entry per mesh.
+    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or unless `casts` and `receives` have one
+    entry per mesh.
     """
 
     meshes: tuple[Mesh, ...] = eqx.field(converter=_as_meshes)
     camera: AbstractCamera
     lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_lights)
     casts: tuple[bool, ...] | None = eqx.field(static=True, default=None)
+    receives: tuple[bool, ...] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if not self.meshes:
             raise ValueError("the scene has no mesh; expected a mesh, or several in a sequence")
         if not self.lights:
             raise ValueError("the scene has no light; expected a light, or several in a sequence")
-        if self.casts is not None and len(self.casts) != len(self.meshes):
-            raise ValueError(
-                f"casts has {len(self.casts)} entries, and the scene has {len(self.meshes)} meshes; expected one each"
-            )
+        for name, each in (("casts", self.casts), ("receives", self.receives)):
+            if each is not None and len(each) != len(self.meshes):
+                raise ValueError(
+                    f"{name} has {len(each)} entries, and the scene has {len(self.meshes)} meshes; expected one each"
+                )
         if self.casts is not None and not any(self.casts):
             raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
 

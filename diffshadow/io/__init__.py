@@ -1,4 +1,4 @@
-"""Reads meshes and images; writes images and cached results."""
+"""Reads meshes, scenes and images; writes meshes, images and cached results."""
 
 from ._arrays import Layout as Layout
 from ._arrays import read_arrays as read_arrays
@@ -19,3 +19,10 @@ from ._images import read_visibility as read_visibility
 from ._images import write_png as write_png
 from ._images import write_visibility as write_visibility
 from ._meshes import load_mesh as load_mesh
+from ._ply import write_ply as write_ply
+from .scenes._parts import SceneCamera as SceneCamera
+from .scenes._parts import SceneFile as SceneFile
+from .scenes._parts import SceneLight as SceneLight
+from .scenes._parts import SceneMesh as SceneMesh
+from .scenes._parts import SceneShadow as SceneShadow
+from .scenes._read import read_scene as read_scene

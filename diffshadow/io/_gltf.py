@@ -6,6 +6,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sectio
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import DracoPy
 import numpy as np
@@ -16,9 +17,30 @@ from .._types import HostArray
 from ._errors import MeshError, damaged
 from ._gltf_data import Buffers, NoDataError, chunks, item, unread
 from ._gltf_schema import DRACO, Document, Node, Primitive, parse
-from ._polygons import Polygons, strip_triangles
+from ._polygons import Polygons, placed, strip_triangles
 
-_Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"]]
+
+class _Triangles(NamedTuple):
+    """Vertices, triangles, and normals of the vertices, if the file has them."""
+
+    vertices: Float[HostArray, "v 3"]
+    faces: Int[HostArray, "t 3"]
+    normals: Float[HostArray, "v 3"] | None = None
+
+
+class Part(NamedTuple):
+    """The triangles of a primitive of a node's mesh, in world space.
+
+    - `vertices`, `normals`: (v, 3); the normals are none if the file has none.
+    - `faces`: (t, 3), indices into `vertices`.
+    """
+
+    node: Node
+    primitive: Primitive
+    vertices: Float[HostArray, "v 3"]
+    faces: Int[HostArray, "t 3"]
+    normals: Float[HostArray, "v 3"] | None
+
 
 # Primitive modes other than triangles: their names, and how many primitives n vertices make.
 _OTHERS = {
@@ -43,10 +65,31 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
     """
     text, binary = chunks(data)
     document = parse(text)
-    buffers = Buffers(document, binary, folder)
-    vertices, faces, start = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     left_out: Counter[str] = Counter()
-    for node, to_world in _nodes(document):
+    parts = [*parts_of(document, Buffers(document, binary, folder), left_out)]
+    if any(part.normals is not None for part in parts):
+        parts = [part if part.normals is not None else _flat(part) for part in parts]
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
+    corners = np.concatenate([np.zeros((0, 3), np.int64), *faces])
+    normals = [part.normals for part in parts if part.normals is not None]
+    return Polygons(
+        np.concatenate([np.zeros((0, 3)), *(part.vertices for part in parts)]),
+        corners.reshape(-1),
+        np.full(len(corners), 3),
+        left_out,
+        np.concatenate(normals) if normals else None,
+    )
+
+
+def parts_of(document: Document, buffers: Buffers, left_out: Counter[str]) -> Iterator[Part]:
+    """The triangles of a file's scene, with node transforms and morph weights applied.
+
+    What is no triangle is added to `left_out`.
+
+    **Raises** `MeshError` as `read_gltf` does.
+    """
+    for node, to_world in nodes_of(document):
         if node.mesh is None:
             continue
         mesh = item(document.meshes, node.mesh, "mesh")
@@ -58,17 +101,18 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
                 left_out[name] += count(_count(primitive, buffers))
                 continue
             weights = mesh.weights if node.weights is None else node.weights
-            points, triangles = _triangles(primitive, weights, buffers)
-            # A mirroring node reverses the winding.
-            mirrored = np.linalg.det(to_world[:3, :3]) < 0
-            vertices.append(points @ to_world[:3, :3].T + to_world[:3, 3])
-            faces.append((triangles[:, ::-1] if mirrored else triangles) + start)
-            start += len(points)
-    corners = np.concatenate(faces)
-    return Polygons(np.concatenate(vertices), corners.reshape(-1), np.full(len(corners), 3), left_out)
+            yield Part(node, primitive, *placed(*_triangles(primitive, weights, buffers), to_world))
 
 
-def _nodes(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
+def _flat(part: Part) -> Part:
+    """The part with the normals of its faces, which the format prescribes where it stores none."""
+    corners = part.vertices[part.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    faces = np.arange(part.faces.size).reshape(-1, 3)
+    return part._replace(vertices=corners.reshape(-1, 3), faces=faces, normals=np.repeat(normals, 3, axis=0))
+
+
+def nodes_of(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
     """The nodes of the scene, each with its matrix to world space.
 
     The scene is the file's default one, otherwise its first one. In a file without scenes, all nodes are used.
@@ -111,14 +155,19 @@ def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers)
     try:
         points = buffers.values(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
         triangles = _ordered(_indices(primitive, buffers), primitive.mode)
+        normal = primitive.attributes.get("NORMAL")
+        normals = None if normal is None else buffers.values(normal, "VEC3").astype(np.float64)
     except NoDataError:
-        points, triangles = _decompressed(primitive, buffers)
+        points, triangles, normals = _decompressed(primitive, buffers)
     if triangles.max(initial=-1) >= len(points):
         raise damaged(f"a primitive refers to vertex {triangles.max()}, but has {len(points)}")
+    if normals is not None and len(normals) != len(points):
+        raise damaged(f"a primitive has {len(points)} vertices and {len(normals)} normals")
     for weight, target in zip(weights, primitive.targets, strict=False):
-        if weight and "POSITION" in target:
-            points += weight * _moved(target["POSITION"], len(points), primitive, buffers)
-    return points, triangles
+        for name, values in (("POSITION", points), ("NORMAL", normals)):
+            if weight and name in target and values is not None:
+                values += weight * _moved(target[name], len(values), primitive, buffers)
+    return _Triangles(points, triangles, normals)
 
 
 def _ordered(indices: Int[HostArray, "n"], mode: int) -> Int[HostArray, "t 3"]:
@@ -142,7 +191,10 @@ def _decompressed(primitive: Primitive, buffers: Buffers) -> _Triangles:
         raise damaged(f"a primitive's {DRACO} has no bufferView")
     try:
         mesh = DracoPy.decode(bytes(buffers.view(view)))
-        return np.array(mesh.points, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+        points, faces = np.array(mesh.points, np.float64), np.asarray(mesh.faces, np.int64)
+        normals = getattr(mesh, "normals", None)
+        normals = None if normals is None or not len(normals) else np.array(normals, np.float64).reshape(-1, 3)
+        return _Triangles(points.reshape(-1, 3), faces.reshape(-1, 3), normals)
     except MeshError:
         raise
     except Exception as error:  # point clouds have no faces, and DracoPy's exceptions have no common base

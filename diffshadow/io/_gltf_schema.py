@@ -4,6 +4,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sectio
 """
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ _Extensions = Mapping[str, Any]
 _OF_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp")
 _OF_LOOKS += ("EXT_texture_", "EXT_lights_", "MSFT_texture_", "MSFT_packing_")
 DRACO = "KHR_draco_mesh_compression"
+LIGHTS = "KHR_lights_punctual"
 # Supported extensions: integer positions, and compressed triangles.
 _READ = ("KHR_mesh_quantization", DRACO)
 
@@ -79,6 +81,7 @@ class Accessor(_Part):
 
 class Primitive(_Part):
     attributes: Mapping[str, _Index]
+    material: _Index | None = None
     indices: _Index | None = None
     mode: Annotated[int, Field(ge=0, le=6)] = 4
     targets: list[Mapping[str, _Index]] = []
@@ -86,11 +89,54 @@ class Primitive(_Part):
 
 
 class Mesh(_Part):
+    name: str = ""
     primitives: list[Primitive]
     weights: list[float] = []
 
 
+class Material(_Part):
+    name: str = ""
+    double_sided: bool = False
+    alpha_mode: str = "OPAQUE"
+
+
+class Perspective(_Part):
+    yfov: Annotated[float, Field(gt=0)]
+    znear: Annotated[float, Field(gt=0)]
+    zfar: float | None = None
+    aspect_ratio: float | None = None
+
+
+class Orthographic(_Part):
+    xmag: float
+    ymag: float
+    znear: float
+    zfar: float
+
+
+class Camera(_Part):
+    type: Literal["perspective", "orthographic"]
+    name: str = ""
+    perspective: Perspective | None = None
+    orthographic: Orthographic | None = None
+
+
+class Spot(_Part):
+    inner_cone_angle: float = 0.0
+    outer_cone_angle: float = math.pi / 4
+
+
+class Light(_Part):
+    """Of `LIGHTS`."""
+
+    type: Literal["directional", "point", "spot"]
+    name: str = ""
+    spot: Spot = Spot()
+
+
 class Node(_Part):
+    name: str = ""
+    camera: _Index | None = None
     children: list[_Index] = []
     mesh: _Index | None = None
     skin: _Index | None = None
@@ -112,7 +158,11 @@ class Document(_Part):
     accessors: list[Accessor] = []
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
+    # Of use to scenes alone, so that a mesh can be read from a file in which they are at fault.
+    cameras: list[Any] = []
+    extensions: _Extensions = {}
     extensions_required: list[str] = []
+    materials: list[Any] = []
     meshes: list[Mesh] = []
     nodes: list[Node] = []
     scene: _Index | None = None

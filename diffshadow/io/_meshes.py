@@ -32,7 +32,7 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
 _MOST = float(np.finfo(np.float32).max)
 
 
-def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) -> Mesh:
+def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 30.0) -> Mesh:
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB or glTF 2.0.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
@@ -42,14 +42,16 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
     **Arguments:**
 
     - `path`: the file; its suffix names the format. Text may be in any encoding.
-    - `crease_angle`: degrees; edges bent by more are shaded sharp. The file's own normals are not used.
+    - `crease_angle`: degrees; edges bent by more are shaded sharp. None for the file's own normals, of vertices in PLY,
+        GLB and glTF.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
 
     **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines.
 
     **Raises** `FileError` if the file is missing, damaged or in an unknown format, requires an unsupported extension
-    of its format, has a polygon that crosses itself, holds no triangles, or holds vertices that are not finite.
+    of its format, has a polygon that crosses itself, holds no triangles, or holds vertices that are not finite; and
+    without a `crease_angle` if it has no normals, or some that are not finite.
     """
     file = existing_file(path, "mesh")
     if file.suffix.lower() not in _READERS:
@@ -63,7 +65,8 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
             polygons = _READERS[file.suffix.lower()](file.read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
-        vertices, faces = weld(polygons.vertices, triangles)
+        vertices, faces, kept = weld(polygons.vertices, triangles)
+        normals = _own_normals(polygons)[triangles[kept]] if crease_angle is None else None
     except MeshError as fault:
         raise FileError(f"the mesh file {file} {fault}") from fault
     except OSError as error:
@@ -76,12 +79,28 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int = 30.0) ->
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
-    return Mesh(vertices, faces, crease_normals(vertices, faces, crease_angle))
+    if crease_angle is not None:
+        normals = crease_normals(vertices, faces, crease_angle)
+    return Mesh(vertices, faces, normals)
+
+
+def _own_normals(polygons: Polygons) -> Float[HostArray, "v 3"]:
+    """The unit normals of the file's vertices; 0 where they are 0.
+
+    **Raises** `MeshError` if there are none, or a face uses one that is not finite.
+    """
+    normals = polygons.normals
+    if normals is None:
+        raise MeshError("has no normals of vertices, or a format of which they are not read; set normals to creases")
+    if not np.isfinite(normals[polygons.corners]).all():
+        raise damaged("some of its normals are NaN or infinite")
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals / np.where(length > 0, length, 1)
 
 
 def _check(polygons: Polygons) -> None:
     """**Raises** `MeshError` if there are no faces, or a face refers to a missing or non-finite vertex."""
-    vertices, corners, sizes, _ = polygons
+    vertices, corners, sizes = polygons[:3]
     if not (sizes >= 3).any():
         found = _left_out(polygons) or (f"{len(vertices)} points" if len(vertices) else "")
         raise MeshError(

@@ -1,14 +1,16 @@
 """PLY files: https://paulbourke.net/dataformats/ply/."""
 
+import os
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import HostArray
+from ._atomic import atomic_path
 from ._errors import MeshError, damaged
 from ._polygons import Polygons, strip_triangles
 from ._text import decode, excerpt, is_number, listed, numbers
@@ -35,6 +37,7 @@ _Order = Literal["=", "<", ">"]
 _ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 # The names that writers give to the list of a face's corners.
 _CORNERS = ("vertex_indices", "vertex_index")
+_NORMAL = ("nx", "ny", "nz")
 # Every float64 from here on is a whole number.
 _LONGEST = 2.0**53
 
@@ -75,11 +78,15 @@ def read_ply(data: bytes) -> Polygons:
     corners, sizes = _lists(columns, "face")
     strips = _strips(*_lists(columns, "tristrips"))
     edges = sum(element.rows for element in elements if element.name == "edge")
+    vertex = columns.get("vertex", {})
     return Polygons(
-        _vertices(columns.get("vertex", {})),
+        _vertices(vertex),
         np.concatenate([corners, strips.reshape(-1)]),
         np.concatenate([sizes, np.full(len(strips), 3)]),
         {"edge": edges},
+        _points(vertex, _NORMAL)
+        if all(name in vertex and (vertex[name].sizes == 1).all() for name in _NORMAL)
+        else None,
     )
 
 
@@ -214,7 +221,11 @@ def _vertices(columns: Mapping[str, _Column]) -> Float[HostArray, "v 3"]:
         return np.zeros((0, 3))
     if any(name not in columns or (columns[name].sizes != 1).any() for name in "xyz"):
         raise damaged(f"its vertices have {listed(columns)}; expected x, y and z")
-    return np.stack([columns[name].values for name in "xyz"], axis=-1).astype(np.float64)
+    return _points(columns, "xyz")
+
+
+def _points(columns: Mapping[str, _Column], names: Iterable[str]) -> Float[HostArray, "v 3"]:
+    return np.stack([columns[name].values for name in names], axis=-1).astype(np.float64)
 
 
 def _lists(
@@ -239,3 +250,36 @@ def _strips(corners: Int[HostArray, "c"], sizes: Int[HostArray, "n"]) -> Int[Hos
         for strip in np.split(strips, np.flatnonzero(strips == -1)):
             triangles.append(strip_triangles(strip[strip != -1]))
     return np.concatenate(triangles)
+
+
+def write_ply(
+    path: str | os.PathLike[str],
+    vertices: Float[HostArray, "v 3"],
+    faces: Int[HostArray, "f 3"],
+    normals: Float[HostArray, "v 3"] | None = None,
+) -> None:
+    """Writes triangles as a binary PLY file in single precision.
+
+    **Arguments:**
+
+    - `vertices`, `normals`: (v, 3); `faces`: (f, 3), indices into `vertices`.
+
+    **Raises** `FileError` if the file cannot be written.
+    """
+    columns = [vertices] if normals is None else [vertices, normals]
+    names = [*"xyz", *(() if normals is None else _NORMAL)]
+    rows = np.concatenate(columns, axis=1).astype("<f4")
+    triangles = np.zeros(len(faces), np.dtype([("length", "u1"), ("corners", "<i4", 3)]))
+    triangles["length"], triangles["corners"] = 3, faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(rows)}",
+        *(f"property float {name}" for name in names),
+        f"element face {len(faces)}",
+        f"property list uchar int {_CORNERS[0]}",
+        "end_header",
+        "",
+    ]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes("\n".join(header).encode() + rows.tobytes() + triangles.tobytes())

@@ -25,12 +25,15 @@ class Polygons(NamedTuple):
     - `corners`: (c,), indices into `vertices`; the corners of a face run anticlockwise seen from outside.
     - `sizes`: (f,), the number of corners of each face.
     - `left_out`: how many elements of other kinds the file holds, by their singular names, such as "line".
+    - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format of which
+      they are not read.
     """
 
     vertices: Float[HostArray, "v 3"]
     corners: Int[HostArray, "c"]
     sizes: Int[HostArray, "f"]
     left_out: Mapping[str, int] = MappingProxyType({})
+    normals: Float[HostArray, "v 3"] | None = None
 
 
 def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
@@ -44,7 +47,7 @@ def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
 
     **Raises** `MeshError` if a face crosses itself.
     """
-    vertices, corners, sizes, _ = polygons
+    vertices, corners, sizes = polygons[:3]
     if (sizes == 3).all():
         return corners.reshape(-1, 3)
     begin = np.cumsum(sizes) - sizes
@@ -102,6 +105,25 @@ def strip_triangles(strip: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
     triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=-1) if len(strip) > 2 else strip[:0].reshape(0, 3)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
+
+
+def placed(
+    points: Float[HostArray, "v 3"],
+    triangles: Int[HostArray, "t 3"],
+    normals: Float[HostArray, "v 3"] | None,
+    to_world: Float[HostArray, "4 4"],
+) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"], Float[HostArray, "v 3"] | None]:
+    """Vertices, triangles and normals in world space; a mirror reverses the winding."""
+    linear = to_world[:3, :3]
+    vertices = points @ linear.T + to_world[:3, 3]
+    if normals is not None:
+        # By the inverse transpose, up to a factor, which also holds for a scale of 0.
+        normals = normals @ np.stack([np.cross(linear[:, i - 2], linear[:, i - 1]) for i in range(3)])
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = normals / np.where(length > 0, length, 1)
+    if np.linalg.det(linear) < 0:
+        return vertices, triangles[:, ::-1], None if normals is None else -normals
+    return vertices, triangles, normals
 
 
 def _upright(

@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._report import report as report
+from .imports._import import import_scene as import_scene
 from .pages._compare import compare as compare
 from .runs._check import check as check
 from .runs._engine import convert as convert

@@ -16,6 +16,8 @@
 - `reversedDepthBuffer` (three.js): false.
 - `camera`: `view` and `projection` (4, 4) for column vectors, as `world_to_eye` and `eye_to_clip` of this library; or
   `position`, `target`, `up`, `fov` (vertical, degrees), `aspect`, `near`, `far`, from which the engine makes its own.
+- In place of meshes, light and camera a job of the engine "three_file" has `scene`, the content of a file that
+  `scene.toJSON()` of three.js gave; the engine's own loader reads it.
 - `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility;
   Babylon.js also has "random", the number that contact hardening turns its taps by.
 - `grid`: a list of settings, each drawn as one picture more: "bias", "normalBias", "radius", "blurSamples" and
@@ -162,9 +164,9 @@ def _checked(job: Mapping[str, Any]) -> dict[str, Any]:
             "normals": None if mesh.get("normals") is None else _binary(mesh["normals"], np.float32),
             "faces": _binary(mesh["faces"], np.uint32),
         }
-        for mesh in job["meshes"]
+        for mesh in job.get("meshes", ())
     ]
-    camera = dict(job["camera"])
+    camera = dict(job.get("camera", {}))
     for name in ("view", "projection"):
         if name in camera:
             camera[name] = np.asarray(camera[name], np.float64).reshape(16).tolist()

@@ -6,7 +6,7 @@ import { channels, readTexture, saveSeen } from "./readback.mjs";
 export const version = THREE.REVISION;
 
 const SIDES = { front: THREE.FrontSide, back: THREE.BackSide, double: THREE.DoubleSide };
-const TYPES = {
+export const TYPES = {
   Basic: THREE.BasicShadowMap, PCF: THREE.PCFShadowMap, PCFSoft: THREE.PCFSoftShadowMap, VSM: THREE.VSMShadowMap,
 };
 
@@ -16,7 +16,7 @@ function swap(source, before, after) {
 }
 
 // The stock ShadowMaterial, whose last colour is replaced by the factor that it computed.
-function probe(mesh, index) {
+export function probe(mesh, index) {
   const material = new THREE.ShadowMaterial({ side: SIDES[mesh.side ?? "front"], transparent: false, fog: false });
   material.blending = THREE.NoBlending;
   material.shadowSide = mesh.shadowSide ? SIDES[mesh.shadowSide] : null;
@@ -115,7 +115,7 @@ function makeCamera(settings, isReversed) {
   return camera;
 }
 
-function floatTarget(width, height, count) {
+export function floatTarget(width, height, count) {
   return new THREE.WebGLRenderTarget(width, height, {
     type: THREE.FloatType, format: THREE.RGBAFormat, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter,
     generateMipmaps: false, count, depthBuffer: true, stencilBuffer: false,
@@ -170,7 +170,7 @@ async function saveMaps(renderer, light, type, vsm, save) {
   renderer.resetState();
 }
 
-async function savePicture(renderer, target, job, save) {
+export async function savePicture(renderer, target, job, save) {
   const { width, height } = job;
   const read = (attachment) => {
     const texels = new Float32Array(width * height * 4);

@@ -523,10 +523,33 @@ SCENES = {
         "  meshes: [path: 'builtin:box']\n  light:\n",
         "3: scene.light: is empty; expected a light; remove the key to get its default",
     ),
+    "window of no width": (
+        "  meshes: [path: 'builtin:box']\n  light:\n    shadow_camera: {position: [0, 3, 0], right: -6}\n",
+        "4: scene.light.shadow_camera.right: is -6 and left is -5.0; expected left less than right; "
+        "make right larger or left smaller",
+    ),
+    "window that ends before it begins": (
+        "  meshes: [path: 'builtin:box']\n  light:\n    shadow_camera: {position: [0, 3, 0], near: 2, far: 1}\n",
+        "4: scene.light.shadow_camera.far: is 1 and near is 2; expected near less than far; "
+        "make far larger or near smaller",
+    ),
+    "two windows": (
+        "  meshes: [path: 'builtin:box']\n  light: {frame: casters, shadow_camera: {position: [0, 3, 0]}}\n",
+        "3: scene.light.frame: is casters, and shadow_camera is given; expected one or the other; remove one of them",
+    ),
+    "normals of a builtin mesh": (
+        "  meshes: [{path: 'builtin:box', normals: file}]\n",
+        "2: scene.meshes.0.normals: is file with a builtin mesh; expected creases; remove it",
+    ),
+    "a mesh without shadows": (
+        "  meshes: [{path: 'builtin:box', receives: false}]\n",
+        "2: scene.meshes.0.receives: is false, and technique.type is shadow_map, which shows shadows on all meshes; "
+        "expected true, or an engine's technique; remove it",
+    ),
     "fault of one of several lights": (
         "  meshes: [path: 'builtin:box']\n  lights:\n    - type: point\n    - {type: spot, radios: 1}\n",
         "5: scene.lights.1.radios: is not a key of scene.lights.1 (type: spot); expected type, orbit, position, near, "
-        "far, target, outer_angle, inner_angle or radius; did you mean 'radius'?",
+        "far, target, outer_angle, inner_angle, radius or aspect; did you mean 'radius'?",
     ),
     "cone wider inside than outside": (
         "  meshes: [path: 'builtin:box']\n  light: {type: spot, inner_angle: 30, outer_angle: 20}\n",
@@ -997,6 +1020,14 @@ def test_a_light_that_is_fitted_frames_the_scene():
         "the initial frame; expected scene; remove it"
     )
     assert parse_config(scene, source="file.yaml").scene.light.frame == "casters"
+
+
+def test_a_light_that_is_fitted_has_no_camera_of_its_own():
+    scene = "scene: {meshes: [{path: builtin:box}], light: {shadow_camera: {position: [0, 3, 0]}}}\n"
+    assert fault(f"{scene}fit: {{parameters: {{scene.light.azimuth: {{lower: 0, upper: 90}}}}}}\n") == (
+        "file.yaml:1: scene.light.shadow_camera: is given in a fit of lights or meshes, which fits the map to the "
+        "scene at every step; expected a map that is fitted; remove it"
+    )
 
 
 def test_filter_within_a_point_light_s_guard_is_fine():

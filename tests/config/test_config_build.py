@@ -371,6 +371,42 @@ def test_a_directional_light_frames_what_casts_where_it_is_told_to():
     assert float(narrow.far - narrow.near) == pytest.approx(float(wide.far - wide.near))
 
 
+WINDOW = "position: [1, 4, 2], left: -1, right: 3, top: 1.5, bottom: -0.5, near: 1, far: 7"
+
+
+@pytest.mark.parametrize("direction", [(0.3, -1.0, -0.4), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_shadow_camera_looks_along_the_light_from_its_position(direction):
+    away = -1 if direction[1] > 0 else 1
+    camera = WINDOW.replace("4", str(4 * away))
+    ground = "scene.meshes.0={path: builtin:plane, options: {size: 60}}"
+    light = build(ground, f"scene.light={{direction: {list(direction)}, shadow_camera: {{{camera}}}}}").light
+    # three.js: x is across +y and the direction; looking straight up or down, it is the world's.
+    backward = -np.array(direction) / np.linalg.norm(direction)
+    right = np.cross([0, 1, 0] if direction[0] else [0, 0, -backward[1]], backward)
+    right /= np.linalg.norm(right)
+    assert right[0] > 0.7
+    up, position = np.cross(backward, right), np.array([1, 4 * away, 2])
+    corners = {(-1, -0.5, 1): (-1, -1, -1), (3, 1.5, 7): (1, 1, 1), (1, 0.5, 4): (0, 0, 0)}
+    for (x, y, distance), clip in corners.items():
+        point = position + x * right + y * up - distance * backward
+        np.testing.assert_allclose(light.view().clip(jnp.asarray(point, jnp.float32))[:3], clip, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("position: [0.2, 40, 0.2]", "near and far are 1 and 7"),
+        ("position: [30, 4, 0.2]", "left and right are -1 and 3"),
+        ("position: [0.2, 4, -30]", "bottom and top are -0.5 and 1.5"),
+    ],
+)
+def test_a_shadow_camera_that_sees_nothing_is_told(change, words):
+    camera = f"{change}{WINDOW.removeprefix('position: [1, 4, 2]')}"
+    with pytest.raises(ConfigError, match=r"scene\.light: shadow_camera sees nothing of the scene") as caught:
+        build(f"scene.light={{direction: [0, -1, 0], shadow_camera: {{{camera}}}}}")
+    assert words in str(caught.value)
+
+
 def test_point_light_inside_the_scene_is_fine():
     light = build("scene.light={type: point, position: [0, 0.3, 0], near: 50, far: 60}").light
     assert float(light.near) == 50

@@ -91,7 +91,7 @@ def test_preferences_go_as_far_as_the_error_allows():
     # The other follows.
     assert least_a.values[1] == pytest.approx(BEST[1] + SLANT * reach, rel=0.05)
     assert least_a.error <= (1 + within) * LEAST
-    most_b = Profiler(Bowl(), BOUNDS, BEST).preferred([("b", "upper"), ("a", "lower")], within)
+    most_b = Profiler(Bowl(), BOUNDS, BEST).preferred([("b", "upper"), ("a", "upper")], within)
     assert most_b.values[1] == pytest.approx(BEST[1] + reach, rel=0.05)
     # Where b is as great as it can be, a has nearly no room left.
     assert most_b.values[0] == pytest.approx(BEST[0] - SLANT * reach, abs=0.4 * reach)
@@ -154,7 +154,14 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
         subject = whole.put(names, jnp.asarray(point.values)).hard()
         both = point.false_shadow**2 + point.false_light**2
         assert both == pytest.approx(float(subject.mean_square_error(subject.subject)), rel=1e-4)
-    assert [p.false_shadow for p in result.front] == sorted(p.false_shadow for p in result.front)
+    shadow, light = ([getattr(point, side) for point in result.front] for side in ("false_shadow", "false_light"))
+    assert shadow == sorted(shadow)
+    assert light == sorted(light, reverse=True)
+    # Too little bias makes false shadow, so the end without it has the most bias.
+    bias = [point.values[0] for point in result.front]
+    assert bias == sorted(bias, reverse=True)
+    assert bias[0] > bias[-1] + 0.1
+    assert shadow[0] < 0.7 * shadow[-1]
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_pieces_are_about_one_unit_and_stand_on_the_ground(name):
 @pytest.mark.parametrize("name", LIBRARY)
 def test_pieces_use_every_vertex_and_have_no_degenerate_face(name):
     vertices, faces = arrays(library_mesh(name))
-    welded, kept = weld(vertices, faces)
+    welded, kept, _ = weld(vertices, faces)
     assert len(welded) == len(vertices)
     assert len(kept) == len(faces)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
@@ -251,7 +251,7 @@ def soup(mesh, noise=0.0, seed=0):
 def test_weld_closes_a_triangle_soup(scale, noise):
     mesh = library_mesh("torus")
     corners, faces = soup(mesh, noise)
-    vertices, faces = weld(corners * scale, faces)
+    vertices, faces, _ = weld(corners * scale, faces)
     assert len(vertices) == mesh.vertices.shape[0]
     assert_closed(faces)
 
@@ -267,7 +267,7 @@ def test_weld_of_a_part_far_below_the_tolerance_takes_no_memory_for_its_pairs():
     grain = np.random.default_rng(0).uniform(size=(6000, 3))
     vertices = np.concatenate([grain, [[1e8, 0, 0], [1e8, 1e8, 0], [1e8, 0, 1e8]]])
     tracemalloc.start()
-    points, faces = weld(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    points, faces, _ = weld(vertices, np.arange(len(vertices)).reshape(-1, 3))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     np.testing.assert_array_equal(points, vertices[-3:])
@@ -278,13 +278,13 @@ def test_weld_of_a_part_far_below_the_tolerance_takes_no_memory_for_its_pairs():
 
 def test_weld_drops_collapsed_faces_and_unused_vertices_and_keeps_the_order():
     vertices = np.array([[9.0, 9, 9], [0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [np.nan, 0, 0]])
-    points, faces = weld(vertices, np.array([[1, 2, 4], [1, 4, 3]]))
+    points, faces, _ = weld(vertices, np.array([[1, 2, 4], [1, 4, 3]]))
     np.testing.assert_array_equal(points, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(faces, [[0, 1, 2]])
 
 
 def test_weld_of_only_collapsed_faces_is_empty():
-    points, faces = weld(np.ones((3, 3)), np.array([[0, 1, 2]]))
+    points, faces, _ = weld(np.ones((3, 3)), np.array([[0, 1, 2]]))
     assert points.shape == faces.shape == (0, 3)
 
 

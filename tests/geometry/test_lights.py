@@ -117,6 +117,21 @@ def test_spot_light_that_looks_away_from_the_scene_has_a_frustum():
     assert np.isfinite(light.view().matrix).all()
 
 
+@pytest.mark.parametrize("aspect", [0.5, 2.0])
+def test_an_oblong_spot_light_holds_all_points_tightly(aspect):
+    points = cloud(1.0)
+    light = SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, aspect=aspect)
+    reach = np.abs(divided(clip_of(light, points))[:, :2]).max(axis=0)
+    assert reach.max() == pytest.approx(1 / 1.02, rel=1e-3)
+    projection = np.asarray(light.view().eye_to_clip)
+    assert projection[1, 1] == pytest.approx(aspect * projection[0, 0], rel=1e-5)
+
+
+def test_a_directional_lights_map_stands_as_its_up_says():
+    light = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 2), -1, 1, up=(0, 0, -1))
+    np.testing.assert_allclose(light.view().clip(jnp.array([[2.0, 0, 0], [0, 0, -1]]))[:, :2], np.eye(2), atol=1e-6)
+
+
 def test_spot_light_around_looks_at_its_target():
     points = cloud(1.0)
     light = SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, target=jnp.array([1.0, 0.0, 0.0]))
@@ -315,6 +330,10 @@ REFITTED = {
     "spot": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1),
     "cone": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, outer_angle=30.0, inner_angle=20.0),
     "turned": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, up=jnp.array([1.0, 2.0, 0.0])),
+    "turned sun": lambda points: DirectionalLight.around(
+        jnp.array([0.3, -1.0, 0.2]), points, up=jnp.array([1.0, 2.0, 0.0])
+    ),
+    "oblong": lambda points: SpotLight.around(jnp.array([3.0, 5.0, 4.0]), points, aspect=1.5),
     "point": lambda points: PointLight.around(jnp.array([3.0, 5.0, 4.0]), points, radius=0.1, guard=0.2),
     "rectangle": lambda points: RectangleLight.around(
         jnp.array([3.0, 5.0, 4.0]), points, (0.4, 0.2), up=jnp.array([1.0, 2.0, 0.0])

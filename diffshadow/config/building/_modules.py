@@ -70,7 +70,8 @@ def build_scene(config: Config) -> geometry.Scene:
     for key, light in config.scene.each_light.items():
         with _blame(config, ("scene", *key)):
             lights.append(build_light(light, stage))
-    return geometry.Scene(meshes, camera, lights, casts)
+    receives = tuple(mesh.receives for mesh in config.scene.meshes)
+    return geometry.Scene(meshes, camera, lights, casts, receives)
 
 
 def _meshes_of(config: Config) -> list[geometry.Mesh]:

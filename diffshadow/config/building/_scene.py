@@ -15,6 +15,7 @@ from ..sections._lights import (
     LightConfig,
     PointLightConfig,
     RectangleLightConfig,
+    ShadowCamera,
     SpotLightConfig,
 )
 from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
@@ -24,6 +25,8 @@ from ..sections._section import FARTHEST
 _MARGIN = 0.01
 # Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
 _LEAST_NEAR = 1e-3
+# Sine of the angle to the y axis below which a direction counts as vertical.
+_VERTICAL = 1e-9
 
 
 def build_mesh(config: MeshConfig) -> geometry.Mesh:
@@ -34,7 +37,7 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
     if config.builtin is not None:
         mesh = geometry.library_mesh(config.builtin, **config.options)
     else:
-        mesh = io.load_mesh(config.path, config.crease_angle)
+        mesh = io.load_mesh(config.path, config.crease_angle if config.normals == "creases" else None)
     if config.size is not None:
         mesh = geometry.fit_to_size(mesh, config.size)
     if config.drop_to_ground:
@@ -150,6 +153,7 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
                 outer_angle=config.outer_angle,
                 radius=config.radius,
                 inner_angle=config.inner_angle,
+                aspect=config.aspect,
             )
         case RectangleLightConfig():
             tight = geometry.RectangleLight.around(
@@ -173,10 +177,43 @@ def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.Direc
         assert config.azimuth is not None
         assert config.elevation is not None
         direction = -geometry.orbit_eye(jnp.zeros(3), 1.0, config.azimuth, config.elevation)
+    if config.shadow_camera is not None:
+        return _seen_by(config.shadow_camera, direction, config.angular_radius, stage)
     points, around = jnp.asarray(stage.points), geometry.DirectionalLight.around
     if config.frame == "scene":
         return around(direction, points, config.angular_radius)
     return around(direction, jnp.asarray(stage.casters), config.angular_radius, receivers=points)
+
+
+def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage: Stage) -> geometry.DirectionalLight:
+    """The light along `direction` whose map `camera` draws.
+
+    **Raises** `ValueError` if the camera sees nothing of the scene.
+    """
+    backward = -np.asarray(direction, np.float64)
+    backward /= np.linalg.norm(backward)
+    # Where +y is no direction across the view, three.js turns the view by a little about x.
+    is_vertical = np.hypot(backward[0], backward[2]) < _VERTICAL
+    up = np.array([0, 0, -np.sign(backward[1])]) if is_vertical else np.array([0.0, 1.0, 0.0])
+    right = np.cross(up, backward)
+    right /= np.linalg.norm(right)
+    rows = np.stack([right, np.cross(backward, right), backward])
+    low = np.array([camera.left, camera.bottom, -camera.far])
+    high = np.array([camera.right, camera.top, -camera.near])
+    seen = (stage.points - np.asarray(camera.position)) @ rows.T
+    least, most = seen.min(axis=0), seen.max(axis=0)
+    for sides, k, sign in (("left and right", 0, 1), ("bottom and top", 1, 1), ("near and far", 2, -1)):
+        if least[k] > high[k] or most[k] < low[k]:
+            given, scene = sorted((sign * low[k], sign * high[k])), sorted((sign * least[k], sign * most[k]))
+            raise ValueError(
+                f"shadow_camera sees nothing of the scene: its {sides} are {given[0]:.4g} and {given[1]:.4g}, and the "
+                f"scene lies from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an overlap: "
+                "change them, or the position"
+            )
+    center = np.asarray(camera.position) + (low + high)[:2] / 2 @ rows[:2]
+    return geometry.DirectionalLight(
+        direction, center, (high - low)[:2], camera.near, camera.far, angular_radius, jnp.asarray(up, float)
+    )
 
 
 def _vector(value: tuple[float, float, float] | None) -> Vec3 | None:

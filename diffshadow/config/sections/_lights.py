@@ -8,6 +8,7 @@ from pydantic import Field, Tag
 from ._section import (
     NARROWEST,
     Conflict,
+    Coordinate,
     Degrees,
     Direction,
     Extent,
@@ -36,6 +37,24 @@ class LightOrbit(Section):
     )
 
 
+class ShadowCamera(Section):
+    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
+    `position`, which looks along the light with +y up."""
+
+    position: Position = Field(description="where near, far and the window are measured from, in world units")
+    left: Coordinate = Field(default=-5.0, description="left side of the window, in world units")
+    right: Coordinate = Field(default=5.0, description="right side of the window, in world units")
+    top: Coordinate = Field(default=5.0, description="upper side of the window, in world units")
+    bottom: Coordinate = Field(default=-5.0, description="lower side of the window, in world units")
+    near: Coordinate = Field(default=0.5, description="where the map's depth begins, in world units")
+    far: Coordinate = Field(default=500.0, description="where the map's depth ends, in world units")
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        for low, high in (("left", "right"), ("bottom", "top"), ("near", "far")):
+            yield from ordered(cls, data, low, high)
+
+
 class DirectionalLightConfig(Section):
     """Light from infinitely far away."""
 
@@ -58,6 +77,9 @@ class DirectionalLightConfig(Section):
     frame: Literal["scene", "casters"] = Field(
         default="scene", description="what the map is fitted to; with casters, pixels outside the map do not count"
     )
+    shadow_camera: ShadowCamera | None = Field(
+        default=None, description="camera of the map, instead of one that is fitted; pixels outside do not count"
+    )
 
     @property
     def has_size(self) -> bool:
@@ -74,6 +96,8 @@ class DirectionalLightConfig(Section):
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         yield from exclusive(data, "direction", "azimuth", "elevation")
+        if data.get("frame") == "casters" and data.get("shadow_camera") is not None:
+            yield ("frame",), fault("is casters, and shadow_camera is given", "one or the other", "remove one of them")
 
 
 class _PlacedLightConfig(Section):
@@ -125,6 +149,7 @@ class SpotLightConfig(_AimedLightConfig):
         description="half angle of the cone's fully lit part, in degrees; default: shading ignores the cone",
     )
     radius: WorldUnits = Field(default=0.0, ge=0, description="radius of the disk, in world units; 0 is a point")
+    aspect: float = Field(default=1.0, ge=0.01, le=100, description="width of the map's field of view over its height")
 
     @property
     def has_size(self) -> bool:

@@ -68,10 +68,16 @@ class MeshConfig(Section):
     crease_angle: Degrees = Field(
         default=30.0, ge=0, le=180, description="edges of a mesh file bent by more are shaded sharp, in degrees"
     )
+    normals: Literal["creases", "file"] = Field(
+        default="creases", description="normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
+    )
     albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each component in [0, 1]")
     casts: bool = Field(
         default=True,
         description="whether it casts shadows with the technique, or only receives them; in the reference all cast",
+    )
+    receives: bool = Field(
+        default=True, description="whether an engine shows shadows on it; pixels of others count in no error"
     )
 
     @property
@@ -92,6 +98,8 @@ class MeshConfig(Section):
         if not path.startswith(BUILTIN) and options:
             what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
             yield ("options",), what
+        if path.startswith(BUILTIN) and data.get("normals") == "file":
+            yield ("normals",), fault("is file with a builtin mesh", "creases", "remove it")
 
 
 class CameraOrbit(Section):

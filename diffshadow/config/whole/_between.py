@@ -47,6 +47,11 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
                 yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
     if isinstance(config.technique, EngineConfig):
         yield from _foreign_to_engine(config, config.technique)
+    if not isinstance(config.technique, EngineConfig):
+        for i, mesh in enumerate(config.scene.meshes):
+            if not mesh.receives:
+                message = f"is false, and technique.type is {config.technique.type}, which shows shadows on all meshes"
+                yield ("scene", "meshes", i, "receives"), fault(message, "true, or an engine's technique", "remove it")
     if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
@@ -118,6 +123,9 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         if isinstance(light, DirectionalLightConfig) and light.frame == "casters":
             message = "is casters in a fit of lights or meshes, whose shadows may move outside the initial frame"
             yield ("scene", *key, "frame"), fault(message, "scene", "remove it")
+        if isinstance(light, DirectionalLightConfig) and light.shadow_camera is not None:
+            message = "is given in a fit of lights or meshes, which fits the map to the scene at every step"
+            yield ("scene", *key, "shadow_camera"), fault(message, "a map that is fitted", "remove it")
 
 
 def data_faults_of_fit(data: Any) -> Iterator[Conflict]:

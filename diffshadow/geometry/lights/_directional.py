@@ -26,11 +26,12 @@ class DirectionalLight(AbstractLight):
     - `near`, `far`: where the box begins and ends along `direction`, measured from `center`, in world units; `near` is
         negative if the box begins before `center`.
     - `angular_radius`: half the angular diameter of the light's disk, in degrees (the sun's is 0.27).
+    - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.
 
     `DirectionalLight.around` fits the box to a scene.
 
-    **Raises** `ValueError` for a direction that is zero, an extent that is not positive, `near` not below `far`, or an
-    angular radius outside [0, 90).
+    **Raises** `ValueError` for a direction or `up` that is zero, an extent that is not positive, `near` not below
+    `far`, or an angular radius outside [0, 90).
     """
 
     direction: Vec3 = eqx.field(converter=as_float)
@@ -39,9 +40,11 @@ class DirectionalLight(AbstractLight):
     near: Scalar = eqx.field(converter=as_float)
     far: Scalar = eqx.field(converter=as_float)
     angular_radius: Scalar = eqx.field(converter=as_float, default=0.0)
+    up: Vec3 = eqx.field(converter=as_float, default=UP)
 
     def __check_init__(self):
         check_direction("the directional light", self.direction)
+        check_direction("the directional light", self.up, "up")
         check_near_far("the directional light", self.near, self.far, positive=False)
         extent, radius = concrete(self.extent), concrete(self.angular_radius)
         if extent is not None and not (extent > 0).all():
@@ -57,15 +60,17 @@ class DirectionalLight(AbstractLight):
         angular_radius: float = 0.0,
         *,
         receivers: Float[Array, "m 3"] | None = None,
+        up: Vec3 | None = None,
     ) -> "DirectionalLight":
         """The light along `direction` whose shadow map tightly bounds `points` (n, 3).
 
         With `receivers` (m, 3) its box is made deep enough for them too, but not wider: if `points` are the casters, no
         texels are spent on surfaces that only receive.
         """
-        direction = as_float(direction)
+        direction, up = as_float(direction), as_float(UP if up is None else up)
         check_direction("the directional light", direction)
-        rows = frame(direction, as_float(UP))
+        check_direction("the directional light", up, "up")
+        rows = frame(direction, up)
         # In NumPy where it can be: nothing is compiled for the number of points.
         xp = array_module(points, rows, receivers)
         seen = lambda points: (xp.asarray(points)[:, None] * xp.asarray(rows)).sum(axis=-1)
@@ -84,6 +89,7 @@ class DirectionalLight(AbstractLight):
             near=-size[2] / 2,
             far=size[2] / 2,
             angular_radius=angular_radius,
+            up=up,
         )
 
     def pose(self) -> LightPose:
@@ -94,14 +100,16 @@ class DirectionalLight(AbstractLight):
         return eqx.tree_at(parts, self, (pose.direction, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "DirectionalLight":
-        tight = DirectionalLight.around(*lax.stop_gradient((self.direction, points)))
-        return DirectionalLight(self.direction, tight.center, tight.extent, tight.near, tight.far, self.angular_radius)
+        direction, points, up = lax.stop_gradient((self.direction, points, self.up))
+        tight = DirectionalLight.around(direction, points, up=up)
+        box = tight.center, tight.extent, tight.near, tight.far
+        return DirectionalLight(self.direction, *box, self.angular_radius, self.up)
 
     def view(self) -> View:
         half = self.extent / 2
         sides = jnp.array([-1.0, 1.0])
         return View(
-            world_to_eye=look_at(self.center, self.direction, as_float(UP)),
+            world_to_eye=look_at(self.center, self.direction, self.up),
             eye_to_clip=orthographic(half[0] * sides, half[1] * sides, self.near, self.far),
             near=self.near,
             far=self.far,
@@ -112,7 +120,7 @@ class DirectionalLight(AbstractLight):
         backward = jnp.broadcast_to(-normalize(self.direction), points.shape)
         if sample is None:
             return backward
-        return backward + jnp.tan(jnp.deg2rad(self.angular_radius)) * on_plane(self.direction, as_float(UP), sample)
+        return backward + jnp.tan(jnp.deg2rad(self.angular_radius)) * on_plane(self.direction, self.up, sample)
 
     def layer(self, points: Float[Array, "*n 3"]) -> None:
         return None

@@ -26,7 +26,7 @@ _NARROWEST, _WIDEST = 0.1, 80.0
 
 
 class Frustum(NamedTuple):
-    """A square frustum: its axis (3,), its half-angle in degrees, and its near and far distances along the axis."""
+    """A frustum: its axis (3,), its half-angle in degrees, and its near and far distances along the axis."""
 
     direction: Vec3
     outer_angle: Scalar | float
@@ -42,8 +42,11 @@ class Frustum(NamedTuple):
         target: Vec3 | None,
         up: Vec3,
         outer_angle: float | None,
+        aspect: Scalar | float = 1.0,
     ) -> "Frustum":
         """The tight frustum around `points` from `position` towards `target`, by default the centre of their box.
+
+        Its width is `aspect` times its height, of which `outer_angle` is the half-angle.
 
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
@@ -59,12 +62,19 @@ class Frustum(NamedTuple):
                     f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
                     "position outside, or an outer_angle in degrees: move the light or give the angle"
                 )
-            tangent = jnp.max(jnp.abs(eye[..., :2]) / distance[..., None]) * (1 + 2 * MARGIN)
+            tangent = jnp.max(jnp.abs(eye[..., :2]) / _sides(aspect) / distance[..., None]) * (1 + 2 * MARGIN)
             outer_angle = float(jnp.rad2deg(jnp.arctan(tangent)))
         return cls(target - position, outer_angle, *near_far(low, high))
 
     @classmethod
-    def framing(cls, position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3 | None = None) -> "Frustum":
+    def framing(
+        cls,
+        position: Vec3,
+        points: Float[Array, "n 3"],
+        up: Vec3,
+        direction: Vec3 | None = None,
+        aspect: Scalar | float = 1.0,
+    ) -> "Frustum":
         """As `around`, also under a trace, and along `direction` if given. Points beside or behind the light stay
         outside the frustum."""
         if direction is None:
@@ -73,7 +83,9 @@ class Frustum(NamedTuple):
         distance = -eye[..., 2]
         ahead = distance > 0
         tangent = jnp.max(
-            jnp.where(ahead[..., None], jnp.abs(eye[..., :2]) / jnp.where(ahead, distance, 1)[..., None], 0)
+            jnp.where(
+                ahead[..., None], jnp.abs(eye[..., :2]) / _sides(aspect) / jnp.where(ahead, distance, 1)[..., None], 0
+            )
         )
         angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
         return cls(direction, jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance)))
@@ -82,6 +94,10 @@ class Frustum(NamedTuple):
 def distances_along(position: Vec3, direction: Vec3, points: Float[Array, "n 3"]) -> tuple[Scalar, Scalar]:
     """Near and far of a light at `position` that shines along `direction` on `points` (n, 3)."""
     return near_far(*_reach(dot(points - position, normalize(direction))))
+
+
+def _sides(aspect: Scalar | float) -> Float[Array, "2"]:
+    return jnp.stack([as_float(aspect), as_float(1.0)])
 
 
 def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
@@ -104,10 +120,19 @@ def _is_clear(low: Scalar, high: Scalar) -> Array:
     return low > _NEAREST * high
 
 
-def frustum_view(position: Vec3, direction: Vec3, up: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> View:
-    """The view of a square frustum of half-angle `outer_angle`, in degrees."""
+def frustum_view(
+    position: Vec3,
+    direction: Vec3,
+    up: Vec3,
+    outer_angle: Scalar,
+    near: Scalar,
+    far: Scalar,
+    aspect: Scalar | float = 1.0,
+) -> View:
+    """The view of a frustum of vertical half-angle `outer_angle`, in degrees, `aspect` times as wide as high."""
     sides = jnp.tan(jnp.deg2rad(outer_angle)) * jnp.array([-1.0, 1.0])
-    return View(look_at(position, direction, up), perspective(sides, sides, near, far), near, far, is_perspective=True)
+    projection = perspective(aspect * sides, sides, near, far)
+    return View(look_at(position, direction, up), projection, near, far, is_perspective=True)
 
 
 def check_frustum(name: str, direction: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> None:

@@ -20,17 +20,19 @@ class SpotLight(AbstractLight):
 
     - `position`: (3,), world units.
     - `direction`: (3,), the cone's axis, away from the light; any length but 0.
-    - `outer_angle`: half-angle of the cone, in degrees. The shadow map's square frustum encloses the cone.
+    - `outer_angle`: half-angle of the cone, in degrees. The shadow map's frustum encloses the cone.
     - `near`, `far`: distances along the axis of window depth 0 and 1, world units.
     - `radius`: of the emitting disk, which faces along `direction`; world units, 0 for a point.
     - `inner_angle`: degrees. Inside this half-angle the light has full intensity; from there to `outer_angle` it falls
         off by a smooth step in the cosine. If left out, shading ignores the cone. Visibility always ignores it.
     - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.
+    - `aspect`: width of the shadow map's frustum over its height, of which `outer_angle` is the half-angle.
 
     `SpotLight.around` fits angle, near and far to a scene.
 
     **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, angles that are not
-    0 <= inner <= outer < 90, near and far that are not 0 < near < far, or a negative radius.
+    0 <= inner <= outer < 90, near and far that are not 0 < near < far, a negative radius, or an aspect that is not
+    positive.
     """
 
     position: Vec3 = eqx.field(converter=as_float)
@@ -41,12 +43,16 @@ class SpotLight(AbstractLight):
     radius: Scalar = eqx.field(converter=as_float, default=0.0)
     inner_angle: Scalar | None = eqx.field(converter=lambda x: None if x is None else as_float(x), default=None)
     up: Vec3 = eqx.field(converter=as_float, default=UP)
+    aspect: Scalar = eqx.field(converter=as_float, default=1.0)
 
     def __check_init__(self):
         check_position("the spot light", self.position)
         check_frustum("the spot light", self.direction, self.outer_angle, self.near, self.far)
         check_size("the spot light", "radius", self.radius)
         check_direction("the spot light", self.up, "up")
+        aspect = concrete(self.aspect)
+        if aspect is not None and not 0 < aspect < float("inf"):
+            raise ValueError(f"the spot light's aspect is {aspect}; expected a positive ratio of width to height")
         inner = None if self.inner_angle is None else concrete(self.inner_angle)
         outer = concrete(self.outer_angle)
         if inner is not None and outer is not None and not 0 <= inner <= outer:
@@ -65,6 +71,7 @@ class SpotLight(AbstractLight):
         radius: float = 0.0,
         inner_angle: float | None = None,
         up: Vec3 | None = None,
+        aspect: float = 1.0,
     ) -> "SpotLight":
         """The light at `position` with near, far and, unless given, cone fitted to `points` (n, 3).
 
@@ -75,8 +82,8 @@ class SpotLight(AbstractLight):
         """
         position, up = as_float(position), as_float(UP if up is None else up)
         check_direction("the spot light", up, "up")
-        frustum = Frustum.around("the spot light", position, points, target, up, outer_angle)
-        return cls(position, *frustum, radius, inner_angle, up)
+        frustum = Frustum.around("the spot light", position, points, target, up, outer_angle, aspect)
+        return cls(position, *frustum, radius, inner_angle, up, aspect)
 
     def pose(self) -> LightPose:
         return LightPose(Vector(*self.position), *angles(self.direction), self.radius)
@@ -93,14 +100,13 @@ class SpotLight(AbstractLight):
         """
         if self.inner_angle is not None:
             near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))
-            return SpotLight(
-                self.position, self.direction, self.outer_angle, near, far, self.radius, self.inner_angle, self.up
-            )
-        framed = Frustum.framing(*lax.stop_gradient((self.position, points, self.up)))
-        return SpotLight(self.position, *framed, self.radius, up=self.up)
+            framed = Frustum(self.direction, self.outer_angle, near, far)
+        else:
+            framed = Frustum.framing(*lax.stop_gradient((self.position, points, self.up)), aspect=self.aspect)
+        return SpotLight(self.position, *framed, self.radius, self.inner_angle, self.up, self.aspect)
 
     def view(self) -> View:
-        return frustum_view(self.position, self.direction, self.up, self.outer_angle, self.near, self.far)
+        return frustum_view(self.position, self.direction, self.up, self.outer_angle, self.near, self.far, self.aspect)
 
     def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
         centre = self.position - points

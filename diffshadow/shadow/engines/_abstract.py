@@ -89,8 +89,9 @@ class AbstractEngineShadows(AbstractTechnique):
         """
         chosen = [(mesh, side) for mesh, side, does in zip(scene.meshes, sides, casts, strict=True) if does]
         casters = Casters.of(*zip(*chosen, strict=True))
+        receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)
-        return EngineMap(depth, light, per_face(offset, scene), per_face([True] * len(scene.meshes), scene))
+        return EngineMap(depth, light, per_face(offset, scene), per_face(receives, scene))
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): those that see a receiver within the light's frustum, on a

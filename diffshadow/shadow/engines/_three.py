@@ -93,7 +93,11 @@ class ThreeJs(AbstractEngineShadows):
         side = each_of(self.side, scene.meshes, "sides")
         default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
         casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes, "sides")
-        casts = [True] * len(side) if is_variance or scene.casts is None else scene.casts
+        receives = scene.receives or (True,) * len(side)
+        casts = scene.casts or (True,) * len(side)
+        if is_variance:
+            # The engine draws receivers, too.
+            casts = tuple(map(max, casts, receives))
         offset = [-1.0 if one == "back" else 1.0 for one in side]
         return self.drawn(scene, engine_light(scene.light, _NUDGE), casting, offset, casts)
 

@@ -89,6 +89,26 @@ def test_the_own_camera_gives_the_engines_picture():
     assert (off <= 1 / 255)[same].mean() > 0.99
 
 
+def test_a_mesh_that_receives_nothing_is_lit_and_does_not_count():
+    golden = engine_golden("three", "directional_basic_mixed")
+    assert not golden.settings["meshes"][3]["receives"]
+    technique, scene = preset(golden), scene_of(golden)
+    surface = draw_surface(scene.mesh, scene.camera)
+    number = np.repeat(np.arange(4), [len(mesh["faces"]) for mesh in golden.settings["meshes"]])
+    torus = np.asarray(surface.mask) & (number[np.asarray(surface.face)] == 3)
+    of = lambda scene: (technique, technique.prepare(scene))
+    everywhere, marked = of(scene), of(dataclasses.replace(scene, receives=(True, True, True, False)))
+    lit, covered = (
+        np.asarray(technique.visibility(marked[1], surface)),
+        np.asarray(technique.covered(marked[1], surface)),
+    )
+    assert (lit[torus] == 1).all()
+    assert not covered[torus].any()
+    before = np.asarray(technique.visibility(everywhere[1], surface))
+    assert (before[torus] < 1).any()
+    np.testing.assert_array_equal(lit[~torus], before[~torus])
+
+
 def test_back_sides_negate_the_normal_bias():
     golden = engine_golden("three", "directional_pcf_mixed_normal_bias")
     drawn = preset(golden).prepare(scene_of(golden))

@@ -1,0 +1,1 @@
+"""Reads scenes of other programs: meshes, cameras and lights with their shadows."""

@@ -1,0 +1,113 @@
+"""What a scene's file holds, in world space."""
+
+from typing import Literal, NamedTuple
+
+from jaxtyping import Float, Int
+
+from ..._types import HostArray
+
+Side = Literal["front", "back", "double"]
+Vector = tuple[float, float, float]
+
+
+class SceneMesh(NamedTuple):
+    """Triangles with one material.
+
+    - `vertices`, `normals`: (v, 3), world units and unit vectors; the normals are none if the file has none.
+    - `faces`: (f, 3), indices into `vertices`.
+    - `side`, `shadow_side`: which faces are drawn, and which into shadow maps; none if the engine chooses.
+    - `casts`, `receives`: whether it casts and receives shadows.
+    - `layers`: bits of the layers it is in.
+    - `colour`: diffuse, each component in [0, 1].
+    """
+
+    name: str
+    vertices: Float[HostArray, "v 3"]
+    faces: Int[HostArray, "f 3"]
+    normals: Float[HostArray, "v 3"] | None
+    side: Side = "front"
+    shadow_side: Side | None = None
+    casts: bool = True
+    receives: bool = True
+    layers: int = 1
+    colour: Vector = (0.8, 0.8, 0.8)
+
+
+class SceneCamera(NamedTuple):
+    """A camera.
+
+    - `eye`, `forward`, `up`: its position in world units, and unit vectors.
+    - `fov_y`: full vertical field of view in degrees; none of a parallel camera.
+    - `height`: of what a parallel camera sees, world units.
+    - `aspect`: width over height; none if the file does not say.
+    - `near`, `far`: world units; far is none if there is no far plane.
+    - `layers`: bits of the layers it sees.
+    """
+
+    name: str
+    eye: Vector
+    forward: Vector
+    up: Vector
+    near: float
+    far: float | None
+    fov_y: float | None = None
+    height: float | None = None
+    aspect: float | None = None
+    layers: int = 1
+
+
+class SceneShadow(NamedTuple):
+    """The settings of a light's shadow, by the names, units and defaults of three.js.
+
+    - `near`, `far`: of its camera; `window`: left, right, top and bottom of a directional light's.
+    - `map_size`: (width, height), texels.
+    - `half_angle`: degrees, of the height of a spot light's camera; `aspect`: its width over its height.
+    """
+
+    near: float
+    far: float
+    window: tuple[float, float, float, float] = (-5.0, 5.0, 5.0, -5.0)
+    map_size: tuple[int, int] = (512, 512)
+    bias: float = 0.0
+    normal_bias: float = 0.0
+    radius: float = 1.0
+    intensity: float = 1.0
+    blur_samples: int = 8
+    half_angle: float | None = None
+    aspect: float = 1.0
+
+
+class SceneLight(NamedTuple):
+    """A light.
+
+    - `position`, `direction`: world units, and the direction in which it shines, of any length but 0; a point light has
+      none.
+    - `inner_angle`, `outer_angle`: degrees, of a spot light's cone.
+    - `casts`: whether it casts shadows; `shadow`: their settings, none if the file has none.
+    - `layers`: bits of the layers it is in.
+    """
+
+    name: str
+    type: Literal["directional", "spot", "point"]
+    position: Vector
+    direction: Vector | None
+    inner_angle: float | None = None
+    outer_angle: float | None = None
+    casts: bool = True
+    shadow: SceneShadow | None = None
+    layers: int = 1
+
+
+class SceneFile(NamedTuple):
+    """A scene.
+
+    - `meshes`, `cameras`, `lights`: in the order of the file.
+    - `engine`: the engine that the settings are of.
+    - `remarks`: what was left out or taken otherwise than it is, each a sentence without a full stop.
+    """
+
+    meshes: list[SceneMesh]
+    cameras: list[SceneCamera]
+    lights: list[SceneLight]
+    engine: Literal["three.js"] | None
+    remarks: list[str]

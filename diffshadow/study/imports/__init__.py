@@ -1,0 +1,1 @@
+"""Configurations made of scenes of other programs."""

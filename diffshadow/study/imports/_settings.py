@@ -1,0 +1,259 @@
+"""The configuration of a scene that another program stored."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from ... import io
+
+Technique = Literal["three.js", "shadow_map"]
+ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
+
+# Pixels of the longer side of the image.
+_PIXELS = 512
+# Half the angle at which receivers see the light: engines' lights have no size, and traced penumbrae need one.
+_HALF_ANGLE = 0.5
+# Bounds of a fit, as fractions of the diagonal of the scene's box: of a bias' shift, and of a normal bias.
+_SHIFT, _OFFSET = 0.04, 0.0125
+_RADIUS = 6.0
+_OTHER = {"front": "back", "back": "front", "double": "double"}
+
+
+class Chosen(NamedTuple):
+    """The parts of a scene's file that a configuration is made of."""
+
+    meshes: list[io.SceneMesh]
+    camera: io.SceneCamera
+    light: io.SceneLight
+
+
+def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> Chosen:
+    """The camera and light of these names, by default the first, and what they see and light. Adds what it leaves out
+    to `remarks`.
+
+    **Raises** `ValueError` if there is no such camera or light, or no mesh.
+    """
+    seen = _named("camera", scene.cameras, camera, remarks)
+    lit = [each for each in scene.lights if each.layers & seen.layers]
+    casting = [each for each in lit if each.casts]
+    if not casting and light is None:
+        found = f"{len(lit)} without castShadow" if lit else "no directional, spot or point light that its camera sees"
+        raise ValueError(
+            f"the scene has no light that casts shadows ({found}); expected one: set light.castShadow = true before "
+            "scene.toJSON(), or name a light with --light"
+        )
+    remarks += [f"{each.name}: castShadow = false; left out" for each in lit if not each.casts and each.name != light]
+    shining = _named("light", lit if light is not None else casting, light, remarks)
+    meshes = [mesh for mesh in scene.meshes if mesh.layers & seen.layers]
+    unseen = [mesh.name for mesh in scene.meshes if not mesh.layers & seen.layers]
+    remarks += [f"{name}: not in the camera's layers; left out" for name in unseen]
+    if not any(mesh.casts for mesh in meshes):
+        found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
+        raise ValueError(
+            f"the scene has no mesh that casts shadows ({found}); expected one: set mesh.castShadow = true before "
+            "scene.toJSON()"
+        )
+    return Chosen(meshes, seen, shining)
+
+
+def _named[T: (io.SceneCamera, io.SceneLight)](
+    what: str, entries: Sequence[T], name: str | None, remarks: list[str]
+) -> T:
+    """The entry of this name, by default the first."""
+    names = ", ".join(dict.fromkeys(each.name for each in entries))
+    if name is None:
+        if not entries:
+            raise ValueError(
+                f"the scene has no {what}; expected one: add it to the scene before it is saved"
+                + (", or give the camera's own file with --camera" if what == "camera" else "")
+            )
+        remarks += [f"{each.name}: another {what}; left out, or take it with --{what}" for each in entries[1:]]
+        return entries[0]
+    found = [each for each in entries if each.name == name]
+    if not found:
+        raise ValueError(
+            f"--{what} is {name!r}, and the scene has {names or 'none'}; expected one of its {what}s' names"
+        )
+    return found[0]
+
+
+def settings_of(
+    chosen: Chosen,
+    files: Sequence[str],
+    engine: bool,
+    technique: Technique,
+    shadow_type: ShadowType,
+    remarks: list[str],
+) -> dict[str, Any]:
+    """The configuration of `chosen`, with meshes in `files`. Adds to `remarks` what is otherwise than in the scene.
+
+    **Arguments:**
+
+    - `engine`: whether the scene says how shadows are drawn; otherwise the technique's defaults are taken.
+    """
+    meshes, camera, light = chosen
+    points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh in meshes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))
+    shadow = light.shadow if engine else None
+    settings: dict[str, Any] = {
+        "scene": {
+            "meshes": [_mesh(mesh, file) for mesh, file in zip(meshes, files, strict=True)],
+            "camera": _camera(camera, middle, remarks),
+            "light": _light(light, shadow, middle, remarks),
+        }
+    }
+    if not all(mesh.casts for mesh in meshes):
+        names = ", ".join(mesh.name for mesh in meshes if not mesh.casts)
+        remarks.append(f"castShadow = false of {names}: they cast in the traced reference all the same")
+    if shadow is not None:
+        settings["shadow_map"] = {"resolution": [*reversed(shadow.map_size)]}
+    if technique == "three.js":
+        settings["technique"] = _three_js(meshes, shadow, shadow_type)
+        given = settings["technique"]
+        fitted = _bounds(light, given, _depth_slope(light, shadow, middle), diagonal)
+        if shadow_type == "BasicShadowMap":
+            del fitted["technique.radius"]
+        settings["fit"] = {"parameters": fitted}
+    else:
+        settings["technique"] = {"type": technique}
+        for mesh in settings["scene"]["meshes"]:
+            if mesh.pop("receives", True) is False:
+                remarks.append(f"{mesh['path']}: receiveShadow = false is left out with technique shadow_map")
+        if shadow is not None:
+            remarks.append("bias, normalBias and radius of the light's shadow: left out with technique shadow_map")
+        settings["fit"] = {
+            "parameters": {"bias.constant": {"lower": 0, "upper": 30}, "filter.radius": {"lower": 0, "upper": 16}}
+        }
+    settings["reference"] = {"samples": 64}
+    settings["output"] = "runs"
+    return settings
+
+
+def _mesh(mesh: io.SceneMesh, file: str) -> dict[str, Any]:
+    settings: dict[str, Any] = {"path": file, "normals": "file" if mesh.normals is not None else "creases"}
+    if mesh.normals is None:
+        settings["crease_angle"] = 0
+    settings["albedo"] = _rounded(mesh.colour, 4)
+    return settings | ({} if mesh.casts else {"casts": False}) | ({} if mesh.receives else {"receives": False})
+
+
+def _camera(camera: io.SceneCamera, middle: Any, remarks: list[str]) -> dict[str, Any]:
+    aspect = camera.aspect
+    if aspect is None:
+        remarks.append(f"{camera.name}: it has no aspect ratio; its image is made square")
+        aspect = 1.0
+    height, width = (_PIXELS, _PIXELS * aspect) if aspect < 1 else (_PIXELS / aspect, _PIXELS)
+    eye, forward = np.asarray(camera.eye), np.asarray(camera.forward)
+    # The point on its axis that is closest to the middle of the scene, so that it reads well.
+    reach = max(float((middle - eye) @ forward), 1e-3 * float(np.abs(middle - eye).max()), camera.near or 1e-3)
+    settings: dict[str, Any] = {
+        "type": "orthographic" if camera.fov_y is None else "pinhole",
+        "eye": _rounded(eye),
+        "target": _rounded(eye + reach * forward),
+        "up": _rounded(camera.up),
+    }
+    if camera.fov_y is None:
+        assert camera.height is not None
+        settings["height"] = _rounded([camera.height])[0]
+    else:
+        settings["fov_y"] = _rounded([camera.fov_y])[0]
+    settings["near"] = _rounded([camera.near])[0]
+    if camera.far is not None:
+        settings["far"] = _rounded([camera.far])[0]
+    return settings | {"resolution": [max(1, round(height)), max(1, round(width))]}
+
+
+def _light(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, remarks: list[str]) -> dict[str, Any]:
+    position = np.asarray(light.position)
+    settings: dict[str, Any] = {"type": light.type}
+    if light.type == "directional":
+        settings |= {"direction": _rounded(light.direction), "angular_radius": _HALF_ANGLE}
+        size = f"its light's angular_radius is {_HALF_ANGLE:g} degrees"
+        if shadow is not None:
+            sides = dict(zip(("left", "right", "top", "bottom"), _rounded(shadow.window), strict=True))
+            near, far = _rounded([shadow.near, shadow.far])
+            settings["shadow_camera"] = {"position": _rounded(position), **sides, "near": near, "far": far}
+    else:
+        settings["position"] = _rounded(position)
+        # A whole degree of light at the middle of the scene, as of a directional one.
+        radius = _rounded([math.tan(math.radians(_HALF_ANGLE)) * float(np.linalg.norm(middle - position))], 2)[0]
+        if light.type == "spot":
+            settings |= _cone(light, shadow, position, middle, remarks)
+        settings["radius"] = radius
+        size = f"its light's radius is {radius:g} world units"
+        if shadow is not None:
+            settings["near"], settings["far"] = _rounded([shadow.near, shadow.far])
+    remarks.append(
+        f"{light.name}: engines' lights have no size; {size}, which makes the penumbrae that radius is fitted to"
+    )
+    return settings
+
+
+def _cone(
+    light: io.SceneLight, shadow: io.SceneShadow | None, position: Any, middle: Any, remarks: list[str]
+) -> dict[str, Any]:
+    assert light.direction is not None
+    assert light.inner_angle is not None
+    assert light.outer_angle is not None
+    axis = np.asarray(light.direction) / np.linalg.norm(light.direction)
+    reach = max(float((middle - position) @ axis), 1e-3 * float(np.abs(middle - position).max()), 1e-3)
+    half = light.outer_angle if shadow is None or shadow.half_angle is None else shadow.half_angle
+    limited = min(half, 89.9)
+    if limited < half:
+        remarks.append(f"{light.name}: its cone of {half:.4g} degrees is narrowed to {limited:g}")
+    if abs(limited - light.outer_angle) > 1e-6 * limited:
+        remarks.append(f"{light.name}: the shading's cone ends at the shadow camera's angle, {limited:.4g} degrees")
+    settings: dict[str, Any] = {
+        "target": _rounded(position + reach * axis),
+        "outer_angle": _rounded([limited])[0],
+        "inner_angle": _rounded([min(light.inner_angle, limited)])[0],
+    }
+    aspect = 1.0 if shadow is None else shadow.aspect
+    return settings if abs(aspect - 1) < 1e-9 else settings | {"aspect": _rounded([aspect])[0]}
+
+
+def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, shadow_type: ShadowType) -> dict[str, Any]:
+    settings: dict[str, Any] = {"type": "three.js", "shadow_type": shadow_type, "side": _each([m.side for m in meshes])}
+    if any(mesh.shadow_side is not None for mesh in meshes):
+        chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else _OTHER.__getitem__
+        settings["shadow_side"] = _each([mesh.shadow_side or chosen(mesh.side) for mesh in meshes])
+    if shadow is None:
+        return settings
+    bias, normal_bias, radius, intensity = _rounded([shadow.bias, shadow.normal_bias, shadow.radius, shadow.intensity])
+    settings |= {"bias": bias, "normal_bias": normal_bias, "radius": radius}
+    settings |= {} if intensity == 1 else {"intensity": intensity}
+    return settings | ({"blur_samples": shadow.blur_samples} if shadow_type == "VSMShadowMap" else {})
+
+
+def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any) -> float:
+    """Window depth per world unit at the middle of the scene. Where the map is fitted to the scene, as if it were
+    twice as deep as the light is far."""
+    reach = float(np.linalg.norm(middle - np.asarray(light.position)))
+    near, far = (0.5 * reach, 1.5 * reach) if shadow is None else (shadow.near, shadow.far)
+    if light.type == "directional":
+        return 1 / (far - near) if shadow is not None else 1 / max(reach, 1e-3)
+    distance = min(max(reach, near), far)
+    return far * near / ((far - near) * distance**2)
+
+
+def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:
+    """Bounds of the numbers to fit, which contain those that are given."""
+    bias, normal_bias, radius = given.get("bias", 0.0), given.get("normal_bias", 0.0), given.get("radius", 1.0)
+    (shift,), (offset,) = _rounded([min(_SHIFT * diagonal * slope, 1.0)], 2), _rounded([_OFFSET * diagonal], 2)
+    return {
+        "technique.bias": {"lower": max(-1.0, min(-shift, 2 * bias)), "upper": min(1.0, max(0.0, 2 * bias))},
+        "technique.normal_bias": {"lower": min(0.0, 2 * normal_bias), "upper": max(offset, 2 * normal_bias)},
+        "technique.radius": {"lower": 0.0, "upper": max(_RADIUS, 2 * radius)},
+    }
+
+
+def _each(values: list[str]) -> str | list[str]:
+    return values[0] if len(set(values)) == 1 else values
+
+
+def _rounded(values: Any, digits: int = 9) -> list[float]:
+    """`values` to so many digits, more than single precision has."""
+    return [float(f"{value:.{digits}g}") + 0.0 for value in values]

@@ -1,0 +1,358 @@
+"""Scenes from files: what three.js and glTF store, and the message for each thing that can be wrong."""
+
+import copy
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_scene import TRIANGLE, gltf
+
+from diffshadow.io import FileError, load_mesh, read_scene, write_ply
+from diffshadow.io.scenes._three_geometries import GEOMETRIES, build_geometry
+
+FOLDER = Path(__file__).parents[1] / "golden" / "imports"
+SHAPES = json.loads((FOLDER / "shapes.json").read_text())
+EXPECTED = json.loads((FOLDER / "expected.json").read_text())
+
+
+def test_every_shape_is_tested():
+    assert {shape["type"] for shape in SHAPES} == set(GEOMETRIES)
+
+
+@pytest.mark.parametrize("index", range(len(SHAPES)))
+def test_a_shape_has_the_engines_vertices_normals_and_triangles(index):
+    shape = SHAPES[index]
+    made, geometry = shape["made"], build_geometry(shape["type"], shape)
+    vertices, normals = (np.reshape(made[name], (-1, 3)) for name in ("position", "normal"))
+    np.testing.assert_allclose(geometry.vertices, vertices, atol=3e-7)
+    np.testing.assert_allclose(geometry.normals, normals, atol=3e-7)
+    corners = np.arange(len(vertices)) if made["index"] is None else made["index"]
+    np.testing.assert_array_equal(geometry.faces.reshape(-1), corners)
+    groups = [(group["start"], group["count"], group["materialIndex"]) for group in made["groups"]]
+    assert [(3 * first, 3 * count, number) for first, count, number in geometry.groups] == groups
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_meshes_stand_where_the_engine_places_them(name):
+    scene = read_scene(FOLDER / f"{name}.json")
+    seen = [mesh for mesh in scene.meshes if mesh.layers & scene.cameras[0].layers]
+    found = np.concatenate(
+        [np.concatenate([mesh.vertices[mesh.faces], mesh.normals[mesh.faces]], axis=-1).reshape(-1, 6) for mesh in seen]
+    )
+    begin = 0
+    for mesh in EXPECTED[name]["meshes"]:
+        rows = found[begin : begin + mesh["count"]][:: mesh["every"]]
+        expected = np.array(mesh["rows"])
+        if mesh["name"] == "mirrored":
+            # The winding is reversed, so that the front stays in front.
+            rows = found[begin : begin + mesh["count"]].reshape(-1, 3, 6)[:, ::-1].reshape(-1, 6)[:: mesh["every"]]
+        np.testing.assert_allclose(rows, expected, atol=2e-6)
+        begin += mesh["count"]
+    assert begin == len(found)
+
+
+def test_faces_of_a_mirrored_mesh_turn_outwards():
+    scene = read_scene(FOLDER / "yard.json")
+    (mesh,) = (mesh for mesh in scene.meshes if mesh.name == "mirrored")
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    assert ((np.cross(b - a, c - a) * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=-1) > 0).all()
+
+
+def test_materials_name_the_sides():
+    sides = {mesh.name: (mesh.side, mesh.shadow_side) for mesh in read_scene(FOLDER / "yard.json").meshes}
+    assert sides["sheet 0"] == ("double", None)
+    assert sides["sheet 1"] == ("front", "front")
+    assert not next(mesh for mesh in read_scene(FOLDER / "stage.json").meshes if mesh.name == "ball").casts
+
+
+# --- What older releases leave out, and what is left out ---
+
+BOX = {"uuid": "g", "type": "BoxGeometry"}
+SKIN = {"uuid": "m", "type": "MeshStandardMaterial"}
+MESH = {"type": "Mesh", "name": "box", "geometry": "g", "material": "m", "castShadow": True, "receiveShadow": True}
+SUN = {
+    "type": "DirectionalLight",
+    "name": "sun",
+    "castShadow": True,
+    "matrix": [1, *[0] * 4, 1, *[0] * 4, 1, 0, 2, 3, 4, 1],
+}
+EYE = {"type": "PerspectiveCamera", "name": "eye", "position": [0, 1, 5]}
+PLAIN = {"metadata": {"version": 4.5, "type": "Object"}, "geometries": [BOX], "materials": [SKIN]}
+
+
+def stored(tmp_path, *children, **changes):
+    content = {**PLAIN, "object": {"type": "Scene", "children": list(children)}, **changes}
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_left_out_settings_are_the_engines_defaults(tmp_path):
+    spot, point = ({**SUN, "type": f"{kind}Light"} for kind in ("Spot", "Point"))
+    scene = read_scene(stored(tmp_path, MESH, SUN, spot, point, EYE))
+    sun, spot, point = (light.shadow for light in scene.lights)
+    for shadow in (sun, spot, point):
+        assert (shadow.near, shadow.far, shadow.map_size, shadow.radius, shadow.intensity) == (
+            0.5,
+            500,
+            (512, 512),
+            1,
+            1,
+        )
+        assert shadow.bias == shadow.normal_bias == 0
+        assert shadow.blur_samples == 8
+    assert sun.window == (-5, 5, 5, -5)
+    assert spot.half_angle == pytest.approx(60)
+    assert scene.lights[0].position == (2, 3, 4)
+    assert scene.lights[0].direction == (-2, -3, -4)
+    assert (scene.cameras[0].fov_y, scene.cameras[0].near, scene.cameras[0].far) == (pytest.approx(50), 0.1, 2000)
+    assert "sun: its target is not in the scene, so that it is taken to be the origin" in scene.remarks
+
+
+def test_a_lights_range_replaces_far_and_zoom_narrows(tmp_path):
+    shadow = {
+        "camera": {"near": 1, "far": 9, "left": -1, "right": 3, "zoom": 2},
+        "focus": 0.5,
+        "mapSize": [64, 32],
+        "aspect": 3,
+    }
+    sun, spot, lamp = (
+        {**SUN, "type": f"{kind}Light", "distance": 7, "angle": 0.8, "shadow": shadow}
+        for kind in ("Directional", "Spot", "Point")
+    )
+    wide = {**EYE, "zoom": 2, "fov": 90}
+    flat = {"type": "OrthographicCamera", "left": -1, "right": 3, "top": 1, "bottom": -1, "zoom": 2}
+    scene = read_scene(stored(tmp_path, MESH, sun, spot, lamp, wide, flat))
+    sun, spot, lamp = (light.shadow for light in scene.lights)
+    assert (sun.far, spot.far, lamp.far) == (9, 7, 7)
+    assert sun.window == (0, 2, 2.5, -2.5)
+    assert math.tan(math.radians(spot.half_angle)) == pytest.approx(math.tan(0.4) / 2)
+    assert spot.aspect == pytest.approx(6)
+    assert math.tan(math.radians(scene.cameras[0].fov_y) / 2) == pytest.approx(0.5)
+    assert (scene.cameras[1].height, scene.cameras[1].aspect, scene.cameras[1].eye) == (1, 2, (1, 0, 0))
+
+
+def test_every_kind_of_thing_that_is_left_out_is_named(tmp_path):
+    skin = {**SKIN, "alphaTest": 0.5, "map": "t", "displacementMap": "d", "transparent": True, "opacity": 0.5}
+    unlit = {"uuid": "u", "type": "MeshBasicMaterial"}
+    shader = {"uuid": "s", "type": "ShaderMaterial"}
+    soup = {
+        "uuid": "b",
+        "type": "BufferGeometry",
+        "data": {"attributes": {"position": {"itemSize": 3, "array": [0, 0, 0, 1, 0, 0, 0, 1, 0]}}},
+    }
+    children = [
+        MESH,
+        {**MESH, "type": "SkinnedMesh", "name": "skinned", "geometry": "b"},
+        {**MESH, "name": "unlit", "material": "u"},
+        {**MESH, "name": "shader", "material": "s"},
+        *({"type": kind} for kind in ("HemisphereLight", "Points", "Sprite", "BatchedMesh")),
+        {**EYE, "view": {"enabled": True}},
+    ]
+    scene = read_scene(stored(tmp_path, *children, geometries=[BOX, soup], materials=[skin, unlit, shader]))
+    said = "\n".join(scene.remarks)
+    for word in (
+        "alpha test",
+        "texture",
+        "displacement",
+        "transparent",
+        "skinned: its skin",
+        "skinned: it has no normals",
+    ):
+        assert word in said
+    for word in (
+        "unlit: its MeshBasicMaterial",
+        "shader: its ShaderMaterial",
+        "view offset",
+        "hemisphere",
+        "cloud",
+        "sprite",
+    ):
+        assert word in said
+    assert "batched mesh" in said
+
+
+def test_only_the_finest_level_of_detail_is_drawn(tmp_path):
+    fine, coarse = {**MESH, "uuid": "1", "name": "fine"}, {**MESH, "uuid": "2", "name": "coarse"}
+    levels = [{"object": "2", "distance": 10}, {"object": "1", "distance": 0}]
+    scene = read_scene(stored(tmp_path, {"type": "LOD", "levels": levels, "children": [coarse, fine]}))
+    assert [mesh.name for mesh in scene.meshes] == ["fine"]
+
+
+def test_an_editors_project_holds_its_camera_apart(tmp_path):
+    inner = {**PLAIN, "object": {"type": "Scene", "children": [MESH, SUN]}}
+    path = tmp_path / "project.json"
+    path.write_text(json.dumps({"project": {}, "scene": inner, "camera": {"object": EYE}}))
+    scene = read_scene(path)
+    assert (len(scene.meshes), len(scene.lights), scene.cameras[0].name) == (1, 1, "eye")
+
+
+def test_a_scene_of_unmoved_objects_is_remarked(tmp_path):
+    still = {**SUN, "matrix": [1, *[0] * 4, 1, *[0] * 4, 1, 0, 0, 1, 0, 1]}
+    scene = read_scene(stored(tmp_path, MESH, still))
+    assert any("updateMatrixWorld" in remark for remark in scene.remarks)
+
+
+def soup_of(attributes, **rest):
+    return {"uuid": "g", "type": "BufferGeometry", "data": {"attributes": attributes, **rest}}
+
+
+POSITION = {"itemSize": 3, "type": "Float32Array", "array": TRIANGLE}
+
+
+def test_normalized_integers_are_fractions(tmp_path):
+    position = {
+        "itemSize": 3,
+        "type": "Int16Array",
+        "array": [-32767, 0, 0, 32767, 0, 0, 0, 32767, 0],
+        "normalized": True,
+    }
+    scene = read_scene(stored(tmp_path, MESH, geometries=[soup_of({"position": position})]))
+    np.testing.assert_allclose(scene.meshes[0].vertices[:, 0], [-1, 1, 0])
+
+
+FAULTS = {
+    "no JSON": ("{", "is neither JSON nor GLB"),
+    "a list": ("[]", "a JSON value that is no object"),
+    "something else": ('{"a": 1}', "it has neither object nor asset"),
+    "a lone geometry": ('{"metadata": {"type": "BufferGeometry"}}', "its metadata.type is 'BufferGeometry'"),
+    "an old format": ('{"metadata": {"version": 3}, "object": {}}', "is of three.js' format 3"),
+    "a broken matrix": ('{"object": {"matrix": [1, 2]}}', "matrix"),
+    "deep": ('{"object": ' + '{"children": [' * 3000 + "]}" * 3000 + "}", "deep"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_file_that_is_no_scene_gets_one_message(tmp_path, name):
+    text, expected = FAULTS[name]
+    path = tmp_path / "scene.json"
+    path.write_text(text)
+    with pytest.raises(FileError, match=r"scene\.json") as caught:
+        read_scene(path)
+    assert expected in str(caught.value)
+
+
+GEOMETRY_FAULTS = {
+    "an unknown shape": (
+        {"uuid": "g", "type": "TubeGeometry"},
+        "has a TubeGeometry, of which it stores parameters alone",
+    ),
+    "no segments": ({**BOX, "widthSegments": 0}, "BoxGeometry has widthSegments = 0"),
+    "no number": ({**BOX, "width": "wide"}, "BoxGeometry has width = 'wide'"),
+    "NaN": (
+        soup_of({"position": {**POSITION, "array": [None, *TRIANGLE[1:]]}}),
+        "position is NaN or infinite at vertex 0",
+    ),
+    "no positions": (soup_of({}), "no attribute position"),
+    "no triples": (soup_of({"position": {**POSITION, "array": TRIANGLE[1:]}}), "8 numbers; expected a multiple of 3"),
+    "words": (soup_of({"position": {**POSITION, "array": ["a"] * 9}}), "expected a list of numbers"),
+    "an unknown type": (soup_of({"position": {**POSITION, "type": "BigInt64Array"}}), "of type 'BigInt64Array'"),
+    "an index beyond": (
+        soup_of({"position": POSITION}, index={"type": "Uint16Array", "array": [0, 1, 3]}),
+        "0 to 3, with 3",
+    ),
+    "a lost buffer": (
+        soup_of({"position": {"isInterleavedBufferAttribute": True, "itemSize": 3, "data": "x"}}),
+        "lies in a buffer that the file lacks",
+    ),
+    "other normals": (
+        soup_of({"position": POSITION, "normal": {**POSITION, "array": [0, 0, 1]}}),
+        "3 vertices and 1 normals",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GEOMETRY_FAULTS)
+def test_a_damaged_geometry_gets_one_message(tmp_path, name):
+    geometry, expected = GEOMETRY_FAULTS[name]
+    with pytest.raises(FileError) as caught:
+        read_scene(stored(tmp_path, MESH, geometries=[geometry]))
+    assert expected in str(caught.value)
+
+
+def test_a_missing_geometry_is_named(tmp_path):
+    with pytest.raises(FileError, match="its mesh box refers to a geometry that the file lacks"):
+        read_scene(stored(tmp_path, MESH, geometries=[]))
+
+
+# --- glTF ---
+
+
+def as_file(tmp_path, content):
+    path = tmp_path / "scene.gltf"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_lights_and_cameras_of_gltf_look_along_their_nodes(tmp_path):
+    scene = read_scene(as_file(tmp_path, gltf()))
+    (mesh,), (camera,) = scene.meshes, scene.cameras
+    assert (mesh.name, mesh.side) == ("triangle", "double")
+    np.testing.assert_allclose(mesh.normals, [[0, -1, 0]] * 3, atol=1e-7)
+    np.testing.assert_allclose(camera.forward, [0, 1, 0], atol=1e-7)
+    np.testing.assert_allclose(camera.up, [0, 0, 1], atol=1e-7)
+    assert (camera.fov_y, camera.near, camera.far, camera.aspect) == (pytest.approx(math.degrees(1)), 0.1, None, None)
+    sun, lamp, spot = scene.lights
+    assert (sun.type, lamp.type, spot.type) == ("directional", "point", "spot")
+    np.testing.assert_allclose(sun.direction, [0, 1, 0], atol=1e-7)
+    assert lamp.direction is None
+    assert (spot.inner_angle, spot.outer_angle) == (0, pytest.approx(math.degrees(0.5)))
+    assert spot.position == (0, 0, 2)
+    assert any("alpha test" in remark for remark in scene.remarks)
+
+
+GLTF_FAULTS = {
+    "no such light": (lambda it: it["extensions"]["KHR_lights_punctual"]["lights"].pop(), "refers to light 2"),
+    "no such camera": (lambda it: it["cameras"].pop(), "refers to camera 0"),
+    "a camera without a lens": (lambda it: it["cameras"][0].pop("perspective"), "is perspective, without the settings"),
+    "an unknown light": (
+        lambda it: it["extensions"]["KHR_lights_punctual"]["lights"][0].update(type="sky"),
+        "KHR_lights_punctual.0.type",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GLTF_FAULTS)
+def test_damage_of_a_gltf_scene_gets_one_message(tmp_path, name):
+    change, expected = GLTF_FAULTS[name]
+    content = copy.deepcopy(gltf())
+    change(content)
+    with pytest.raises(FileError) as caught:
+        read_scene(as_file(tmp_path, content))
+    assert expected in str(caught.value)
+
+
+# --- Files' own normals ---
+
+
+def test_a_written_mesh_is_read_back_to_the_bit(tmp_path):
+    rng = np.random.default_rng(0)
+    vertices = rng.normal(size=(30, 3)).astype(np.float32)
+    normals = rng.normal(size=(30, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    faces = np.arange(30).reshape(10, 3)[:, ::-1].copy()
+    write_ply(tmp_path / "mesh.ply", vertices.astype(np.float64), faces, normals)
+    mesh = load_mesh(tmp_path / "mesh.ply", None)
+    np.testing.assert_array_equal(np.asarray(mesh.vertices)[np.asarray(mesh.faces)], vertices[faces])
+    np.testing.assert_allclose(np.asarray(mesh.corner_normals), normals[faces], atol=1e-7)
+
+
+def test_normals_of_a_gltf_file_turn_with_their_node(tmp_path):
+    mesh = load_mesh(as_file(tmp_path, gltf()), None)
+    np.testing.assert_allclose(np.asarray(mesh.corner_normals), [[[0, -1, 0]] * 3], atol=1e-6)
+
+
+def test_degenerate_faces_do_not_shift_normals(tmp_path):
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.0]])
+    normals = np.eye(3)[[0, 1, 2, 0]]
+    write_ply(tmp_path / "mesh.ply", vertices, np.array([[0, 1, 3], [0, 1, 2]]), normals)
+    mesh = load_mesh(tmp_path / "mesh.ply", None)
+    np.testing.assert_allclose(np.asarray(mesh.corner_normals), np.eye(3)[None])
+
+
+def test_a_file_without_normals_is_told(tmp_path):
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FileError, match="has no normals of vertices"):
+        load_mesh(tmp_path / "mesh.obj", None)

@@ -1,0 +1,210 @@
+"""Configurations of imported scenes: the engine's own cameras, settings, and what is said about the rest."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_scene import gltf
+from rich.console import Console
+
+from diffshadow.cli import main
+from diffshadow.config import ThreeJsConfig, build_scene, dump_resolved, load_config, parse_config
+from diffshadow.geometry import PointLight
+from diffshadow.io import read_scene
+from diffshadow.shadow import EngineLight
+from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.study import import_scene
+
+FOLDER = Path(__file__).parents[1] / "golden" / "imports"
+EXPECTED = json.loads((FOLDER / "expected.json").read_text())
+# Of three.js' matrices, which act on column vectors.
+matrix = lambda values: np.reshape(values, (4, 4)).T
+
+
+def imported(tmp_path, name, **options):
+    """The configuration of a scene, and what was said."""
+    with (tmp_path / "said.txt").open("w") as file:
+        made = import_scene(FOLDER / f"{name}.json", console=Console(file=file, width=300), output=tmp_path, **options)
+    return load_config(made, fitting=True), (tmp_path / "said.txt").read_text()
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_camera_and_light_are_the_engines(tmp_path, name):
+    config, _ = imported(tmp_path, name)
+    # With the aspect of the engine's own image.
+    config = load_config(tmp_path / f"{name}.yaml", ["scene.camera.resolution=[80, 100]"])
+    scene, expected = build_scene(config), EXPECTED[name]
+    view = scene.camera.view()
+    np.testing.assert_allclose(view.world_to_eye, matrix(expected["view"]), atol=2e-6)
+    np.testing.assert_allclose(view.eye_to_clip, matrix(expected["projection"]), atol=2e-6)
+    light = engine_light(scene.light, 1e-4)
+    if isinstance(light, PointLight):
+        np.testing.assert_allclose(light.position, [0.1, 1.35, 0.25], atol=1e-7)
+        assert (float(light.near), float(light.far)) == (pytest.approx(0.15), 5.0)
+        return
+    shadow = light.view().eye_to_clip @ light.view().world_to_eye
+    to_window = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])
+    np.testing.assert_allclose(to_window @ np.asarray(shadow), matrix(expected["shadow"]), atol=3e-6)
+
+
+def test_settings_of_the_shadow_are_taken_over(tmp_path):
+    config, said = imported(tmp_path, "yard")
+    technique = config.technique
+    assert isinstance(technique, ThreeJsConfig)
+    assert (technique.bias, technique.normal_bias, technique.radius) == (-0.002, 0.004, 2.5)
+    assert technique.side == ("front", "front", "front", "double", "front", "front")
+    # Of a material without shadowSide, what the engine chooses.
+    assert technique.shadow_side == technique.side
+    assert config.shadow_map.resolution == (128, 160)
+    for name, bounds in config.fit.parameters.items():
+        assert bounds.lower <= getattr(technique, name.removeprefix("technique.")) <= bounds.upper
+    assert parse_config(dump_resolved(config)).scene.light == config.scene.light
+    for line in (
+        "taken: 6 meshes, 858 triangles: ground, knot, mirrored, sheet 0, sheet 1, posts",
+        "taken: directional light sun: map of 160 × 128 texels, bias -0.002, normalBias 0.004, radius 2.5",
+        "note: on another layer: not in the camera's layers; left out",
+        "note: 1 × line: left out",
+    ):
+        assert line in said
+
+
+def test_a_mesh_is_taken_over_with_its_normals(tmp_path):
+    config, _ = imported(tmp_path, "yard")
+    stored = next(mesh for mesh in read_scene(FOLDER / "yard.json").meshes if mesh.name == "knot")
+    mesh = build_scene(config).meshes[1]
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], stored.vertices[stored.faces], atol=2e-6)
+    np.testing.assert_allclose(mesh.corner_normals, stored.normals[stored.faces], atol=1e-6)
+
+
+def test_meshes_that_do_not_cast_or_receive_are_marked(tmp_path):
+    config, _ = imported(tmp_path, "stage")
+    assert [mesh.casts for mesh in config.scene.meshes] == [True, True, True, True, False]
+    assert all(mesh.receives for mesh in config.scene.meshes)
+    assert config.technique.intensity == 0.8
+
+
+def test_a_material_without_shadow_side_casts_what_the_engine_chooses(tmp_path):
+    config, _ = imported(tmp_path, "room")
+    assert config.technique.side == ("front", "front", "double", "front")
+    assert config.technique.shadow_side == ("front", "front", "double", "back")
+
+
+def test_bounds_hold_what_is_given(tmp_path):
+    def strong(children):
+        for light in children:
+            if light["type"] == "SpotLight":
+                light["shadow"] |= {"bias": -0.3, "normalBias": 2, "radius": 40}
+
+    made = import_scene(scene_file(tmp_path, strong), console=Console(quiet=True), output=tmp_path)
+    config = load_config(made, fitting=True)
+    for name, bounds in config.fit.parameters.items():
+        assert bounds.lower < getattr(config.technique, name.removeprefix("technique.")) < bounds.upper
+
+
+def test_with_vsm_a_material_casts_its_own_side(tmp_path):
+    config, _ = imported(tmp_path, "stage", shadow_type="VSMShadowMap")
+    assert config.technique.shadow_side == ("front", "front", "front", "double", "front")
+
+
+def test_shadow_mapping_takes_the_same_map(tmp_path):
+    config, said = imported(tmp_path, "yard", technique="shadow_map")
+    assert config.technique.type == "shadow_map"
+    assert config.scene.light.shadow_camera.far == 6.5
+    assert "bias, normalBias and radius of the light's shadow: left out" in said
+
+
+def scene_file(tmp_path, change):
+    content = json.loads((FOLDER / "stage.json").read_text())
+    change(content["object"]["children"])
+    path = tmp_path / "changed.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def without(kind):
+    return lambda children: children.__setitem__(slice(None), [one for one in children if one["type"] != kind])
+
+
+def unset(key, kinds):
+    def change(children):
+        for one in children:
+            if one["type"] in kinds:
+                one[key] = False
+
+    return change
+
+
+MISTAKES = {
+    "no camera": (without("PerspectiveCamera"), [], "the scene has no camera; expected one"),
+    "no light": (without("SpotLight"), [], "the scene has no light that casts shadows (no directional, spot or point"),
+    "no casting light": (unset("castShadow", ["SpotLight"]), [], "(1 without castShadow)"),
+    "no meshes": (without("Mesh"), [], "the scene has no mesh that casts shadows (no triangles"),
+    "no casters": (
+        unset("castShadow", ["Mesh"]),
+        [],
+        "the scene has no mesh that casts shadows (5 without castShadow)",
+    ),
+    "another camera": (lambda _: None, ["--camera", "side"], "--camera is 'side', and the scene has view"),
+    "another light": (lambda _: None, ["--light", "moon"], "--light is 'moon', and the scene has spot"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_scene_that_cannot_be_lit_gets_one_message(tmp_path, capsys, name):
+    change, options, expected = MISTAKES[name]
+    path = scene_file(tmp_path, change)
+    with pytest.raises(SystemExit) as caught:
+        main(["import", str(path), "--output", str(tmp_path / "made"), *options])
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert expected in error
+    assert error.startswith("error: ")
+    assert not (tmp_path / "made").exists()
+
+
+def test_the_command_names_the_configuration_last(tmp_path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["import", str(FOLDER / "room.json"), "--output", str(tmp_path)])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "room.yaml")
+
+
+def test_a_camera_may_have_its_own_file(tmp_path):
+    path = scene_file(tmp_path, without("PerspectiveCamera"))
+    made = import_scene(path, console=Console(quiet=True), camera=str(FOLDER / "yard.json"), output=tmp_path)
+    assert load_config(made).scene.camera.eye == (1.9, 1.9, 2.4)
+
+
+def test_the_code_of_an_imported_light_has_its_own_camera(tmp_path):
+    def middle(children):
+        for light in children:
+            if light["type"] == "SpotLight":
+                camera = {"left": -2, "right": 2, "top": 3, "bottom": -3, "near": 0.7, "far": 8}
+                light |= {"type": "DirectionalLight", "shadow": {"camera": camera}}
+
+    made = import_scene(scene_file(tmp_path, middle), console=Console(quiet=True), output=tmp_path)
+    given = EngineLight.of(build_scene(load_config(made)).light, (512, 512))
+    assert given.position == pytest.approx([-1.3, 2.6, 1.2], abs=1e-6)
+    assert given.window == pytest.approx({"left": -2, "right": 2, "top": 3, "bottom": -3}, abs=1e-5)
+    assert (given.near, given.far) == (pytest.approx(0.7), pytest.approx(8))
+
+
+@pytest.mark.parametrize(("light", "kind"), [("light 0", "directional"), ("light 1", "point"), ("light 2", "spot")])
+def test_a_scene_of_gltf_gets_the_techniques_defaults(tmp_path, light, kind):
+    content = gltf()
+    # The triangle faces the lights and the camera, which look up.
+    content["nodes"][0]["translation"] = [-0.3, 5, -0.3]
+    path = tmp_path / "scene.gltf"
+    path.write_text(json.dumps(content))
+    with (tmp_path / "said.txt").open("w") as file:
+        made = import_scene(path, console=Console(file=file, width=300), light=light, output=tmp_path)
+    config = load_config(made, fitting=True)
+    assert config.scene.light.type == kind
+    assert (config.technique.bias, config.technique.radius, config.technique.side) == (0, 1, "double")
+    scene, said = build_scene(config), (tmp_path / "said.txt").read_text()
+    assert "glTF has no settings of shadows" in said
+    assert "it has no aspect ratio" in said
+    np.testing.assert_allclose(scene.meshes[0].corner_normals, [[[0, -1, 0]] * 3], atol=1e-6)
+    towards = np.asarray(scene.lights[0].towards(scene.mesh.vertices))
+    assert (towards[:, 1] < 0).all()
