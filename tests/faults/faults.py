@@ -1464,11 +1464,12 @@ _FIT = (
         "test_fit.py",
     ),
     _fault(
-        "joint fit: counts the first problem's pixels",
+        "joint fit: every image has the same share",
         "fit/problems/_joint.py",
-        "sum(problem.count for problem in self.problems)",
-        "self.problems[0].count",
+        "return counts / jnp.maximum(jnp.sum(counts), 1)",
+        "return jnp.ones_like(counts) / len(counts)",
         "test_fit.py",
+        "test_views.py",
     ),
     _fault(
         "residual: what lies outside the mask counts",
@@ -2283,14 +2284,14 @@ _CONFIG = (
     ),
     _fault(
         "sweep: repeats count from zero",
-        "config/reading/_sweep_choices.py",
+        "config/reading/_axes.py",
         '"seed": seed + i}',
         '"seed": i}',
         "test_sweep.py",
     ),
     _fault(
         "sweep: logarithmic axes are even",
-        "config/reading/_sweep_choices.py",
+        "config/reading/_axes.py",
         "axis.lower * (axis.upper / axis.lower) ** fraction",
         "axis.lower + (axis.upper - axis.lower) * fraction",
         "test_sweep.py",
@@ -2344,8 +2345,8 @@ _STUDY = (
     _fault(
         "FLIP after a fit: of the picture before",
         "study/runs/_fit.py",
-        'perceived("after")',
-        'perceived("before")',
+        '"after": {**fitted.errors_after, "flip": perceived["after"]}',
+        '"after": {**fitted.errors_after, "flip": perceived["before"]}',
         "test_study.py",
     ),
     _fault(
