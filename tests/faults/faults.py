@@ -1445,8 +1445,8 @@ _FIT = (
     _fault(
         "joint fit: counts the first problem's pixels",
         "fit/problems/_joint.py",
-        "sum(problem.count for problem in self.problems)",
-        "self.problems[0].count",
+        "jnp.asarray(p.count, jnp.float32)) for p",
+        "jnp.asarray(self.problems[0].count, jnp.float32)) for _",
         "test_fit.py",
     ),
     _fault(
@@ -2124,14 +2124,14 @@ _CONFIG = (
     ),
     _fault(
         "sweep: repeats count from zero",
-        "config/reading/_sweep_choices.py",
+        "config/reading/_axes.py",
         '"seed": seed + i}',
         '"seed": i}',
         "test_sweep.py",
     ),
     _fault(
         "sweep: logarithmic axes are even",
-        "config/reading/_sweep_choices.py",
+        "config/reading/_axes.py",
         "axis.lower * (axis.upper / axis.lower) ** fraction",
         "axis.lower + (axis.upper - axis.lower) * fraction",
         "test_sweep.py",
@@ -2163,8 +2163,8 @@ _STUDY = (
     _fault(
         "FLIP after a fit: of the picture before",
         "study/runs/_fit.py",
-        'perceived("after")',
-        'perceived("before")',
+        '**fitted.errors_after, "flip": perceived["after"]',
+        '**fitted.errors_after, "flip": perceived["before"]',
         "test_study.py",
     ),
     _fault(
