@@ -30,7 +30,7 @@ def test_a_quotient_by_zero_is_the_other_value_and_has_no_slope():
 FRESH = """
 import os
 import diffshadow
-from diffshadow import geometry, shadow
+from diffshadow import fit, geometry, metrics, reference, shading, shadow, study
 
 assert "XLA_FLAGS" not in os.environ, "an import changed it"
 diffshadow.use_all_cores()
@@ -41,7 +41,7 @@ assert os.environ["XLA_FLAGS"] == flags
 """
 
 
-def test_importing_leaves_the_flags_of_xla_alone_until_all_cores_are_asked_for():
+def test_importing_starts_no_backend_and_leaves_its_flags_alone_until_all_cores_are_asked_for():
     without = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     subprocess.run([sys.executable, "-W", "error", "-c", FRESH], env=without, check=True)
 

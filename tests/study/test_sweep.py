@@ -23,7 +23,9 @@ from rich.console import Console
 from scenes import staying_in
 
 from diffshadow import study
-from diffshadow.config import Config, ConfigError, load_config, load_sweep
+from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
+from diffshadow.config.reading._axes import levels_of
+from diffshadow.config.reading._load import parse_draft
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 
@@ -314,12 +316,9 @@ def test_so_many_faults_are_not_all_told():
 
 def test_axes_without_a_choice_may_be_many():
     """They are one level, for each level is a call inside another."""
-    from diffshadow.config import SweepConfig
-    from diffshadow.config.reading._sweep_choices import count_of, levels_of
-
     settings = SweepConfig(grid={f"a{i}": (i, -i) if i == 700 else (i,) for i in range(1500)}, repeats=1)
-    before, chosen, after = levels_of(settings, seed=5)
-    assert count_of(settings) == 2
+    draft = parse_draft("seed: 5", [], source="s.yaml", folder=".", name="s")
+    before, chosen, after = levels_of(settings, draft)
     assert [len(level) for level in (before, chosen, after)] == [1, 2, 1]
     assert dict(before[0].values) == {f"a{i}": i for i in range(700)}
     assert after[0].values == {**{f"a{i}": i for i in range(701, 1500)}, "seed": 5}

@@ -28,23 +28,24 @@ _INTENSITY = 0.7
 class FitPlan(NamedTuple):
     """The parameters to fit, the solver, and the annealing of the compare's width.
 
+    - `loss`: of the errors of all views and lights.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
-    - `loss`, `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
+    - `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
     """
 
     parameters: list[fit.Parameter]
     solver: fit.Solver
     anneal: fit.Anneal
+    loss: fit.Loss
     arrangement: fit.Arrangement | None = None
     levels: tuple[int, ...] | None = None
     starts: int = 1
     searches: bool = False
     evaluations: int = 30
     truth: dict[str, float] = {}  # noqa: RUF012
-    loss: fit.Loss = fit.Loss()
     within: tuple[float, ...] = ()
     prefer: tuple[tuple[str, fit.Side], ...] = ()
     tolerance: float = 0.01
@@ -199,13 +200,13 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         parameters,
         built_solver,
         built_anneal,
+        fit.Loss(**config.fit.loss.model_dump()),
         arrangement,
         config.fit.levels,
         config.fit.multistart,
         any(is_searched(config, name) for name in config.fit.parameters),
         config.fit.evaluations,
         truth,
-        fit.Loss(**config.fit.loss.model_dump()),
         config.fit.intervals,
         tuple((name, _towards_zero(config.fit.parameters[name])) for name in preferences(config.fit)),
         config.fit.tolerance,

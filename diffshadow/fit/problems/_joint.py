@@ -29,7 +29,7 @@ class Joint(eqx.Module):
 
     subject: Any
     problems: tuple[Any, ...]
-    loss: Loss = Loss()
+    loss: Loss
 
     @classmethod
     def of(cls, problems: AbstractProblem | Sequence[AbstractProblem], loss: Loss | None = None) -> "Joint":
