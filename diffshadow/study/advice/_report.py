@@ -27,9 +27,8 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
     advice = result["advice"]
     candidates = [_candidate(each) for each in advice["candidates"]]
     chosen = next(each for each in candidates if each.id == advice["recommended"])
-    figure = draw_front(candidates, chosen)
     if form is not None:
-        style.save(figure, folder / f"{_FIGURE}.{form}", dpi or style.DPI)
+        style.save(draw_front(candidates, chosen), folder / f"{_FIGURE}.{form}", dpi or style.DPI)
     marks = {each["id"]: "front" for each in advice["candidates"] if each["front"]} | {chosen.id: "recommended"}
     versions = result.get("versions", {})
     write_page(
@@ -43,7 +42,7 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
         validated=any(each.rmse != each.fit_rmse for each in candidates),
         verdict=advice["verdict"],
         problems=advice["problems"],
-        figure=style.inline_svg(figure, _FIGURE),
+        figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
         recommended=(folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace").splitlines(),
         file=RECOMMENDED,
         machine=versions.get("processor", "an unknown processor"),

@@ -72,7 +72,7 @@ def _against_best(found: Findings) -> Iterator[str]:
     if found.noise is not None and chosen.rmse - best.rmse <= found.noise:
         noise = f" The difference is below the reference's noise of {found.noise:.4f}."
     yield (
-        f"It is the fastest within {_percent(found.within)} of the least RMSE. {_upper(best.name)} has "
+        f"It is the fastest within {100 * found.within:g} % of the least RMSE. {_upper(best.name)} has "
         f"{best.rmse:.4f}, {_time(best, chosen)}; the recommended one has {_percent(more)} more.{noise}"
     )
 
@@ -164,7 +164,7 @@ def _time(of: Candidate, than: Candidate) -> str:
 def _percent(fraction: float) -> str:
     """A fraction in percent, with two digits, or at least a thousandth of a percent."""
     percent = 100 * fraction
-    return f"{percent:.3f} %" if percent < 0.1 else f"{percent:.2g} %" if percent < 10 else f"{percent:.0f} %"
+    return f"{percent:.3f} %" if percent < 0.1 else f"{percent:#.2g} %" if percent < 10 else f"{percent:.0f} %"
 
 
 def _upper(words: str) -> str:
