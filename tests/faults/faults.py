@@ -2297,6 +2297,13 @@ _STUDY = (
         "test_advise.py",
     ),
     _fault(
+        "sweep: validation before and after a fit are swapped",
+        "study/sweeps/_work.py",
+        'zip(("before", "after"), fitted.validated or (), strict=False)',
+        'zip(("after", "before"), fitted.validated or (), strict=False)',
+        "test_advise.py",
+    ),
+    _fault(
         "advise: measured again by every start",
         "study/advice/_advise.py",
         'if stored.get("ids") != ids:',

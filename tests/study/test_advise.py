@@ -293,6 +293,11 @@ def test_verdict_claims_no_difference_below_the_noise():
     assert "of 128² instead of 64² texels: an RMSE of 0.0405, the same within the reference's noise of 0.0010" in said
     assert "in 2.00 times the time" in said
     assert "Disk instead of tent: an RMSE of 0.0600, 50 % more, in 1.50 times the time" in said
+    # The fastest is told once.
+    assert "The fastest" not in said
+    nearest = candidate("n", 0.08, 1.0, filter="nearest", resolution=(32, 32))
+    said = " ".join(verdict(findings(wide, disk, nearest)))
+    assert "The fastest is constant with nearest at 32²: an RMSE of 0.0800, 100 % more, in 0.50 times" in said
     # Of unknown noise, nothing is said.
     assert "noise" not in " ".join(verdict(findings(wide, disk, *alike, noise=None)))
 
@@ -431,6 +436,19 @@ def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     assert {each["fit_rmse"] for each in stored["candidates"]} == {0.1, 0.2}
     assert stored["over"] == "2 views for validation"
     assert "RMSE, fitted views" in (apart / "report.html").read_text()
+
+
+def test_validation_of_a_fit_is_in_the_table_of_its_sweep():
+    import pyarrow.parquet
+
+    advice = load_advice(Path("a.yaml"), [VALIDATION, "output=out"])
+    folder, _ = run(advice)
+    table = pyarrow.parquet.read_table(folder / "results.parquet").to_pydict()
+    metrics = result_of(study.run_fit(advice.sweep.runs[0].config, console=Console(quiet=True)))["metrics"]
+    for when in ("before", "after"):
+        assert table[f"validation.{when}.rmse"][0] == metrics["validation"][when]["rmse"] != metrics[when]["rmse"]
+    assert table["validation.before.rmse"][0] != table["validation.after.rmse"][0]
+    assert result_of(folder)["advice"]["candidates"][0]["rmse"] == min(table["validation.after.rmse"])
 
 
 def test_failed_fit_is_left_out_and_told(quick, monkeypatch):

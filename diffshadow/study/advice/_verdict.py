@@ -138,7 +138,8 @@ def _sizes(found: Findings) -> Iterator[str]:
 def _fastest(found: Findings) -> Iterator[str]:
     fastest = front(found.candidates)[0]
     near = fastest.ratio * (1 + SAME_TIME) >= found.chosen.ratio
-    if fastest.id != found.chosen.id and not near:
+    told = [*found.like_chosen("bias", "resolution"), *found.like_chosen("bias", "filter")]
+    if not near and fastest not in told:
         yield f"The fastest is {fastest.name}: {_change(found, fastest)}."
 
 
