@@ -25,7 +25,7 @@ from rich.text import Text
 
 from ._memory import keep_freed_memory
 from ._xla import use_all_cores
-from .config import ConfigError, describe, load_config, load_sweep, printable
+from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
@@ -215,8 +215,50 @@ def sweep(
 
 
 @app.command
+def advise(
+    config: Path,
+    /,
+    *overrides: str,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    dry_run: bool = False,
+) -> None:
+    """Fits several techniques to the views of CONFIG, times them, and recommends one.
+
+    The techniques are those of the section `advise`, by default five biases with three filters and two sizes of maps.
+    Prints a ranking and a verdict, and writes a page and `recommended.yaml`. If started again, it does the fits that
+    are missing or have failed. The path of the folder is the last line printed.
+
+    Example: `diffshadow advise configs/quickstart.yaml advise.within=0.1`
+
+    Parameters
+    ----------
+    config
+        YAML file of a fit.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `'advise.resolutions=[[512, 512]]'`.
+    scheduler
+        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this package and see the same files.
+    workers
+        Number of local worker processes, by default one per core; 0 does the fits in this process.
+    dry_run
+        Only list the fits that would be done.
+    """
+    _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
+    with _checking() as progress:
+        advice = load_advice(config, overrides, progress=progress)
+    _keep_compiled_programs()
+    from . import study
+
+    if dry_run:
+        study.print_advise_plan(_console(), advice)
+        return
+    _print_path(study.run_advise(advice, console=_console(), scheduler=scheduler, workers=workers))
+
+
+@app.command
 def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = None, dpi: int = 150) -> None:
-    """Rewrites the page of a finished run or sweep from the files in FOLDER.
+    """Rewrites the page of a finished run, sweep or advice from the files in FOLDER.
 
     The path of the page is the last line printed.
 
@@ -225,7 +267,7 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     Parameters
     ----------
     folder
-        Folder of a fit, a render or a sweep.
+        Folder of a fit, a render, a sweep or an advice.
     figures
         Also rewrite the run's figures, in this format; the shadow map and debug views are kept.
     dpi

@@ -20,7 +20,7 @@ COMMON = {"_types", "_misc"}
 FOLDERS = {
     "fit": ("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_front", "_fit"),
     "config": ("sections", "whole", "reading", "building"),
-    "study": ("files", "pages", "imports", "runs", "sweeps", "_report"),
+    "study": ("files", "pages", "imports", "runs", "sweeps", "advice", "_report"),
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}

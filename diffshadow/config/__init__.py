@@ -9,6 +9,10 @@ from ._errors import ConfigError as ConfigError
 from ._errors import Mistake as Mistake
 from ._errors import Place as Place
 from ._errors import printable as printable
+from .reading._advise import Advice as Advice
+from .reading._advise import Technique as Technique
+from .reading._advise import load_advice as load_advice
+from .reading._advise import with_fitted as with_fitted
 from .reading._dump import Row as Row
 from .reading._dump import describe as describe
 from .reading._dump import dump_resolved as dump_resolved
@@ -19,6 +23,7 @@ from .reading._sweep_runs import Sweep as Sweep
 from .reading._sweep_runs import SweepRun as SweepRun
 from .reading._sweep_runs import SweepRuns as SweepRuns
 from .reading._sweep_runs import load_sweep as load_sweep
+from .sections._advise import AdviseConfig as AdviseConfig
 from .sections._axes import LABEL as LABEL
 from .sections._axes import PathConfig as PathConfig
 from .sections._axes import QuasiRandomAxisConfig as QuasiRandomAxisConfig

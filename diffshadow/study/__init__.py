@@ -13,16 +13,23 @@ from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render as run_render
 
 if TYPE_CHECKING:
+    from .advice._advise import print_advise_plan as print_advise_plan
+    from .advice._advise import run_advise as run_advise
     from .sweeps._run import print_plan as print_plan
     from .sweeps._run import run_sweep as run_sweep
 
-_OF_SWEEPS = ("print_plan", "run_sweep")
+_OF_SWEEPS = {
+    "print_plan": ".sweeps._run",
+    "run_sweep": ".sweeps._run",
+    "print_advise_plan": ".advice._advise",
+    "run_advise": ".advice._advise",
+}
 
 
 def __getattr__(name: str) -> Any:
     # On first use: sweeps load Dask, pandas and Arrow.
     if name in _OF_SWEEPS:
-        return getattr(import_module(".sweeps._run", __name__), name)
+        return getattr(import_module(_OF_SWEEPS[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

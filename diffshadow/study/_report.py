@@ -1,14 +1,14 @@
-"""Reports: one page of a finished run or sweep, made again from its files."""
+"""Reports: one page of a finished run, sweep or advice, made again from its files."""
 
 from pathlib import Path
 
 from .. import io
-from .files._stored import SWEEP, add_files, read_result, read_run
+from .files._stored import ADVISE, SWEEP, add_files, read_result, read_run
 from .pages._report import write_report
 
 
 def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
-    """Writes the page of the finished run or sweep in `folder` again.
+    """Writes the page of the finished run, sweep or advice in `folder` again.
 
     **Arguments:**
 
@@ -29,6 +29,10 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
         from .sweeps._report import report_sweep
 
         return report_sweep(folder, form)
+    if kind == ADVISE:
+        from .advice._report import report_advice
+
+        return report_advice(folder, form, dpi)
     run = read_run(folder)
     if form is not None:
         # Here, since it loads Matplotlib.

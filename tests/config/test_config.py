@@ -175,7 +175,7 @@ BROKEN = {
     "key of another section": (
         "camera: {fov_y: 30}\n",
         "2: camera: is not a key of the top level; expected name, seed, scene, technique, shadow_map, bias, compare, "
-        "filter, shading, reference, fit, sweep or output; did you mean 'scene.camera'?",
+        "filter, shading, reference, fit, sweep, advise or output; did you mean 'scene.camera'?",
     ),
     "key of another variant": (
         "filter:\n  type: pcf\n  samples: 32\n",

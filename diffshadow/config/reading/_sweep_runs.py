@@ -276,7 +276,7 @@ def _with_values(mistake: Mistake, values: Mapping[str, Any]) -> Mistake:
 
 
 def _id_of(config: Config, settings: SweepConfig) -> str:
-    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep"})
+    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep", "advise"})
     for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, PrivateAttr
 
 from .._errors import Origin, show
+from ..sections._advise import AdviseConfig
 from ..sections._biases import BiasConfig
 from ..sections._filters import FilterConfig, RandomDiskConfig
 from ..sections._fit import FitConfig, FitParameterConfig
@@ -64,6 +65,9 @@ class Parts(Section):
     reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="visibility to fit to")
     fit: FitConfig = Field(default_factory=FitConfig, description="parameters and settings of the fit")
     sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
+    advise: AdviseConfig | None = Field(
+        default=None, description="techniques that diffshadow advise compares; default: biases and filters of all kinds"
+    )
     output: Annotated[str, AfterValidator(_folder)] = Field(
         default="runs", min_length=1, description="folder of the runs' folders, relative to the current folder"
     )

@@ -257,6 +257,72 @@ class _Sweep(_Part):
     command: str = ""
 
 
+class _Candidate(_Part):
+    id: str
+    bias: str
+    filter: str
+    resolution: Annotated[list[Count], Field(min_length=2, max_length=2)]
+    values: Numbers
+    units: dict[str, str]
+    rmse: Fraction
+    false_shadow: Fraction
+    false_light: Fraction
+    fit_rmse: Fraction
+    map_ms: Seconds
+    lookup_ms: Seconds
+    ratio: Seconds
+    front: bool
+
+    @model_validator(mode="after")
+    def _agrees(self) -> "_Candidate":
+        if list(self.values) != list(self.units):
+            raise _fault("units", f"has the keys {_listed(self.units)}", f"those of values, {_listed(self.values)}")
+        return self
+
+
+class _Advice(_Part):
+    over: str
+    noise: Fraction | None
+    within: Fraction
+    recommended: str
+    candidates: list[_Candidate] = Field(min_length=1)
+    verdict: list[str]
+    problems: list[str]
+
+    @model_validator(mode="after")
+    def _agrees(self) -> "_Advice":
+        if self.recommended not in (each.id for each in self.candidates):
+            raise _fault("recommended", f"is {_short(self.recommended)}", "the id of a candidate")
+        return self
+
+
+class _Advise(_Sweep):
+    """`advice`: of all fits; not there before they are done."""
+
+    kind: Literal["advise"]  # type: ignore[assignment]
+    advice: _Advice | None = None
+
+
+class _Times(_Part):
+    map_ms: Seconds
+    lookup_ms: Seconds
+    ratio: Seconds
+
+
+class _Enough(_Part):
+    value: Single
+    false_shadow: Fraction
+    false_light: Fraction
+
+
+class _Measurements(_Part):
+    """Of an advice: times of techniques by `ids` of their runs, and biases by pairs of these."""
+
+    ids: list[str]
+    times: list[_Times]
+    enough: dict[str, _Enough]
+
+
 class _Outcome(_Part):
     id: str
     status: Literal["ok", "failed"]
@@ -265,7 +331,7 @@ class _Outcome(_Part):
     seconds: dict[str, Seconds]
 
 
-_KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "sweep": _Sweep}
+_KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "sweep": _Sweep, "advise": _Advise}
 
 
 def read_json(file: Path) -> Any:
@@ -309,7 +375,7 @@ def _plain(value: Any) -> Any:
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """The known keys of the result of a fit, a render or a sweep. `file` is where it came from.
+    """The known keys of the result of a fit, a render, a sweep or an advice. `file` is where it came from.
 
     **Raises** `FileError` that names the first invalid key.
     """
@@ -319,14 +385,14 @@ def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
         raise io.FileError(f"{file} is damaged: {_first(error)}: run it again") from error
 
 
-def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: str) -> bool:
+def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: tuple[str, ...]) -> bool:
     """Whether `stored` is a valid outcome of the run `id` of a sweep.
 
     **Arguments:**
 
     - `stored`: the content of the run's `result.json`.
     - `kinds`: the types of the metrics of a successful run, by name.
-    - `others`: the prefix of the names of further metrics; if empty, there are none.
+    - `others`: the prefixes of the names of further metrics; if empty, there are none.
     """
     try:
         outcome = _Outcome.model_validate(stored)
@@ -340,8 +406,17 @@ def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: str) -> 
     return (
         kinds.keys() <= outcome.metrics.keys()
         and all(outcome.metrics[name] is None or isinstance(outcome.metrics[name], kinds[name]) for name in kinds)
-        and all(others and name.startswith(others) for name in further)
+        and all(name.startswith(others) for name in further)
     )
+
+
+def are_measurements(stored: Any) -> bool:
+    """Whether `stored` is what an advice keeps of its measurements."""
+    try:
+        found = _Measurements.model_validate(stored)
+    except ValidationError:
+        return False
+    return len(found.ids) == len(found.times)
 
 
 def _fault(key: str, given: str, expected: str) -> PydanticCustomError:

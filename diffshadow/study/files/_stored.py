@@ -18,6 +18,8 @@ KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibil
 """The images of each kind of run: their titles, and the names of their arrays."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
+ADVISE = "advise"
+"""The kind of a folder that holds the fits of several techniques, and what is recommended."""
 
 
 class LightImages(NamedTuple):
@@ -117,7 +119,7 @@ def read_run(folder: Path) -> StoredRun:
 def read_result(folder: Path) -> Mapping[str, Any]:
     """The content of `result.json` in `folder`, checked against its schema.
 
-    **Raises** `FileError` if there is none, if it is damaged, or if it is not of a fit, a render or a sweep.
+    **Raises** `FileError` if there is none, if it is damaged, or if it is not of a fit, a render, a sweep or an advice.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -127,10 +129,10 @@ def read_result(folder: Path) -> Mapping[str, Any]:
         raise io.FileError(f"{folder} holds no run: it has no {RESULT}; expected the folder of a finished run")
     result = read_json(file)
     kind = result.get("kind") if isinstance(result, dict) else None
-    if kind not in (*KINDS, SWEEP):
+    if kind not in (*KINDS, SWEEP, ADVISE):
         raise io.FileError(
-            f"{file} is not of a fit, render or sweep; expected one of these: runs inside a sweep keep only numbers, "
-            "unless sweep.figures is true"
+            f"{file} is not of a fit, render, sweep or advice; expected one of these: runs inside a sweep keep only "
+            "numbers, unless sweep.figures is true"
         )
     return checked_result(result, file)
 

@@ -20,13 +20,14 @@ from ... import io
 from ...config import Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import write_json
+from ..files._stored import SWEEP
 from ..pages import _table as table
 from ..runs import _record as record
 from ..runs._progress import counting
 from ._curves import Curve, columns_for, curves_of
 from ._pool import pool
 from ._report import report_sweep
-from ._table import MISSING, RESULTS, gather, metric_columns, write_tables
+from ._table import MISSING, RESULTS, Tables, gather, metric_columns, write_tables
 from ._work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, shape_of
 
 SUFFIX = "-sweep"
@@ -72,7 +73,37 @@ def run_sweep(
     `ConfigError` if the folder cannot be written.
     """
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
-    _begin(folder, sweep)
+    with doing(folder, sweep, SWEEP, console, scheduler, workers, limit) as (tables, tried):
+        curves, remarks = _plotted(folder, sweep, tables.results)
+        counts = counts_of(tables.results)
+        write_record(folder, record_of(sweep, SWEEP, counts))
+        report_sweep(folder)
+    _print(console, sweep, tables.results, curves)
+    table.print_lines(console, _summary(sweep, counts, tried))
+    table.print_lines(console, [*remarks, *failures(tables.results)], warn=True)
+    return folder
+
+
+@contextlib.contextmanager
+def doing(
+    folder: Path,
+    sweep: Sweep,
+    kind: str,
+    console: Console,
+    scheduler: str | None,
+    workers: int | None,
+    limit: int | None = None,
+) -> Iterator[tuple[Tables, int]]:
+    """Does the missing runs of `sweep` in `folder`, and writes its tables, like `run_sweep`.
+
+    **Arguments:**
+
+    - `kind`: what the folder is: a sweep, or what is made of one.
+
+    **Yields** the tables, and the number of runs that were tried now. Until the end of the block, no other process can
+    do the sweep.
+    """
+    _begin(folder, sweep, kind)
     with _alone(folder):
         _remove_drafts(folder)
         with counting(console, "looking for results", len(sweep.runs)) as progress:
@@ -86,14 +117,7 @@ def run_sweep(
         with counting(console, "collecting results", len(sweep.runs)) as progress:
             tables = gather(sweep, folder, progress)
         write_tables(folder, sweep, tables)
-        curves, remarks = _plotted(folder, sweep, tables.results)
-        counts = _counts_of(tables.results)
-        _write_record(folder, sweep, counts)
-        report_sweep(folder)
-    _print(console, sweep, tables.results, curves)
-    table.print_lines(console, _summary(sweep, counts, len(todo)))
-    table.print_lines(console, [*remarks, *_failures(tables.results)], warn=True)
-    return folder
+        yield tables, len(todo)
 
 
 def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> list[int]:
@@ -114,12 +138,16 @@ def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = l
     return missing
 
 
-def print_plan(console: Console, sweep: Sweep, limit: int | None = None) -> None:
+def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix: str = SUFFIX) -> None:
     """Prints what `run_sweep` would do: the axes, and the first missing runs. Writes no files.
 
     For a large sweep, runs are not checked and results not looked up, since that would take minutes.
+
+    **Arguments:**
+
+    - `suffix`: of the folder's name.
     """
-    folder = sweep.runs[0].config.output_folder / f"{sweep.name}{SUFFIX}"
+    folder = sweep.runs[0].config.output_folder / f"{sweep.name}{suffix}"
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
     for axis in sweep.settings.axes:
@@ -155,13 +183,13 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 32 else f"{text[:32]}…"
 
 
-def _begin(folder: Path, sweep: Sweep) -> None:
+def _begin(folder: Path, sweep: Sweep, kind: str) -> None:
     """Creates the sweep's folder if it does not exist.
 
     **Raises** `FileError` if the folder of the runs cannot be created in it.
     """
     if not (folder / RESULT).exists():
-        write_whole(folder, lambda draft: _write_record(draft, sweep, {}))
+        write_whole(folder, lambda draft: write_record(draft, record_of(sweep, kind, {})))
     io.check_writable(folder / RUNS)
     (folder / RUNS).mkdir(exist_ok=True)
 
@@ -253,25 +281,30 @@ def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve]
     return curves, []
 
 
-def _counts_of(results: pa.Table) -> dict[str, int]:
+def counts_of(results: pa.Table) -> dict[str, int]:
     """The number of runs with each status."""
     found = results["status"].value_counts().to_pylist()
     return {each["values"]: each["counts"] for each in found}
 
 
-def _write_record(folder: Path, sweep: Sweep, counts: Mapping[str, int]) -> None:
-    whole = {
+def record_of(sweep: Sweep, kind: str, counts: Mapping[str, int]) -> dict[str, Any]:
+    """The content of `result.json`: of which `kind` the folder is, and how many runs have each status."""
+    return {
         "schema_version": record.SCHEMA_VERSION,
         "name": sweep.name,
-        "kind": "sweep",
+        "kind": kind,
         "source": sweep.source,
         "runs": len(sweep.runs),
         "done": counts.get(OK, 0),
         "failed": counts.get(FAILED, 0),
         "settings": sweep.settings.model_dump(mode="json"),
         "versions": record.versions(),
-        "command": shlex.join(["diffshadow", "sweep", sweep.source, *sweep.overrides]),
+        "command": shlex.join(["diffshadow", kind, sweep.source, *sweep.overrides]),
     }
+
+
+def write_record(folder: Path, whole: Mapping[str, Any]) -> None:
+    """Writes `result.json`."""
     with io.atomic_path(folder / RESULT) as temporary:
         write_json(temporary, whole)
 
@@ -312,7 +345,8 @@ def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
     return lines
 
 
-def _failures(results: pa.Table) -> list[str]:
+def failures(results: pa.Table) -> list[str]:
+    """A sentence on the runs that failed, if there are any."""
     errors = results.filter(pc.field("status") == FAILED)["error"]
     if not len(errors):
         return []

@@ -34,6 +34,8 @@ RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
 OK, FAILED = "ok", "failed"
 FITTED = "fitted."
 """The prefix of the metrics that hold a fit's results."""
+VALIDATION = "validation."
+"""The prefix of the metrics over the views of `fit.validation`."""
 WHOLE = frozenset({"steps", "pixels"})
 """The metrics that are whole numbers."""
 # The most bytes of drawings and limits that a process keeps for further runs.
@@ -110,15 +112,16 @@ def read_outcome(
     return outcome if outcome.status == OK or failed else None
 
 
-def _measured(settings: SweepConfig) -> tuple[dict[str, type], str]:
-    """The metrics of every successful run of a sweep with their types, and the prefix of further metrics."""
+def _measured(settings: SweepConfig) -> tuple[dict[str, type], tuple[str, ...]]:
+    """The metrics of every successful run of a sweep with their types, and the prefixes of further metrics."""
     errors = [field.name for field in dataclasses.fields(metrics.ShadowErrors)]
     if settings.run == "fit":
         names = [*(f"{when}.{name}" for when in ("before", "after") for name in errors), "steps"]
     else:
         names = [*errors, *([] if settings.limit_samples is None else [LIMIT_ERROR])]
     names += ["reference_noise_floor", "pixels"]
-    return {name: int if name in WHOLE else float for name in names}, FITTED if settings.run == "fit" else ""
+    further = (FITTED, VALIDATION) if settings.run == "fit" else ()
+    return {name: int if name in WHOLE else float for name in names}, further
 
 
 def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome) -> None:
@@ -137,7 +140,8 @@ def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcom
 
 def shape_of(config: Config) -> str:
     """Everything that the compiled programs of a run depend on, as text: all but real numbers, pattern and seed."""
-    data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "seed", "sweep", "shading"})
+    without = {"name", "output", "seed", "sweep", "advise", "shading"}
+    data = config.model_dump(mode="json", warnings=False, exclude=without)
     data["filter"].pop("pattern", None)
     return json.dumps(_without_reals(data), sort_keys=True)
 
@@ -145,7 +149,7 @@ def shape_of(config: Config) -> str:
 def drawing_of(config: Config) -> str:
     """Everything that a run's drawings and reference depend on, as text: all settings used before the filter's taps."""
     data = config.model_dump(
-        mode="json", warnings=False, exclude={"name", "output", "sweep", "filter", "fit", "shading"}
+        mode="json", warnings=False, exclude={"name", "output", "sweep", "advise", "filter", "fit", "shading"}
     )
     return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
 
@@ -196,10 +200,12 @@ def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
     if batch.settings.figures:
         with stages.stage("figures"):
             write_fit(folder_of(config), fitted, stages.seconds)
+    validated = dict(zip(("before", "after"), fitted.validated or (), strict=False))
     return {
         **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
         **{f"before.{name}": value for name, value in fitted.errors_before.items()},
         **{f"after.{name}": value for name, value in fitted.errors_after.items()},
+        **{f"{VALIDATION}{when}.{name}": v for when, errors in validated.items() for name, v in errors.items()},
         "steps": fitted.result.steps,
         **_of_reference(fitted.drawn),
     }

@@ -1,0 +1,155 @@
+"""Makes the fits of an advice: a sweep over techniques."""
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from .._errors import ConfigError, KeyPath, Mistake, Origin
+from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
+from ..sections._axes import LABEL
+from ..sections._section import look
+from ..sections._sweep import SweepConfig
+from ..sections._technique import ShadowMapConfig
+from ..whole._schema import Config
+from ._draft import Draft
+from ._dump import dump_resolved
+from ._load import load_draft, parse_config
+from ._mistakes import mistakes_of
+from ._sweep_runs import Progress, Sweep, SweepRuns
+
+_SIZE = "shadow_map.resolution"
+# Each is a fit.
+_MOST_TECHNIQUES = 1024
+# Significant digits of a fitted value: as many as float32 has.
+_DIGITS = 8
+
+
+class Technique(NamedTuple):
+    """A technique of an advice.
+
+    - `bias`, `filter`: the labels of its entries.
+    - `resolution`: of its map, (height, width) in texels.
+    """
+
+    bias: str
+    filter: str
+    resolution: tuple[int, int]
+
+
+class Advice(NamedTuple):
+    """The fits of an advice.
+
+    - `sweep`: a fit for each technique; `techniques`: these, in the same order.
+    """
+
+    settings: AdviseConfig
+    sweep: Sweep
+    techniques: tuple[Technique, ...]
+
+
+def load_advice(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, progress: Progress | None = None
+) -> Advice:
+    """Loads the fits of the section `advise` in the YAML file `path`, with `overrides` applied, like `load_sweep`.
+
+    Without that section, the techniques are its defaults.
+
+    **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the fits.
+    """
+    draft = load_draft(path, overrides)
+    settings = _settings_of(draft)
+    sizes = settings.resolutions or _sizes_of(draft)
+    pairs = list(itertools.product(*(enumerate(getattr(settings, name)) for name in LISTS)))
+    if len(pairs) * len(sizes) > _MOST_TECHNIQUES:
+        message = f"makes {len(pairs) * len(sizes):,} fits; expected at most {_MOST_TECHNIQUES:,}; shorten its lists"
+        raise ConfigError([Mistake(draft.origin.place(("advise",)), "advise", message)])
+    places, entries = dict(draft.origin.places), []
+    for n, pair in enumerate(pairs):
+        entry, origins = _entry(pair)
+        places |= {("sweep", "list", n, key): draft.origin.place(path) for key, path in origins.items()}
+        entries.append(entry)
+    places |= {("sweep", "grid", _SIZE, i): draft.origin.place(("advise", "resolutions", i)) for i in range(len(sizes))}
+    axes = SweepConfig(run="fit", list=tuple(entries), grid={_SIZE: tuple(list(size) for size in sizes)})
+    data = {key: value for key, value in draft.data.items() if key != "advise"}
+    runs = SweepRuns(axes, draft._replace(data=data, origin=Origin(draft.origin.source, places)))
+    runs.check(progress)
+    techniques = tuple(Technique(bias[LABEL], kind[LABEL], size) for (_, bias), (_, kind) in pairs for size in sizes)
+    return Advice(settings, Sweep(axes, runs, draft.origin.source, tuple(overrides)), techniques)
+
+
+def with_fitted(config: Config, values: Mapping[str, float]) -> Config:
+    """`config` with these numbers, by the keys that set them, where its fit starts then.
+
+    **Raises** `ConfigError` if a value is out of its limits.
+    """
+    overrides = []
+    for name, value in values.items():
+        bounds = config.fit.parameters[name]
+        # Rounding may move it out of its bounds.
+        inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
+        overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
+    return parse_config(dump_resolved(config), overrides, source="the recommended configuration", fitting=True)
+
+
+def _settings_of(draft: Draft) -> AdviseConfig:
+    """The section `advise` of `draft`. The other sections are checked with each technique's values filled in."""
+    mistakes = list(draft.mistakes)
+    if draft.data.get("sweep") is not None:
+        message = "makes this file a sweep; expected one without; override sweep=null"
+        mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
+    for kind in ("views", "validation"):
+        if _changes_size(look(draft.data, "fit", kind)):
+            path = ("fit", kind)
+            message = (
+                f"changes {_SIZE}, which all views of a technique share; expected other keys; use advise.resolutions"
+            )
+            mistakes.append(Mistake(draft.origin.place(path), ".".join(path), message))
+    try:
+        Config.model_validate(draft.data)
+    except ValidationError as error:
+        mistakes += [m for m in mistakes_of(error, draft.origin) if m.key.split(".")[0] == "advise"]
+    if mistakes:
+        raise ConfigError(mistakes)
+    return AdviseConfig.model_validate(draft.data.get("advise") or {})
+
+
+def _changes_size(axes: Any) -> bool:
+    """Whether a section of views sets the map's resolution."""
+    return any(_SIZE in held for held in _mappings(axes))
+
+
+def _mappings(value: Any) -> list[Mapping[Any, Any]]:
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    own = [value] if isinstance(value, Mapping) else []
+    return [*own, *(found for each in inner for found in _mappings(each))]
+
+
+def _sizes_of(draft: Draft) -> tuple[tuple[int, int], ...]:
+    """The configuration's size of the map, and half of it."""
+    default = ShadowMapConfig.model_fields["resolution"].default
+    try:
+        height, width = ShadowMapConfig.model_validate(
+            {"resolution": look(draft.data, "shadow_map", "resolution", default=default)}
+        ).resolution
+    except ValidationError:
+        # Every fit reports it.
+        height, width = default
+    return tuple(dict.fromkeys([(height, width), (max(height // 2, 1), max(width // 2, 1))]))
+
+
+def _entry(pair: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[dict[str, Any], dict[str, KeyPath]]:
+    """The entry of a sweep's list for a bias and a filter, and the path in the file of each of its keys."""
+    entry: dict[str, Any] = {LABEL: ", ".join(each[LABEL] for _, each in pair)}
+    paths: dict[str, KeyPath] = {}
+    parameters: dict[str, Any] = {}
+    for name, (i, each) in zip(LISTS, pair, strict=True):
+        entry |= {key: each[key] for key in keys_set(each)}
+        paths |= {key: ("advise", name, i, key) for key in keys_set(each)}
+        if each.get(PARAMETERS):
+            parameters |= each[PARAMETERS]
+            paths["fit.parameters"] = ("advise", name, i, PARAMETERS)
+    # An empty section is reported by the fit.
+    return entry | {"fit.parameters": parameters}, {"fit.parameters": ("advise",), **paths}

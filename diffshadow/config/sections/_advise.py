@@ -1,0 +1,151 @@
+"""Section of an advice: the techniques to fit and to compare."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from .._errors import KeyPath, dotted, listing, show
+from ._axes import LABEL
+from ._poses import is_pose
+from ._section import Conflict, Form, Section, Size, Unit, as_list, fault
+
+PARAMETERS = "parameters"
+"""The key in an entry that holds the numbers to fit; all others but the label are set."""
+LISTS = ("biases", "filters")
+"""The keys of the lists of which every combination is a technique."""
+_OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
+_SIZE = "shadow_map.resolution"
+
+Entries = Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")]
+_Sizes = Annotated[tuple[Size, ...], as_list, Form("a list of [height, width]"), Unit("texels")]
+
+
+def _bias(label: str, *fitted: str, plane: str = "none") -> dict[str, Any]:
+    """A bias whose numbers are 0, except for those that are fitted."""
+    most = {"constant": 30.0, "slope": 10.0, "normal_offset": 10.0}
+    starts = {name: 0.5 if name in fitted else 0.0 for name in most}
+    return {
+        LABEL: label,
+        "bias": {**starts, "plane": {"type": plane}},
+        PARAMETERS: {f"bias.{name}": {"lower": 0.0, "upper": most[name]} for name in fitted},
+    }
+
+
+def _biases() -> tuple[dict[str, Any], ...]:
+    return (
+        _bias("constant", "constant"),
+        _bias("slope", "constant", "slope"),
+        _bias("normal offset", "normal_offset"),
+        _bias("constant + offset", "constant", "normal_offset"),
+        _bias("receiver plane", "constant", plane="receiver_plane"),
+    )
+
+
+def _filters() -> tuple[dict[str, Any], ...]:
+    radius = lambda upper: {"filter.radius": {"lower": 0.0, "upper": upper}}
+    disk = {"type": "random_disk", "samples": 16, "radius": 2.0}
+    return (
+        {LABEL: "nearest", "filter": {"type": "nearest"}},
+        {LABEL: "tent", "filter": {"type": "tent", "radius": 2.0}, PARAMETERS: radius(4.0)},
+        {LABEL: "16-tap disk", "filter": disk, PARAMETERS: radius(16.0)},
+    )
+
+
+class AdviseConfig(Section):
+    """Techniques that `diffshadow advise` fits and compares: every bias with every filter, at every resolution."""
+
+    biases: Entries = Field(
+        default_factory=_biases,
+        description="sections of dotted keys; label names one, and parameters holds what to fit, as in fit.parameters",
+    )
+    filters: Entries = Field(default_factory=_filters, description="the same for filters")
+    resolutions: _Sizes | None = Field(
+        default=None,
+        min_length=1,
+        description="[height, width] of the maps, in texels; default: shadow_map.resolution, and half of it",
+    )
+    within: float = Field(
+        default=0.03,
+        ge=0,
+        le=1,
+        description="the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
+    )
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        for name in LISTS:
+            entries = data.get(name)
+            if isinstance(entries, list | tuple):
+                yield from _bad_entries(name, entries)
+        yield from _set_by_both(data)
+        sizes = data.get("resolutions")
+        if isinstance(sizes, list | tuple):
+            if not sizes:
+                yield ("resolutions",), fault("is an empty list", "at least one size", "add one, or remove the key")
+            for i, size in enumerate(sizes):
+                if size in sizes[:i]:
+                    yield ("resolutions", i), fault(f"is {show(size)} again", "sizes that differ", "remove one of them")
+
+
+def keys_set(entry: Any) -> list[str]:
+    """The keys that an entry sets, without its label and parameters."""
+    keys = entry if isinstance(entry, Mapping) else ()
+    return [key for key in keys if isinstance(key, str) and key not in (LABEL, PARAMETERS)]
+
+
+def _bad_entries(name: str, entries: Sequence[Any]) -> Iterator[Conflict]:
+    if not entries:
+        yield (name,), fault("is an empty list", "at least one entry", "add one, or remove the key to get the default")
+    labels = [entry.get(LABEL) if isinstance(entry, Mapping) else None for entry in entries]
+    for i, (label, entry) in enumerate(zip(labels, entries, strict=True)):
+        if not isinstance(entry, Mapping):
+            continue
+        yield from _bad_label((name, i), label, labels[:i])
+        for key in keys_set(entry):
+            if key == _SIZE:
+                yield (name, i, key), fault("is set", "maps of the sizes in advise.resolutions", "set it there")
+            elif not any(key == start or key.startswith(f"{start}.") for start in _OF_A_TECHNIQUE):
+                what = fault("is the same for all techniques", f"keys of {listing(_OF_A_TECHNIQUE)}", "remove it")
+                yield (name, i, key), what
+        parameters = entry.get(PARAMETERS, {})
+        if not isinstance(parameters, Mapping):
+            mend = "write 'bias.slope: {lower: 0, upper: 9}'"
+            yield (name, i, PARAMETERS), fault(f"is {show(parameters)}", "a section of bounds by key", mend)
+            continue
+        for key in parameters:
+            if is_pose(str(key)):
+                what = fault("moves the scene", "numbers of a technique, since all have the same truth", "remove it")
+                yield (name, i, PARAMETERS, key), what
+
+
+def _bad_label(path: KeyPath, label: Any, earlier: Sequence[Any]) -> Iterator[Conflict]:
+    if not isinstance(label, str) or not label.strip() or not label.isprintable():
+        given = "has no label" if label is None else f"has the label {show(label)}"
+        yield path, fault(given, "text on one line that names it", "add 'label: slope'")
+    elif label in earlier:
+        yield (*path, LABEL), fault(f"is {show(label)} again", "labels that differ", "change one of them")
+
+
+def _set_by_both(data: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of keys that an entry of each list sets, so that one of them would be lost."""
+
+    def of(name: str) -> list[tuple[KeyPath, str]]:
+        entries = data.get(name)
+        listed = enumerate(entries if isinstance(entries, list | tuple) else ())
+        return [((name, i, *path), key) for i, entry in listed for path, key in _all_set(entry)]
+
+    biases, filters = map(of, LISTS)
+    for path, key in filters:
+        for earlier, other in biases:
+            if key == other or key.startswith(f"{other}.") or other.startswith(f"{key}."):
+                message = f"sets {key}, and {dotted(('advise', *earlier))} sets {other}"
+                yield path, fault(message, "every value set by a bias or a filter", "remove one of them")
+                break
+
+
+def _all_set(entry: Any) -> Iterator[tuple[KeyPath, str]]:
+    yield from (((key,), key) for key in keys_set(entry))
+    parameters = entry.get(PARAMETERS) if isinstance(entry, Mapping) else None
+    for key in parameters if isinstance(parameters, Mapping) else ():
+        yield (PARAMETERS, key), f"{PARAMETERS} {key}"

@@ -1,0 +1,196 @@
+"""Runs an advice: fits techniques, times them, and recommends one."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from ... import io
+from ...config import Advice, Config, dump_resolved, fit_units, with_fitted
+from ..files._run_folder import folder_of
+from ..files._schema import are_measurements, read_json, write_json
+from ..files._stored import ADVISE
+from ..pages import _table as table
+from ..runs._progress import counting
+from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
+from ..sweeps._work import FITTED, OK, VALIDATION
+from ._candidates import Candidate, front, ranked, recommended
+from ._measure import Enough, Times, bias_for, measure_times, single_bias, steps_of
+from ._report import RECOMMENDED, report_advice
+from ._verdict import Findings, verdict
+
+SUFFIX = "-advise"
+"""The suffix of an advice's folder."""
+_MEASURED = "measured.json"
+
+
+class _Fitted(NamedTuple):
+    """A fit that succeeded: its place among the techniques, its row of results, and its configuration with what was
+    fitted."""
+
+    number: int
+    row: Mapping[str, Any]
+    config: Config
+
+
+def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None, workers: int | None = None) -> Path:
+    """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
+    verdict, and writes a page and the recommended configuration.
+
+    Fits are done as in `run_sweep`, whose arguments and errors these are. Techniques are timed once all are fitted, in
+    this process; what was measured is kept.
+
+    **Returns** the folder, `<output>/<name>-advise`.
+
+    **Raises** `ValueError` if no technique can be fitted.
+    """
+    sweep = advice.sweep
+    folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
+    with doing(folder, sweep, ADVISE, console, scheduler, workers) as (tables, _):
+        problems = failures(tables.results)
+        fitted = [
+            _Fitted(i, row, with_fitted(sweep.runs[i].config, _values(row)))
+            for i, row in enumerate(tables.results.to_pylist())
+            if row["status"] == OK
+        ]
+        if not fitted:
+            raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
+        with counting(console, "timing", steps_of([each.config for each in fitted])) as progress:
+            times = _times(folder, fitted, progress)
+        candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]
+        chosen = recommended(candidates, advice.settings.within)
+        with counting(console, "comparing biases", len(fitted)) as progress:
+            enough = _enough(folder, candidates, chosen, fitted, progress)
+        found = Findings(candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), enough)
+        best = next(each.config for each in fitted if each.row["id"] == chosen.id)
+        named = best.model_copy(update={"name": f"{sweep.name}-recommended"})
+        with io.atomic_path(folder / RECOMMENDED) as temporary:
+            temporary.write_text(dump_resolved(named), encoding="utf-8", errors="backslashreplace")
+        write_record(folder, record_of(sweep, ADVISE, counts_of(tables.results)) | {"advice": _record(found, problems)})
+        report_advice(folder)
+    _print(console, sweep.name, found)
+    table.print_lines(console, [f"the recommended configuration is in {RECOMMENDED}"])
+    table.print_lines(console, problems, warn=True)
+    return folder
+
+
+def print_advise_plan(console: Console, advice: Advice) -> None:
+    """Prints which fits `run_advise` would do. Writes no files."""
+    print_plan(console, advice.sweep, suffix=SUFFIX)
+
+
+def _values(row: Mapping[str, Any]) -> dict[str, float]:
+    """The fitted numbers of a run."""
+    found = {name.removeprefix(FITTED): value for name, value in row.items() if name.startswith(FITTED)}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _times(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> list[Times]:
+    """The times of all techniques, measured now unless they are stored in `folder`."""
+    ids = [each.row["id"] for each in fitted]
+    stored = _stored(folder)
+    if stored.get("ids") != ids:
+        times = measure_times([each.config for each in fitted], progress)
+        stored = {"ids": ids, "times": [time._asdict() for time in times], "enough": {}}
+        _store(folder, stored)
+    return [Times(**time) for time in stored["times"]]
+
+
+def _enough(
+    folder: Path, candidates: Sequence[Candidate], chosen: Candidate, fitted: Sequence[_Fitted], progress: Any
+) -> dict[str, tuple[str, Enough]]:
+    """For each other bias with a single fitted number, with the same filter and map: how large it has to be for no more
+    acne than `chosen` has. It is searched for now unless it is stored in `folder`."""
+    stored, found = _stored(folder), {}
+    for done, (each, candidate) in enumerate(zip(fitted, candidates, strict=True)):
+        progress(done)
+        name = single_bias(candidate.values)
+        alike = (candidate.filter, candidate.resolution) == (chosen.filter, chosen.resolution)
+        if not alike or name is None or candidate.bias == chosen.bias:
+            continue
+        key = f"{candidate.id} {chosen.id}"
+        if key not in stored["enough"]:
+            stored["enough"][key] = bias_for(each.config, name, chosen.false_shadow)._asdict()
+            _store(folder, stored)
+        found[candidate.bias] = candidate.units[name], Enough(**stored["enough"][key])
+    return found
+
+
+def _stored(folder: Path) -> dict[str, Any]:
+    """The measurements stored in `folder`; empty if there are none, or they are damaged."""
+    try:
+        stored = read_json(folder / _MEASURED)
+    except io.FileError:
+        return {}
+    return stored if are_measurements(stored) else {}
+
+
+def _store(folder: Path, measured: Mapping[str, Any]) -> None:
+    with io.atomic_path(folder / _MEASURED) as temporary:
+        write_json(temporary, measured)
+
+
+def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
+    technique, row, values = advice.techniques[each.number], each.row, _values(each.row)
+    over = f"{VALIDATION}after" if each.config.validation else "after"
+    units = fit_units(each.config)
+    return Candidate(
+        id=row["id"],
+        bias=technique.bias,
+        filter=technique.filter,
+        resolution=technique.resolution,
+        values=values,
+        units={name: units[name] for name in values},
+        rmse=row[f"{over}.rmse"],
+        false_shadow=row[f"{over}.false_shadow_rate"],
+        false_light=row[f"{over}.false_light_rate"],
+        fit_rmse=row["after.rmse"],
+        **times._asdict(),
+    )
+
+
+def _over(config: Config) -> str:
+    """What errors are measured over, in words."""
+    unseen, seen = len(config.validation), len(config.views)
+    count = lambda n: f"{n} view{'' if n == 1 else 's'}"
+    if unseen:
+        return f"{count(unseen)} for validation"
+    return f"the {count(seen)} that the fit sees" if seen else "the scene"
+
+
+def _noise(fitted: Sequence[_Fitted]) -> float | None:
+    """The noise floor of the references, the same for all techniques up to the pixels that their maps cover."""
+    return fitted[0].row["reference_noise_floor"]
+
+
+def _record(found: Findings, problems: Sequence[str]) -> dict[str, Any]:
+    """The section `advice` of `result.json`."""
+    kept = {each.id for each in front(found.candidates)}
+    return {
+        "over": found.over,
+        "noise": found.noise,
+        "within": found.within,
+        "recommended": found.chosen.id,
+        "candidates": [{**each._asdict(), "front": each.id in kept} for each in ranked(found.candidates)],
+        "verdict": verdict(found),
+        "problems": list(problems),
+    }
+
+
+def _print(console: Console, name: str, found: Findings) -> None:
+    """Prints the ranking and the verdict."""
+    heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", "ms")
+    shown = Table(*heads, title=table.words(f"{name}: techniques by RMSE over {found.over}"), title_justify="left")
+    for column in shown.columns[2:6]:
+        column.justify = "right"
+    kept = {each.id for each in front(found.candidates)}
+    for each in ranked(found.candidates):
+        mark = " ←" if each.id == found.chosen.id else " *" if each.id in kept else ""
+        rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
+        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}{mark}")
+        shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
+    console.print(shown)
+    table.print_lines(console, ["← recommended; * nothing is both faster and better"])
+    table.print_lines(console, verdict(found))

@@ -1,0 +1,75 @@
+"""Candidates: techniques with their errors and times, and which of them to prefer."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+SAME_TIME = 0.05
+"""The fraction by which two medians of times may differ and still count as equal: repeated measurements differ so."""
+
+
+class Candidate(NamedTuple):
+    """A fitted technique.
+
+    - `id`: of its run; `bias`, `filter`: the labels of its entries; `resolution`: of its map, in texels.
+    - `values`: the fitted numbers, by the key that sets them; `units`: of these.
+    - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
+    - `fit_rmse`: over what the fit sees.
+    - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up, medians.
+    - `ratio`: its time, relative to the fastest candidate's: the median over rounds.
+    """
+
+    id: str
+    bias: str
+    filter: str
+    resolution: tuple[int, int]
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    rmse: float
+    false_shadow: float
+    false_light: float
+    fit_rmse: float
+    map_ms: float
+    lookup_ms: float
+    ratio: float
+
+    @property
+    def ms(self) -> float:
+        """Milliseconds for one view."""
+        return self.map_ms + self.lookup_ms
+
+    @property
+    def size(self) -> str:
+        """The map's resolution in texels, in words."""
+        height, width = self.resolution
+        return f"{height}²" if height == width else f"{height} × {width}"
+
+    @property
+    def name(self) -> str:
+        """What it is called in sentences."""
+        return f"{self.bias} with {self.filter} at {self.size}"
+
+
+def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates by error; of equal ones, the fastest first."""
+    return sorted(candidates, key=lambda each: (each.rmse, each.ratio))
+
+
+def front(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The Pareto front: the candidates of which no other is faster with as small an error, from fast to slow.
+
+    Equal ones are all on it.
+    """
+    beats = lambda a, b: a.rmse <= b.rmse and a.ratio <= b.ratio and (a.rmse < b.rmse or a.ratio < b.ratio)
+    kept = [each for each in candidates if not any(beats(other, each) for other in candidates)]
+    return sorted(kept, key=lambda each: (each.ratio, each.rmse))
+
+
+def recommended(candidates: Sequence[Candidate], within: float) -> Candidate:
+    """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it.
+
+    Of those as fast within `SAME_TIME`, it is the one with the least error.
+    """
+    least = min(each.rmse for each in candidates)
+    good = [each for each in candidates if each.rmse <= least * (1 + within)]
+    fastest = min(each.ratio for each in good)
+    return ranked([each for each in good if each.ratio <= fastest * (1 + SAME_TIME)])[0]

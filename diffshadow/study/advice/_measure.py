@@ -1,0 +1,151 @@
+"""Measurements of fitted techniques: their times, and the bias at which they have no more acne than another."""
+
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from rich.console import Console
+
+from ... import fit, raster
+from ..._types import HostArray
+from ...config import Config, build_technique, fit_paths
+from ..runs import _record as record
+from ..runs._progress import Stages
+from ..runs._setup import load, visibility_of
+from ..runs._views import draw_views
+
+# Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
+_ROUNDS = 15
+# Halvings of an interval of biases, which end at a thousandth of it.
+_HALVINGS = 10
+
+
+class Times(NamedTuple):
+    """Times of a technique for one view with all its lights.
+
+    - `map_ms`, `lookup_ms`: medians over rounds, in milliseconds.
+    - `ratio`: the median over rounds of its time relative to that of the fastest technique.
+    """
+
+    map_ms: float
+    lookup_ms: float
+    ratio: float
+
+
+def measure_times(configs: Sequence[Config], progress: Callable[[int], None] = lambda done: None) -> list[Times]:
+    """Times the techniques of `configs`, which differ in nothing else, on the first view, after compiling.
+
+    They are timed one after another in rounds. The camera's surface, which no technique changes, is not counted.
+    `progress` is called with the number of steps done, of `steps_of(configs)`.
+    """
+    first = configs[0].views[0].config if configs[0].views else configs[0]
+    scene = load(first, Stages(Console(quiet=True))).scene
+    surface = jax.block_until_ready(raster.draw_surface(scene.mesh, scene.camera))
+    lit = [scene.lit_by(i) for i in range(len(scene.lights))]
+
+    def once(technique: Any) -> tuple[float, float]:
+        started = time.perf_counter()
+        states = jax.block_until_ready([technique.prepare(each, surface) for each in lit])
+        drawn = time.perf_counter()
+        jax.block_until_ready([technique.visibility(state, surface) for state in states])
+        return drawn - started, time.perf_counter() - drawn
+
+    techniques = []
+    for done, config in enumerate(configs, start=1):
+        techniques.append(build_technique(config, fitting=False))
+        once(techniques[-1])
+        progress(done)
+    rounds = []
+    for done in range(_ROUNDS):
+        rounds.append([once(technique) for technique in techniques])
+        progress(len(configs) + done + 1)
+    return times_of(np.array(rounds), [_program_of(technique) for technique in techniques])
+
+
+def steps_of(configs: Sequence[Config]) -> int:
+    """The number of steps of `measure_times`."""
+    return len(configs) + _ROUNDS
+
+
+def _program_of(technique: Any) -> Hashable:
+    """What the compiled programs of a technique depend on: all but its numbers."""
+    return jax.tree.structure(technique), tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(technique))
+
+
+def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence[Hashable]) -> list[Times]:
+    """The times of techniques.
+
+    **Arguments:**
+
+    - `rounds`: (rounds, techniques, 2), seconds for the map and for the look-up.
+    - `programs`: (techniques,), what each technique's program depends on. Those with equal ones share their times.
+    """
+    members = {program: [i for i, other in enumerate(programs) if other == program] for program in programs}
+    totals = {program: np.median(rounds[:, among].sum(axis=2), axis=1) for program, among in members.items()}
+    fastest = min(totals.values(), key=np.median)
+    ratios = {program: float(np.median(total / fastest)) for program, total in totals.items()}
+    least = min(ratios.values())
+    found = {}
+    for program, among in members.items():
+        map_s, lookup_s = np.median(rounds[:, among], axis=(0, 1))
+        found[program] = Times(float(map_s) * 1e3, float(lookup_s) * 1e3, ratios[program] / least)
+    return [found[program] for program in programs]
+
+
+class Enough(NamedTuple):
+    """A bias that leaves no more false shadow than asked for.
+
+    - `value`: the least such bias that was found, in its unit; the upper bound if there is none.
+    - `false_shadow`, `false_light`: its errors.
+    """
+
+    value: float
+    false_shadow: float
+    false_light: float
+
+
+def bias_for(config: Config, name: str, most: float) -> Enough:
+    """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its upper bound.
+
+    It is found by bisection, upwards from the value in `config`. All other numbers stay as they are. Errors are over
+    the validation, or over what the fit sees if there is none.
+
+    **Arguments:**
+
+    - `config`: of the fitted technique.
+    - `name`: a number of the bias, such as `"bias.constant"`.
+    """
+    stages = Stages(Console(quiet=True))
+    technique = build_technique(config, fitting=False)
+    views = draw_views(config, load(config, stages), technique, stages)
+    drawn = [each for view in views.validation or views.fitted for each in view.drawn]
+    path, low, high = fit_paths(config)[name], config.initial(name), config.fit.parameters[name].upper
+
+    def at(value: float) -> Enough:
+        changed: Any = fit.with_values(technique, [path], jnp.asarray([value]))  # type: ignore[arg-type]
+        errors = record.combined([record.measured(visibility_of(changed, each), each) for each in drawn], drawn)
+        return Enough(value, errors["false_shadow_rate"], errors["false_light_rate"])
+
+    found = at(low)
+    if found.false_shadow <= most:
+        return found
+    found = at(high)
+    if found.false_shadow > most:
+        return found
+    for _ in range(_HALVINGS):
+        middle = at((low + high) / 2)
+        if middle.false_shadow <= most:
+            high, found = middle.value, middle
+        else:
+            low = middle.value
+    return found
+
+
+def single_bias(values: Mapping[str, float]) -> str | None:
+    """The only number of a bias among fitted `values`; `None` if there are several or none."""
+    names = [name for name in values if name.startswith("bias.")]
+    return names[0] if len(names) == 1 else None

@@ -1,0 +1,57 @@
+"""The page of an advice, made of its folder's files."""
+
+from pathlib import Path
+from typing import Any
+
+from ... import io
+from ..files._stored import REPORT, read_result
+from ._candidates import Candidate
+
+RECOMMENDED = "recommended.yaml"
+"""The file of the recommended configuration."""
+_FIGURE = "front"
+
+
+def report_advice(folder: Path, form: str | None = None, dpi: int | None = None) -> Path:
+    """Writes the page of the advice in `folder`, and its figure if a format `form` is given. **Returns** the page.
+
+    **Raises** `FileError` if the advice is incomplete or damaged.
+    """
+    from .. import style
+    from ..pages._page import write_page
+    from ._figure import draw_front
+
+    result = read_result(folder)
+    if "advice" not in result or not (folder / RECOMMENDED).is_file():
+        raise io.FileError(f"{folder} holds an incomplete advice; expected all techniques fitted: advise again")
+    advice = result["advice"]
+    candidates = [_candidate(each) for each in advice["candidates"]]
+    chosen = next(each for each in candidates if each.id == advice["recommended"])
+    if form is not None:
+        style.save(draw_front(candidates, chosen), folder / f"{_FIGURE}.{form}", dpi or style.DPI)
+    marks = {each["id"]: "front" for each in advice["candidates"] if each["front"]} | {chosen.id: "recommended"}
+    versions = result.get("versions", {})
+    write_page(
+        folder / REPORT,
+        "advice.html.j2",
+        name=result["name"],
+        over=advice["over"],
+        noise=advice["noise"],
+        candidates=candidates,
+        marks=marks,
+        validated=any(each.rmse != each.fit_rmse for each in candidates),
+        verdict=advice["verdict"],
+        problems=advice["problems"],
+        figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
+        recommended=(folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace").splitlines(),
+        file=RECOMMENDED,
+        machine=versions.get("processor", "an unknown processor"),
+        environment=[(name, value, "") for name, value in versions.items()],
+        command=result.get("command", ""),
+    )
+    return folder / REPORT
+
+
+def _candidate(stored: Any) -> Candidate:
+    values = {name: value for name, value in stored.items() if name in Candidate._fields}
+    return Candidate(**{**values, "resolution": tuple(values["resolution"])})

@@ -1,0 +1,511 @@
+"""Advice: from a section of the configuration to fits, times, a verdict and a recommended configuration."""
+
+import io as text_io
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scenes import staying_in
+
+from diffshadow import study
+from diffshadow.cli import main
+from diffshadow.config import ConfigError, load_advice, load_config, parse_config, with_fitted
+from diffshadow.study.advice import _advise as module
+from diffshadow.study.advice._candidates import Candidate, front, ranked, recommended
+from diffshadow.study.advice._measure import Enough, bias_for, times_of
+from diffshadow.study.advice._verdict import Findings, verdict
+
+ROOT = Path(__file__).parents[2]
+
+BASE = """
+scene:
+  meshes:
+    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [32, 32], orbit: {distance: 4}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [64, 64]}
+reference: {samples: 4}
+fit: {solver: {max_steps: 2}, anneal: {phases: 1}}
+"""
+ADVISE = """
+advise:
+  biases:
+    - label: constant
+      bias: {constant: 0.5, slope: 0}
+      parameters: {bias.constant: {lower: 0, upper: 8}}
+    - label: slope
+      bias: {constant: 0, slope: 0.5}
+      parameters: {bias.slope: {lower: 0, upper: 4}}
+  filters:
+    - {label: bilinear, filter: {type: bilinear}}
+  resolutions: [[64, 64]]
+"""
+VALIDATION = "fit.validation={grid: {scene.light.azimuth: [30, 60]}}"
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path):
+    """Each test in a folder of its own, with a cache of its own."""
+    with staying_in(tmp_path):
+        Path("a.yaml").write_text(BASE + ADVISE)
+        yield
+
+
+def advice_of(section: str | None, *overrides: str):
+    """The advice of `BASE` with this section."""
+    Path("t.yaml").write_text(BASE + ("" if section is None else f"advise: {section}\n"))
+    return load_advice(Path("t.yaml"), list(overrides))
+
+
+def run(advice, **options) -> tuple[Path, str]:
+    """The folder of `advice`, done in this process, and what was said."""
+    out = text_io.StringIO()
+    console = Console(file=out, width=120, highlight=False)
+    return study.run_advise(advice, console=console, workers=0, **options), out.getvalue()
+
+
+def result_of(folder: Path):
+    return json.loads((folder / "result.json").read_text())
+
+
+# From the file to the fits.
+
+
+def test_every_bias_is_combined_with_every_filter_and_resolution():
+    advice = load_advice(Path("a.yaml"), ["advise.resolutions=[[64, 64], [32, 16]]"])
+    assert [tuple(each) for each in advice.techniques] == [
+        ("constant", "bilinear", (64, 64)),
+        ("constant", "bilinear", (32, 16)),
+        ("slope", "bilinear", (64, 64)),
+        ("slope", "bilinear", (32, 16)),
+    ]
+    for technique, each in zip(advice.techniques, advice.sweep.runs, strict=True):
+        config = each.config
+        assert config.shadow_map.resolution == technique.resolution
+        fitted = "bias.constant" if technique.bias == "constant" else "bias.slope"
+        assert list(config.fit.parameters) == [fitted]
+        assert (config.bias.constant, config.bias.slope) == ((0.5, 0) if technique.bias == "constant" else (0, 0.5))
+        assert config.filter.type == "bilinear"
+        assert config.advise is None
+
+
+def test_default_techniques_are_fits_at_the_map_s_size_and_half_of_it():
+    advice = advice_of(None, "shadow_map.resolution=[64, 48]")
+    assert len(advice.techniques) == 5 * 3 * 2
+    assert {each.resolution for each in advice.techniques} == {(64, 48), (32, 24)}
+    labels = {(each.bias, each.filter) for each in advice.techniques}
+    assert ("receiver plane", "16-tap disk") in labels
+    for technique, each in zip(advice.techniques, advice.sweep.runs, strict=True):
+        assert ("filter.radius" in each.config.fit.parameters) == (technique.filter != "nearest")
+        assert any(name.startswith("bias.") for name in each.config.fit.parameters)
+    assert len({run.id for run in advice.sweep.runs}) == 30
+
+
+def test_section_does_not_change_runs_and_survives_in_their_files():
+    config = load_config(Path("a.yaml"), ["advise.within=0.1"])
+    assert config.advise is not None
+    assert config.advise.within == 0.1
+    ids = lambda *overrides: [run.id for run in load_advice(Path("a.yaml"), list(overrides)).sweep.runs]
+    assert ids("advise.within=0.1", "name=other") == ids()
+    assert ids("seed=1") != ids()
+
+
+# Each fault: the section, the key with its line, and the remedy.
+FAULTS = {
+    "no such parameter": (
+        "{biases: [{label: a, parameters: {bias.constnat: {lower: 0, upper: 1}}}]}",
+        "t.yaml:11: fit.parameters.bias.constnat: cannot be fitted",
+        "did you mean 'bias.constant'?",
+    ),
+    "parameter of another filter": (
+        "{filters: [{label: a, filter: {type: bilinear}, parameters: {filter.radius: {lower: 0, upper: 1}}}]}",
+        "t.yaml:11: fit.parameters.filter.radius: cannot be fitted with filter type 'bilinear'",
+        "(first in the run with label = constant, a",
+    ),
+    "empty list": ("{filters: []}", "t.yaml:11: advise.filters: is an empty list", "remove the key to get the default"),
+    "no label": ("{biases: [{bias.slope: 1}]}", "advise.biases.0: has no label", "add 'label: slope'"),
+    "same label": ("{filters: [{label: a}, {label: a}]}", "advise.filters.1.label: is 'a' again", "change one"),
+    "typo": ("{bias: []}", "advise.bias: is not a key of advise", "did you mean"),
+    "scene": (
+        "{biases: [{label: a, scene.light.azimuth: 3}]}",
+        "advise.biases.0.scene.light.azimuth: is the same for all techniques",
+        "remove it",
+    ),
+    "pose": (
+        "{biases: [{label: a, parameters: {scene.light.azimuth: {lower: 0, upper: 3}}}]}",
+        "advise.biases.0.parameters.scene.light.azimuth: moves the scene",
+        "remove it",
+    ),
+    "set by both": (
+        "{biases: [{label: a, filter.radius: 2}], filters: [{label: b, filter: {type: pcf}}]}",
+        "advise.filters.0.filter: sets filter, and advise.biases.0.filter.radius sets filter.radius",
+        "remove one of them",
+    ),
+    "size of a map": (
+        "{biases: [{label: a, shadow_map.resolution: [8, 8]}]}",
+        "advise.biases.0.shadow_map.resolution: is set; expected maps of the sizes in advise.resolutions",
+        "set it there",
+    ),
+    "same size": ("{resolutions: [[8, 8], [8, 8]]}", "advise.resolutions.1: is [8, 8] again", "remove one"),
+    "nothing to fit": (
+        "{biases: [{label: a}], filters: [{label: b, filter: {type: nearest}}]}",
+        "t.yaml:11: fit.parameters: is empty",
+        "add 'bias.constant",
+    ),
+    "many": (
+        f"{{resolutions: {[[n, n] for n in range(8, 80)]}}}",
+        "t.yaml:11: advise: makes 1,080 fits; expected at most 1,024",
+        "shorten its lists",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_told_with_their_place_before_anything_runs(fault):
+    section, place, remedy = FAULTS[fault]
+    with pytest.raises(ConfigError) as caught:
+        advice_of(section)
+    assert place in str(caught.value)
+    assert remedy in str(caught.value)
+
+
+def test_sweeps_and_views_with_maps_of_their_own_are_refused():
+    with pytest.raises(ConfigError, match=r"override 'sweep=.*sweep: makes this file a sweep; .*sweep=null"):
+        advice_of(None, "sweep={repeats: 2}")
+    with pytest.raises(ConfigError, match=r"fit\.views: changes shadow_map\.resolution.*advise\.resolutions"):
+        advice_of(None, "fit.views={grid: {shadow_map.resolution: [[8, 8], [16, 16]]}}")
+
+
+def test_command_says_one_line_and_no_traceback(capsys):
+    with pytest.raises(SystemExit) as exit:
+        main(["advise", "a.yaml", "advise.filters=[]"])
+    assert exit.value.code == 2
+    assert "advise.filters: is an empty list" in capsys.readouterr().err
+
+
+def test_fitted_values_are_where_the_next_fit_starts_and_within_their_bounds():
+    config = load_advice(Path("a.yaml")).sweep.runs[0].config
+    with_value = with_fitted(config, {"bias.constant": 1.23456789123})
+    assert with_value.bias.constant == pytest.approx(1.2345679)
+    assert with_value.initial("bias.constant") == with_value.bias.constant
+    assert with_fitted(config, {"bias.constant": 8.0000005}).bias.constant == 8
+
+
+# What follows from errors and times.
+
+
+def candidate(id: str, rmse: float, ratio: float, **fields) -> Candidate:
+    own = {
+        "bias": "constant",
+        "filter": "tent",
+        "resolution": (64, 64),
+        "values": {"bias.constant": 1.5},
+        "units": {"bias.constant": "texels"},
+        "false_shadow": 0.01,
+        "false_light": 0.02,
+        "fit_rmse": rmse,
+        "map_ms": 3.0,
+        "lookup_ms": ratio,
+    }
+    return Candidate(id=id, rmse=rmse, ratio=ratio, **{**own, **fields})
+
+
+def test_front_is_what_nothing_beats_in_error_and_time():
+    all_of_them = [
+        candidate("slow and good", 0.01, 3.0),
+        candidate("beaten", 0.03, 2.5),
+        candidate("middling", 0.02, 2.0),
+        candidate("as fast, but worse", 0.021, 2.0),
+        candidate("fast", 0.05, 1.0),
+        candidate("equal", 0.05, 1.0),
+    ]
+    assert [each.id for each in front(all_of_them)] == ["fast", "equal", "middling", "slow and good"]
+    assert [each.id for each in ranked(all_of_them)][:2] == ["slow and good", "middling"]
+
+
+def test_recommended_is_the_fastest_of_the_good_and_the_best_of_the_equally_fast():
+    best, near, equally_fast = candidate("a", 0.100, 2.0), candidate("b", 0.1025, 1.0), candidate("c", 0.102, 1.04)
+    beyond, bad = candidate("d", 0.104, 0.5), candidate("e", 0.2, 0.1)
+    everything = [bad, best, near, equally_fast, beyond]
+    assert recommended(everything, 0.03).id == "c"
+    assert recommended(everything, 0.0).id == "a"
+    assert recommended(everything, 0.04).id == "d"
+
+
+def test_times_are_medians_and_techniques_of_one_program_share_them():
+    rng = np.random.default_rng(0)
+    true = np.array([[0.002, 0.001], [0.002, 0.001], [0.003, 0.006], [0.004, 0.002]])
+    # The machine slows down and speeds up, and hiccups now and then.
+    pace = rng.uniform(0.5, 2, (31, 1, 1))
+    hiccup = np.where(rng.random((31, 4, 2)) < 0.1, 20, 1)
+    times = times_of(true * pace * hiccup, ["p", "p", "q", "r"])
+    assert times[0] == times[1]
+    assert [time.ratio for time in times] == pytest.approx([1, 1, 3, 2], rel=1e-6)
+    assert times[2].lookup_ms / times[2].map_ms == pytest.approx(2, rel=0.2)
+    steady = times_of(np.stack([true] * 3), ["p", "p", "q", "r"])
+    assert (steady[3].map_ms, steady[3].lookup_ms) == pytest.approx((4, 2))
+
+
+def findings(*others: Candidate, noise: float | None = 0.001, **enough: Enough) -> Findings:
+    """About a chosen slope bias, and others."""
+    chosen = candidate("s", 0.04, 2.0, bias="slope", false_shadow=0.001, false_light=0.002)
+    in_texels = {bias: ("texels", each) for bias, each in enough.items()}
+    return Findings([chosen, *others], chosen, 0.03, "4 views for validation", noise, in_texels)
+
+
+def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
+    other = candidate("c", 0.05, 2.02, false_shadow=0.03, false_light=0.002)
+    say = lambda each: " ".join(verdict(findings(other, constant=each)))
+    lossy = say(Enough(4.2, 0.001, 0.021))
+    assert "No constant bias removes acne to the 0.10 % of slope without 2.1 % of false light, at 4.2 texels" in lossy
+    assert "slope has 0.20 %, in the same time." in lossy
+    none = say(Enough(30.0, 0.012, 0.05))
+    assert "No constant bias up to 30 texels removes acne to the 0.10 % of slope: 1.2 % remains, with 5.0 %" in none
+    free = say(Enough(2.5, 0.001, 0.00205))
+    assert "The constant bias removes acne to the 0.10 % of slope at 2.5 texels, with as little false light" in free
+    # With as little acne as it is, nothing is to be said.
+    alike = candidate("c", 0.05, 2.0, false_shadow=0.00105, false_light=0.002)
+    assert "removes acne" not in " ".join(verdict(findings(alike, constant=Enough(4.2, 0.001, 0.021))))
+
+
+def test_verdict_claims_no_difference_below_the_noise():
+    shares = {"false_shadow": 0.00104, "false_light": 0.00204}
+    alike = [candidate("c", 0.0405, 2.0, **shares), candidate("d", 0.0409, 2.0, bias="plane", **shares)]
+    said = " ".join(verdict(findings(*alike)))
+    assert "All 3 biases are equal with tent at 64²: their RMSEs, from 0.0400 to 0.0409" in said
+    assert "2 of them are as good within the reference's noise of 0.0010" in said
+    apart = " ".join(verdict(findings(candidate("c", 0.0415, 2.0, **shares))))
+    assert "are equal" not in apart
+    assert "constant 0.10 % and 0.20 %" in apart
+    # So are filters and sizes.
+    wide = candidate("w", 0.0405, 4.0, bias="slope", resolution=(128, 128))
+    disk = candidate("x", 0.06, 3.0, bias="slope", filter="disk")
+    said = " ".join(verdict(findings(wide, disk)))
+    assert "of 128² instead of 64² texels: an RMSE of 0.0405, the same within the reference's noise of 0.0010" in said
+    assert "in 2.00 times the time" in said
+    assert "Disk instead of tent: an RMSE of 0.0600, 50 % more, in 1.50 times the time" in said
+    # The fastest is told once.
+    assert "The fastest" not in said
+    nearest = candidate("n", 0.08, 1.0, filter="nearest", resolution=(32, 32))
+    said = " ".join(verdict(findings(wide, disk, nearest)))
+    assert "The fastest is constant with nearest at 32²: an RMSE of 0.0800, 100 % more, in 0.50 times" in said
+    # Of unknown noise, nothing is said.
+    assert "noise" not in " ".join(verdict(findings(wide, disk, *alike, noise=None)))
+
+
+def test_verdict_names_what_the_recommended_one_loses_against_the_best():
+    best = candidate("b", 0.0392, 3.0, bias="plane")
+    said = verdict(findings(best, noise=0.0001))
+    assert said[0].startswith("Recommended: slope with tent at 64², with bias.constant 1.5 texels. Its RMSE is 0.0400")
+    assert "5.0 ms a view, 3.0 ms of them for the map" in said[0]
+    assert said[1] == (
+        "It is the fastest within 3 % of the least RMSE. Plane with tent at 64² has 0.0392, in 1.50 times the time; "
+        "the recommended one has 2.0 % more."
+    )
+    assert "The difference is below the reference's noise" in verdict(findings(best))[1]
+
+
+# From the fits to the page.
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One finished advice that several tests look at: itself, its folder and what was printed."""
+    with staying_in(tmp_path_factory.mktemp("finished")):
+        Path("a.yaml").write_text(BASE + ADVISE)
+        advice = load_advice(Path("a.yaml"), ["output=out"])
+        folder, said = run(advice)
+        return advice, folder, said
+
+
+def test_folder_has_ranking_verdict_page_and_recommended_configuration(finished):
+    advice, folder, said = finished
+    result = result_of(folder)
+    stored = result["advice"]
+    assert folder.name == "a-advise"
+    assert shlex.split(result["command"]) == ["diffshadow", "advise", "a.yaml", "output=out"]
+    errors = [each["rmse"] for each in stored["candidates"]]
+    assert errors == sorted(errors)
+    assert {each["id"] for each in stored["candidates"]} == {run.id for run in advice.sweep.runs}
+    assert all(each["map_ms"] > 0 and each["lookup_ms"] > 0 for each in stored["candidates"])
+    assert min(each["ratio"] for each in stored["candidates"]) == 1
+    # Both biases are looked up by the same program.
+    assert stored["candidates"][0]["ratio"] == stored["candidates"][1]["ratio"]
+    page = (folder / "report.html").read_text()
+    for words in (*stored["verdict"], "bias.constant" if "constant" in stored["verdict"][0] else "bias.slope"):
+        assert words.replace("'", "&#39;") in page
+    assert stored["verdict"][0] in said
+    assert "the recommended configuration is in recommended.yaml" in said
+
+
+def test_recommended_configuration_renders_with_the_error_that_it_was_ranked_by(finished):
+    _, folder, _ = finished
+    stored = result_of(folder)["advice"]
+    config = load_config(folder / "recommended.yaml", ["output=runs"], fitting=True)
+    assert config.name == "a-recommended"
+    rendered = study.run_render(config, console=Console(quiet=True))
+    chosen = next(each for each in stored["candidates"] if each["id"] == stored["recommended"])
+    assert result_of(rendered)["metrics"]["errors"]["rmse"] == pytest.approx(chosen["rmse"], abs=2e-5)
+    assert chosen["rmse"] == stored["candidates"][0]["rmse"]
+
+
+def test_page_is_written_again_from_the_files_alone(finished):
+    _, folder, _ = finished
+    before = (folder / "report.html").read_text()
+    (folder / "report.html").unlink()
+    assert study.report(folder, form="svg").read_text() == before
+    assert (folder / "front.svg").is_file()
+
+
+def test_damaged_and_incomplete_folders_are_told(finished, tmp_path):
+    from diffshadow.io import FileError
+
+    _, folder, _ = finished
+    result = result_of(folder)
+    for change, said in (
+        ({"advice": {**result["advice"], "recommended": "x"}}, "advice.recommended|recommended: is x"),
+        ({"advice": {**result["advice"], "candidates": []}}, "advice.candidates"),
+        ({"advice": None}, "incomplete advice|expected"),
+    ):
+        (tmp_path / "result.json").write_text(json.dumps({**result, **change}))
+        with pytest.raises(FileError, match=said):
+            study.report(tmp_path)
+
+
+def test_advice_that_is_started_again_fits_and_times_nothing_twice(finished, monkeypatch):
+    from diffshadow.study.sweeps import _work as work
+
+    advice, folder, _ = finished
+    before = result_of(folder)["advice"]
+    for name in ("measure_times", "bias_for"):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("measured again"))
+    monkeypatch.setitem(work._MEASURES, "fit", lambda *_: pytest.fail("fitted again"))
+    with staying_in(folder.parent.parent):
+        run(advice)
+    assert result_of(folder)["advice"] == before
+    # Another set of techniques is timed anew.
+    (folder / "measured.json").write_text('{"ids": [], "times": [], "enough": {}}')
+    with staying_in(folder.parent.parent), pytest.raises(pytest.fail.Exception, match="measured again"):
+        run(advice)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Fits and measurements that take no time: errors by the bias' name."""
+    from diffshadow.study.sweeps import _work as work
+
+    def measure(config, batch, stages):
+        (name,) = config.fit.parameters
+        errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
+        whole = {f"{when}.{key}": value for when in ("before", "after") for key, value in errors.items()}
+        validated = {f"validation.{key}": value / 2 for key, value in whole.items()} if config.validation else {}
+        return {
+            **whole,
+            **validated,
+            f"fitted.{name}": 1.0,
+            "after.rmse": 0.1 if name == "bias.slope" else 0.2,
+            "steps": 3,
+            "reference_noise_floor": None,
+            "pixels": 9,
+        }
+
+    monkeypatch.setitem(work._MEASURES, "fit", measure)
+    timed = lambda configs, progress: times_of(np.ones((1, len(configs), 2)), range(len(configs)))
+    monkeypatch.setattr(module, "measure_times", timed)
+    monkeypatch.setattr(module, "bias_for", lambda *_: Enough(2.0, 0.0, 0.0))
+    return measure
+
+
+def test_errors_are_those_of_the_validation_if_there_is_one(quick):
+    plain, _ = run(load_advice(Path("a.yaml"), ["output=plain"]))
+    stored = result_of(plain)["advice"]
+    assert [each["rmse"] for each in stored["candidates"]] == [0.1, 0.2]
+    assert stored["over"] == "the scene"
+    apart, _ = run(load_advice(Path("a.yaml"), ["output=apart", VALIDATION]))
+    stored = result_of(apart)["advice"]
+    assert [each["rmse"] for each in stored["candidates"]] == [0.125, 0.125]
+    assert {each["fit_rmse"] for each in stored["candidates"]} == {0.1, 0.2}
+    assert stored["over"] == "2 views for validation"
+    assert "RMSE, fitted views" in (apart / "report.html").read_text()
+
+
+def test_validation_of_a_fit_is_in_the_table_of_its_sweep():
+    import pyarrow.parquet
+
+    advice = load_advice(Path("a.yaml"), [VALIDATION, "output=out"])
+    folder, _ = run(advice)
+    table = pyarrow.parquet.read_table(folder / "results.parquet").to_pydict()
+    metrics = result_of(study.run_fit(advice.sweep.runs[0].config, console=Console(quiet=True)))["metrics"]
+    for when in ("before", "after"):
+        assert table[f"validation.{when}.rmse"][0] == metrics["validation"][when]["rmse"] != metrics[when]["rmse"]
+    assert table["validation.before.rmse"][0] != table["validation.after.rmse"][0]
+    assert result_of(folder)["advice"]["candidates"][0]["rmse"] == min(table["validation.after.rmse"])
+
+
+def test_failed_fit_is_left_out_and_told(quick, monkeypatch):
+    from diffshadow.study.sweeps import _work as work
+
+    def ill(config, batch, stages):
+        if "bias.slope" in config.fit.parameters or all_fail:
+            raise RuntimeError("out of luck")
+        return quick(config, batch, stages)
+
+    monkeypatch.setitem(work._MEASURES, "fit", ill)
+    all_fail = True
+    with pytest.raises(ValueError, match=r"no technique could be fitted.*out of luck"):
+        run(load_advice(Path("a.yaml"), ["output=out"]))
+    all_fail = False
+    folder, said = run(load_advice(Path("a.yaml"), ["output=out"]))
+    assert [each["bias"] for each in result_of(folder)["advice"]["candidates"]] == ["constant"]
+    assert "1 runs failed" in said
+    assert "out of luck" in (folder / "report.html").read_text()
+
+
+def test_bias_for_less_acne_is_the_least_that_has_it():
+    """On a map too coarse for its small bias, where acne falls as the bias grows."""
+    text = BASE.replace("fit: {", "bias: {constant: 0, slope: 0}\nfilter: {type: bilinear}\nfit: {")
+    text = text.replace("fit: {", "fit: {parameters: {bias.constant: {lower: 0, upper: 16}}, ")
+    config = parse_config(text, fitting=True)
+    enough = bias_for(config, "bias.constant", 0.01)
+    assert 0 < enough.value < 16
+    assert enough.false_shadow <= 0.01
+    just_less = with_fitted(config, {"bias.constant": enough.value - 16 / 2**9})
+    assert bias_for(just_less, "bias.constant", 1.0).false_shadow > 0.01
+    # Nothing reaches less than none, and any bias has at most all.
+    assert bias_for(config, "bias.constant", -1.0).value == 16
+    assert bias_for(config, "bias.constant", 1.0).value == 0
+
+
+@pytest.mark.exhaustive
+def test_killed_advice_is_finished_by_the_same_command(tmp_path):
+    """Killed during the fits, and the second time during the timing."""
+    command = [sys.executable, "-m", "diffshadow", "advise", "a.yaml", "output=out", "--workers", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    runs, record = Path("out/a-advise/runs"), Path("out/a-advise/result.json")
+
+    def killed_when(reached) -> None:
+        started = time.monotonic()
+        with subprocess.Popen(command, env=environment, start_new_session=True) as process:
+            while process.poll() is None and not reached() and time.monotonic() < started + 300:
+                time.sleep(0.05)
+            os.killpg(process.pid, signal.SIGKILL)
+
+    done = lambda: [each for each in runs.glob("*/result.json") if not each.parent.name.startswith(".")]
+    killed_when(lambda: len(done()) >= 1)
+    first = {each: each.stat().st_mtime_ns for each in done()}
+    assert first
+    assert "advice" not in json.loads(record.read_text())
+    killed_when(lambda: len(done()) == 2)
+    finished = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert finished.returncode == 0, finished.stderr
+    assert {each: each.stat().st_mtime_ns for each in first} == first
+    assert len(json.loads(record.read_text())["advice"]["candidates"]) == 2
