@@ -23,6 +23,8 @@ from ._sweep_runs import Progress, Sweep, SweepRuns
 _SIZE = "shadow_map.resolution"
 # Each is a fit.
 _MOST_TECHNIQUES = 1024
+# What a fit says of its parameters beyond the best: techniques are compared at their best.
+_OF_ONE_FIT = ("intervals", "prefer", "front")
 # Significant digits of a fitted value: as many as float32 has.
 _DIGITS = 8
 
@@ -74,6 +76,8 @@ def load_advice(
     places |= {("sweep", "grid", _SIZE, i): draft.origin.place(("advise", "resolutions", i)) for i in range(len(sizes))}
     axes = SweepConfig(run="fit", list=tuple(entries), grid={_SIZE: tuple(list(size) for size in sizes)})
     data = {key: value for key, value in draft.data.items() if key != "advise"}
+    if isinstance(draft.data.get("fit"), Mapping):
+        data["fit"] = {key: value for key, value in draft.data["fit"].items() if key not in _OF_ONE_FIT}
     runs = SweepRuns(axes, draft._replace(data=data, origin=Origin(draft.origin.source, places)))
     runs.check(progress)
     techniques = tuple(Technique(bias[LABEL], kind[LABEL], size) for (_, bias), (_, kind) in pairs for size in sizes)
