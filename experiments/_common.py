@@ -172,14 +172,21 @@ def problem_of(drawn: Case, settings: Config | None = None, *, fitting: bool = T
     return problem
 
 
-def run_fit(settings: Config, problem: fit.TechniqueProblem) -> fit.FitResult:
-    """Runs the fit of `settings`.
+def run_fit(settings: Config, problem: fit.TechniqueProblem | Sequence[fit.TechniqueProblem]) -> fit.FitResult:
+    """Runs the fit of `settings`, of one problem or jointly of several.
 
     **Raises** `ConfigError` if nothing in it can be fitted.
     """
     plan = build_fit(settings)
     try:
-        return fit.fit(problem, plan.parameters, solver=plan.solver, anneal=plan.anneal, evaluations=plan.evaluations)
+        return fit.fit(
+            problem,
+            plan.parameters,
+            solver=plan.solver,
+            anneal=plan.anneal,
+            evaluations=plan.evaluations,
+            loss=plan.loss,
+        )
     except ValueError as error:
         raise mistake(settings, "fit", str(error)) from error
 

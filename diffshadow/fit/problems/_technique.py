@@ -17,8 +17,8 @@ from ...shadow import EngineMap, FittableTechnique, Overflow, ShadowMap
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
-# Of an image of sampled pixels. Taps repeat in tiles of 16 pixels at most.
-_ROWS = 16
+# The side of a tile of pixels: a multiple of that of most patterns of taps.
+_TILE = 16
 
 
 class TechniqueProblem(AbstractProblem):
@@ -30,7 +30,7 @@ class TechniqueProblem(AbstractProblem):
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
-    - `weight`: how many pixels each stands for; more than 1 in a sample of them.
+    - `weight`: how many pixels each stands for, one number or (h, w); more than 1 in a sample of them.
     """
 
     technique: FittableTechnique
@@ -39,7 +39,7 @@ class TechniqueProblem(AbstractProblem):
     reference: Visibility
     mask: Mask
     scene: Scene | None = None
-    weight: Scalar = eqx.field(converter=as_float, default=1.0)
+    weight: Scalar | Float[Array, "h w"] = eqx.field(converter=as_float, default=1.0)
 
     @classmethod
     def of(
@@ -107,28 +107,34 @@ class TechniqueProblem(AbstractProblem):
         return self
 
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
-        """With about `count` of the pixels that count, in an image of `_ROWS` rows.
+        """With about `count` of the pixels that count, at least one for each place in a tile of `_TILE` x `_TILE`.
 
-        They are drawn at random, one from each of as many runs of equal length in the image's order. Where fewer pixels
-        count, all are taken, and the rest of the image counts for nothing.
+        A pixel keeps its place in the tile, and so its taps. The pixels of each place are drawn at random, one from
+        each of as many runs of equal length in the image's order. Each stands for its run, so the mean square error is
+        that of the whole in expectation. Where fewer pixels count, all of them are taken.
         """
-        columns = -(-count // _ROWS)
+        runs, places = -(-count // _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))
-        taken = min(columns * _ROWS, len(counting))
-        within = np.random.default_rng(seed).random(taken)
-        chosen = counting[((np.arange(taken) + within) * (len(counting) / max(taken, 1))).astype(np.int64)]
-        # A filter's taps vary in tiles of a few pixels. Down the columns first, few samples see them all.
-        places = np.resize(chosen if taken else [0], columns * _ROWS).reshape(columns, _ROWS).T
-        counts = (np.arange(columns * _ROWS) < taken).reshape(columns, _ROWS).T
-        gathered = lambda image: jnp.asarray(np.asarray(image).reshape(-1, *image.shape[2:])[places])
+        y, x = np.divmod(counting, self.mask.shape[1])
+        place = y % _TILE * _TILE + x % _TILE
+        sizes = np.bincount(place, minlength=places)[:, None]
+        taken = np.minimum(sizes, runs)
+        # Pixels of a place follow one another; the last entry is for places without any.
+        sorted_by_place = np.append(counting[np.argsort(place, kind="stable")], 0)
+        lengths = sizes / np.maximum(taken, 1)
+        within = (np.arange(runs) + np.random.default_rng(seed).random((places, runs))) * lengths
+        chosen = np.cumsum(sizes)[:, None] - sizes + np.minimum(within.astype(np.int64), np.maximum(sizes - 1, 0))
+        in_tiles = lambda values: values.reshape(_TILE, _TILE, runs).transpose(0, 2, 1).reshape(_TILE, -1)
+        pixels, weight = in_tiles(sorted_by_place[chosen]), np.broadcast_to(np.asarray(self.weight), self.mask.shape)
+        gathered = lambda image: np.asarray(image).reshape(-1, *image.shape[2:])[pixels]
         return TechniqueProblem(
             technique=self.technique,
             shadow_map=self.shadow_map,
-            surface=jax.tree.map(gathered, self.surface),
-            reference=gathered(self.reference),
-            mask=jnp.asarray(counts),
+            surface=jax.tree.map(lambda image: jnp.asarray(gathered(image)), self.surface),
+            reference=jnp.asarray(gathered(self.reference)),
+            mask=jnp.asarray(in_tiles(np.arange(runs) < taken)),
             scene=self.scene,
-            weight=float(self.weight) * len(counting) / max(taken, 1),
+            weight=gathered(weight) * in_tiles(np.broadcast_to(lengths, (places, runs))),
         )
 
     def padded(self) -> "TechniqueProblem":
@@ -148,7 +154,7 @@ class TechniqueProblem(AbstractProblem):
     @property
     def count(self) -> Scalar:
         """How many pixels count."""
-        return self.weight * jnp.sum(self.mask)
+        return jnp.sum(jnp.where(self.mask, self.weight, 0))
 
     @property
     def blur_in_pixels(self) -> float:

@@ -1,0 +1,291 @@
+"""Fits to several views: their loss, the stack that evaluates them, and the sample of their pixels."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import covered, floor_and_card, problem, shadows, sun, technique
+
+from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
+from diffshadow.fit._solve import _weights, _with_slopes
+from diffshadow.fit.problems import Joint, products, squares
+from diffshadow.fit.problems._stack import Stack
+from diffshadow.shadow import RandomDisk, SoftCompare, draw_shadow_map, stratified
+
+BIAS = Parameter("bias.constant", 1.6, 0.0, 6.0)
+RADIUS = Parameter("filter.radius", 2.0, 0.0, 8.0)
+NAMES = ("bias.constant", "filter.radius")
+SOLVER = Solver("levenberg_marquardt", 60, 1e-4, 1e-7)
+SHORT = Anneal(1.0, 0.2, 2)
+LOSSES = {
+    "mean": Loss(),
+    "worst": Loss("worst").in_phase(0.5),
+    "maximum": Loss("worst"),
+    "cvar": Loss("cvar", fraction=0.35),
+}
+
+# Five images of 20 pixels in all.
+COUNTS = np.array([3, 7, 5, 2, 3])
+SHARES = jnp.asarray(COUNTS / 20, jnp.float32)
+ERRORS = np.array([0.04, 0.01, 0.09, 0.05, 0.02])
+
+
+def disk(radius=2.0, bias=1.6, compare=None):
+    return technique(RandomDisk(radius, stratified((2, 2))), bias, compare=compare)
+
+
+def view(direction, radius=2.0, bias=1.6):
+    """The card under another sun; its reference is what such a disk makes of it."""
+    base = problem(disk())
+    mesh = floor_and_card()
+    shadow_map = draw_shadow_map(mesh, sun(mesh, direction), (64, 64))
+    truth = shadows(disk(radius, bias), shadow_map, base.surface)
+    return TechniqueProblem(
+        base.technique, shadow_map, base.surface, truth, covered(base.technique, shadow_map, base.surface)
+    )
+
+
+@pytest.fixture(scope="module")
+def views():
+    """Two views of one structure that want other radii; of the second, a part of the pixels counts."""
+    first, second = view((0.5, -1.0, -0.3), 2.4), view((-0.4, -1.0, 0.5), 4.5)
+    part = np.asarray(second.mask) & (np.arange(64)[:, None] > 24)
+    return [first, eqx.tree_at(lambda p: p.mask, second, jnp.asarray(part))]
+
+
+def fitted(problems, *parameters, **settings):
+    return fit(problems, parameters or [RADIUS], solver=SOLVER, anneal=SHORT, **settings)
+
+
+def root_errors(problems, of):
+    return [float(each.mean_square_error(of)) ** 0.5 for each in problems]
+
+
+def closed_form(loss, errors):
+    """The loss of errors (5,), from its definition and pixel by pixel, in double precision."""
+    errors, shares = np.asarray(errors, np.float64), COUNTS / 20
+    if loss.over == "mean":
+        return float(shares @ errors)
+    if loss.over == "worst" and loss.power is None:
+        return float(errors.max())
+    if loss.over == "worst":
+        return float((shares @ errors ** float(loss.power)) ** (1 / float(loss.power)))
+    worst = np.sort(np.repeat(errors, COUNTS))[::-1]
+    return float(worst[: round(float(loss.fraction) * 20)].mean())
+
+
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
+def test_weights_are_the_gradient_of_the_loss_and_make_it_of_the_errors(loss):
+    weights = np.asarray(loss.weights(jnp.asarray(ERRORS, jnp.float32), SHARES))
+    assert weights @ ERRORS == pytest.approx(closed_form(loss, ERRORS), rel=1e-5)
+    steps = 1e-6 * np.eye(5)
+    slopes = [(closed_form(loss, ERRORS + d) - closed_form(loss, ERRORS - d)) / 2e-6 for d in steps]
+    np.testing.assert_allclose(weights, slopes, rtol=1e-3, atol=1e-6)
+    # Homogeneous: larger errors have the same weights.
+    np.testing.assert_allclose(loss.weights(jnp.asarray(7 * ERRORS, jnp.float32), SHARES), weights, rtol=1e-4)
+
+
+def test_change_of_the_weights_adds_half_the_second_derivative_of_the_power_mean():
+    loss = LOSSES["worst"]
+    gradients = np.random.default_rng(0).normal(size=(5, 2)) * ERRORS[:, None]
+    step, one = 1e-4 * ERRORS.mean(), np.eye(5)
+    at = lambda a, b: closed_form(loss, ERRORS + step * (a + b))
+    hessian = np.array([[(at(a, b) - at(a, -b) - at(-a, b) + at(-a, -b)) / (4 * step**2) for a in one] for b in one])
+    bends = np.asarray(loss.bends(jnp.asarray(ERRORS, jnp.float32), SHARES, jnp.asarray(gradients, jnp.float32)))
+    expected = gradients.T @ hessian @ gradients / 2
+    np.testing.assert_allclose(bends.T @ bends, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+    for name in ("mean", "maximum", "cvar"):
+        assert LOSSES[name].bends(jnp.asarray(ERRORS, jnp.float32), SHARES, jnp.asarray(gradients, jnp.float32)) is None
+
+
+def test_views_without_an_error_or_a_pixel_make_no_trouble():
+    for loss in LOSSES.values():
+        assert np.isfinite(loss.weights(jnp.zeros(5), SHARES)).all()
+        # A view without pixels has no weight, whatever stands in its place.
+        weights = loss.weights(jnp.array([0.1, 0.2, 9.0]), jnp.array([0.5, 0.5, 0.0]))
+        assert float(weights[2]) == 0
+        assert float(weights.sum()) == pytest.approx(1, abs=0.6)
+
+
+def test_power_grows_from_phase_to_phase_for_the_worst_alone():
+    assert [float(Loss("worst").in_phase(part).power) for part in (0.0, 0.5, 1.0)] == pytest.approx([4, 16, 64])
+    assert Loss("worst").in_phase(0.3).exact().power is None
+    for over in ("mean", "cvar"):
+        assert Loss(over).in_phase(0.5).power is None
+
+
+def test_differences_are_weighted_by_their_sign():
+    difference = jnp.array([-0.5, 0.0, 0.5])
+    signed = Loss(false_shadow=4.0, false_light=9.0).signed
+    np.testing.assert_allclose(signed(difference), [-1.0, 0.0, 1.5], rtol=1e-6)
+    slope = jax.vmap(jax.grad(lambda x: signed(x) ** 2))(difference)
+    np.testing.assert_allclose(slope, [2 * 4 * -0.5, 0, 2 * 9 * 0.5], rtol=1e-6)
+    # A factor of 0 leaves no gradient that is not a number.
+    assert np.isfinite(jax.vmap(jax.grad(Loss(false_shadow=0.0).signed))(difference)).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"fraction": 0.0}, "fraction is 0.0; expected more than 0 and at most 1"),
+        ({"fraction": 1.5}, "fraction is 1.5; expected more than 0"),
+        ({"false_light": -1.0}, "false_light is -1.0; expected 0 or more"),
+        ({"false_light": 0.0, "false_shadow": 0.0}, "one of them greater than 0"),
+        ({"false_light": float("nan")}, "false_light is nan"),
+    ],
+)
+def test_impossible_losses_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Loss(**settings)
+
+
+def test_no_pixels_to_evaluate_are_refused(views):
+    with pytest.raises(ValueError, match="pixels is 0; expected 1 or more"):
+        fitted(views, pixels=0)
+
+
+@eqx.filter_jit
+def differences_and_slopes(joint, parameters, fraction):
+    return _with_slopes(joint, parameters, fraction)[:2]
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_gradient_of_the_loss_of_views_is_that_of_finite_differences(name, views):
+    """The gradient as a solver finds it: that of squares with fixed weights."""
+    with jax.enable_x64(True):
+        joint = Joint.of(views, Loss(false_shadow=3.0, false_light=0.5)).with_compare(SoftCompare(1.0)).stacked()
+        joint = jax.tree.map(lambda x: jnp.asarray(x, float) if eqx.is_inexact_array(x) else x, joint)
+        parameters, fraction = Parameters.of([BIAS, RADIUS]), jnp.array([0.2, 0.3])
+        joined = joint.with_loss(LOSSES[name])
+
+        def loss(fraction):
+            images, _ = differences_and_slopes(joint, parameters, fraction)
+            return float(LOSSES[name].weights(squares(images), joint.shares) @ squares(images))
+
+        images, slopes = differences_and_slopes(joint, parameters, fraction)
+        roots, _ = _weights(joined, images, slopes)
+        each = [products(images, tuple(stack[i] for stack in slopes)) for i in range(2)]
+        gradient = [float(2 * roots**2 @ along) for along in each]
+        step = 1e-6
+        expected = [(loss(fraction + step * d) - loss(fraction - step * d)) / (2 * step) for d in jnp.eye(2)]
+    assert gradient == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
+    mapping = disk(3.0, 0.8)
+    apart, together = (
+        Joint.of(views, Loss("worst", false_light=2.0)),
+        Joint.of(views, Loss("worst", false_light=2.0)).stacked(),
+    )
+    assert [type(each) for each in together.problems] == [Stack]
+    for one, other in zip(apart.differences(mapping), together.differences(mapping)[0], strict=True):
+        np.testing.assert_allclose(one[0], other, atol=1e-6)
+    np.testing.assert_allclose(apart.shares, together.shares, rtol=1e-6)
+    np.testing.assert_allclose(squares(apart.differences(mapping)), squares(together.differences(mapping)), rtol=1e-5)
+    assert [float(x) for x in apart.losses(mapping)[:2]] == pytest.approx(
+        [float(x) for x in together.losses(mapping)[:2]]
+    )
+
+
+def test_problems_of_two_structures_are_a_stack_and_a_problem(views):
+    spot = problem(disk(), "spot", image=48, texels=48, target=disk(3.0, 0.8))
+    mapping = disk(2.0, 0.4)
+    joint = Joint.of([views[0], spot, views[1]]).stacked()
+    assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem]
+    pixels = np.array([float(each.mask.sum()) for each in (*views, spot)])
+    np.testing.assert_allclose(joint.shares, pixels / pixels.sum(), rtol=1e-6)
+    errors = [float(each.mean_square_error(mapping)) for each in (*views, spot)]
+    np.testing.assert_allclose(squares(joint.differences(mapping)), errors, rtol=1e-5)
+    assert float(joint.mean_square_error(mapping)) == pytest.approx(np.average(errors, weights=pixels), rel=1e-5)
+
+
+def test_the_same_view_twice_is_fitted_as_once(views):
+    once, twice = fitted(views[:1]), fitted([views[0], views[0]])
+    assert twice.fitted["filter.radius"] == pytest.approx(once.fitted["filter.radius"], abs=0.01)
+    for one, other in zip(once.phases, twice.phases, strict=True):
+        assert other.hard_loss == pytest.approx(one.hard_loss, rel=0.01)
+
+
+def test_worst_view_is_better_by_its_own_loss_and_all_worst_views_are_all(views):
+    mean, worst, all_of_them = (
+        fitted(views, loss=loss) for loss in (Loss(), Loss("worst"), Loss("cvar", fraction=1.0))
+    )
+    by_mean, by_worst = (root_errors(views, found.technique) for found in (mean, worst))
+    assert max(by_worst) < 0.97 * max(by_mean)
+    # At the least of the greatest error of two, both are equal.
+    assert max(by_worst) == pytest.approx(min(by_worst), rel=0.05)
+    assert all_of_them.fitted["filter.radius"] == pytest.approx(mean.fitted["filter.radius"], abs=1e-3)
+    # The judge has the maximum itself.
+    assert worst.phases[worst.chosen].hard_loss == pytest.approx(max(by_worst) ** 2, rel=1e-4)
+
+
+def test_factors_of_signs_move_the_bias_to_their_side(views):
+    wanting = lambda view, bias: eqx.tree_at(
+        lambda p: p.reference, view, shadows(disk(2.0, bias), view.shadow_map, view.surface)
+    )
+    views = [wanting(views[0], 0.4), wanting(views[1], 2.5)]
+    bias = lambda **factors: fitted(views, BIAS, loss=Loss(**factors)).fitted["bias.constant"]
+    # A larger bias leaves fewer pixels too dark, and more too light.
+    assert bias(false_light=20.0) + 0.05 < bias() < bias(false_shadow=20.0) - 0.05
+
+
+mean_square_error = eqx.filter_jit(lambda problem, subject: problem.mean_square_error(subject))
+
+
+def test_a_sample_stands_for_the_whole(views):
+    whole, mapping = views[1], disk(3.0, 0.8)
+    count = int(whole.mask.sum())
+    samples = [whole.sampled(320, seed) for seed in range(40)]
+    assert {each.reference.shape for each in samples} == {(16, 32)}
+    assert [float(each.count) for each in samples] == pytest.approx([count] * 40, rel=1e-6)
+    errors = np.array([float(mean_square_error(each, mapping)) for each in samples])
+    expected = float(whole.mean_square_error(mapping))
+    assert errors.std() > 0.01 * expected
+    assert errors.mean() == pytest.approx(expected, abs=4 * errors.std() / len(errors) ** 0.5)
+
+
+def test_pixels_of_a_sample_keep_their_taps(views):
+    whole, mapping = views[1], disk(3.0, 0.8)
+    sample, mask = whole.sampled(320, 0), np.asarray(whole.mask)
+    taken = np.asarray(sample.mask)
+    assert taken.sum() > 200
+    # No two pixels see the same place.
+    places = np.asarray(whole.surface.position)[mask]
+    found = np.abs(np.asarray(sample.surface.position)[taken][:, None] - places).sum(axis=-1).argmin(axis=1)
+    assert len(set(found)) == len(found)
+    expected = np.asarray(whole.difference(mapping))[mask][found]
+    own = np.asarray(sample.difference(mapping) / jnp.sqrt(sample.weight))[taken]
+    np.testing.assert_allclose(own, expected, atol=1e-6)
+
+
+def test_a_sample_of_more_than_count_is_all_of_them(views):
+    few = np.zeros((64, 64), bool)
+    few[30:37, 20:47] = np.asarray(views[0].mask)[30:37, 20:47]
+    whole, mapping = eqx.tree_at(lambda p: p.mask, views[0], jnp.asarray(few)), disk(3.0, 0.8)
+    sample = whole.sampled(320, 0)
+    assert (np.asarray(sample.weight)[np.asarray(sample.mask)] == 1).all()
+    assert int(sample.mask.sum()) == float(sample.count) == few.sum()
+    error = float(mean_square_error(whole, mapping))
+    assert float(mean_square_error(sample, mapping)) == pytest.approx(error, rel=1e-5)
+    none = eqx.tree_at(lambda p: p.mask, views[0], jnp.zeros((64, 64), bool)).sampled(320, 0)
+    assert float(none.count) == 0
+    assert float(mean_square_error(none, mapping)) == 0
+
+
+def test_only_several_views_with_more_pixels_are_sampled(views):
+    joint, pixels = Joint.of(views), sum(int(each.mask.sum()) for each in views)
+    assert joint.sampled(pixels) is joint
+    assert Joint.of(views[0]).sampled(100).problems[0].reference.shape == (64, 64)
+    sampled = joint.sampled(640)
+    assert [each.reference.shape for each in sampled.problems] == [(16, 32)] * 2
+    # Views keep their shares.
+    np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
+
+
+def test_a_fit_to_a_sample_ends_near_that_to_all(views):
+    whole, part = fitted(views), fitted(views, pixels=640)
+    assert part.fitted["filter.radius"] == pytest.approx(whole.fitted["filter.radius"], abs=0.3)
+    # The judge sees all pixels.
+    at = with_values(disk(), ("filter.radius",), jnp.array([part.fitted["filter.radius"]]))
+    assert part.phases[part.chosen].hard_loss == pytest.approx(float(Joint.of(views).mean_square_error(at)), rel=1e-4)
