@@ -24,6 +24,8 @@ from .problems import TechniqueProblem
 from .solvers import Solver, check_solver, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
+# A number with a lower bound starts at least this far above it.
+_INSET = 1e-3
 
 
 class TrainingPhase(NamedTuple):
@@ -74,8 +76,8 @@ def train(
     - `problems`: views. They start from the technique of the first.
     - `where`: selects what is trained of a technique: a module or several, whose inexact arrays all are. Calls with
         the same function share their compiled programs.
-    - `lower`: the least value of what is trained: a number, or a tree of numbers with the structure of what `where`
-        returns or its upper part.
+    - `lower`: the least value of what is trained, minus infinity for none: a number, or a tree of numbers with the
+        structure of what `where` returns or its upper part.
     - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
         pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
     - `on_phase`: called after each phase.
@@ -186,8 +188,7 @@ def _phase(
     groups: Groups, technique: Any, start: Float[Array, " p"], least: Float[Array, " p"], where: Where, solver: Solver
 ) -> tuple[Array, Array, Array]:
     """The values (p,) at the end of a phase, the loss there under the technique's compare, and the solver's steps."""
-    # Reflected at the bound: a clip would have no derivative beyond it.
-    bounded = lambda y: jnp.where(y < least, 2 * least - y, y)
+    bounded = lambda y: _bounded(y, least)
 
     def residual(y: Array, args: Any) -> Array:
         groups, technique = args
@@ -199,7 +200,7 @@ def _phase(
         groups, technique = args
         return _loss(groups, technique, bounded(y), where)
 
-    quiet = lambda **_: None
+    quiet, start = (lambda **_: None), _free(start, least)
     method: Any = optimistix_solver(solver, quiet)
     views, until = (groups, technique), {"max_steps": solver.max_steps, "throw": False}
     if solver.is_least_squares:
@@ -209,6 +210,18 @@ def _phase(
         solution = optx.minimise(loss, method, start, views, {"autodiff_mode": "bwd"}, **until)
     end = bounded(solution.value)
     return end, _loss(groups, technique, end, where), solution.stats["num_steps"]
+
+
+def _bounded(y: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
+    """`least - 1 + sqrt(y² + 1)`, or `y` where there is no bound: every `y` is allowed, and the bound can be reached
+    (James & Roos, "Minuit", Computer Physics Communications 10, 1975)."""
+    return jnp.where(jnp.isfinite(least), jnp.where(jnp.isfinite(least), least, 0) - 1 + jnp.sqrt(y * y + 1), y)
+
+
+def _free(x: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
+    """The inverse of `_bounded`, for values moved off the bound, where it has no slope."""
+    above = jnp.maximum(jnp.where(jnp.isfinite(least), x - least, 0), _INSET) + 1
+    return jnp.where(jnp.isfinite(least), jnp.sqrt(above * above - 1), x)
 
 
 def _compressed(groups: Groups, of: Callable[[Array], Any], y: Float[Array, " p"]) -> Float[Array, "q q"]:
