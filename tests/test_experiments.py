@@ -12,6 +12,7 @@ import pytest
 from scenes import fit_section, staying_in
 
 from diffshadow.cli import main
+from diffshadow.config import build_technique, load_config
 
 ROOT = Path(__file__).parent.parent
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
@@ -183,6 +184,8 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
         ("shootout", ["missing.yaml"], "there is no such file"),
         ("shootout", ["tiny.yaml", "--repeat", "3"], "see --help"),
         ("generalisation", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
+        ("learned_bias", ["tiny.yaml", "--views", "0"], "expected 1 to 10"),
+        ("learned_bias", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
 )
@@ -197,6 +200,29 @@ def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, argument
     assert said in told
     assert "Traceback" not in told
     assert not Path("runs").exists()
+
+
+@pytest.mark.exhaustive
+def test_learned_bias_is_measured_exported_and_drawn_again_from_its_configuration():
+    script = importlib.import_module("learned_bias")
+    few = {name: script.MODELS[name] for name in ("classical, tent", "classical, separable", script.LAST)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(script, "MODELS", few)
+        patch.setattr(script, "VALIDATION", script.VALIDATION[:2])
+        found = script.main(Path("tiny.yaml"), views=2, steps=5)
+    folder = Path(found["folder"])
+    assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json", ".glsl", ".yaml"}
+    assert [row["numbers"] for row in found["rows"]] == [4, 6, 75]
+    assert found["rows"][0]["training"] >= 0
+    assert found["rows"][2]["training"] <= found["rows"][1]["training"], "it starts there"
+    glsl = (folder / "learned_bias.glsl").read_text()
+    assert all(f"float shadow_{name}(" in glsl for name in ("bias", "normal_offset", "visibility"))
+    # The configuration holds what was trained.
+    again = build_technique(load_config(folder / "learned_bias.yaml"))
+    problem = found["problems"][0]
+    np.testing.assert_allclose(
+        script.common.visibility(problem, again), script.common.visibility(problem, found["technique"]), atol=1e-4
+    )
 
 
 @pytest.mark.exhaustive

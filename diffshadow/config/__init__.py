@@ -31,9 +31,12 @@ from .sections._axes import QuasiRandomConfig as QuasiRandomConfig
 from .sections._axes import SunConfig as SunConfig
 from .sections._biases import AdaptiveBiasConfig as AdaptiveBiasConfig
 from .sections._biases import BiasConfig as BiasConfig
+from .sections._biases import LayerConfig as LayerConfig
+from .sections._biases import NetworkConfig as NetworkConfig
 from .sections._biases import NoPlaneConfig as NoPlaneConfig
 from .sections._biases import PlaneConfig as PlaneConfig
 from .sections._biases import ReceiverPlaneConfig as ReceiverPlaneConfig
+from .sections._biases import TermsConfig as TermsConfig
 from .sections._engines import BabylonJsConfig as BabylonJsConfig
 from .sections._engines import EngineConfig as EngineConfig
 from .sections._engines import ThreeJsConfig as ThreeJsConfig
@@ -49,6 +52,7 @@ from .sections._filters import PatternedConfig as PatternedConfig
 from .sections._filters import PercentageCloserConfig as PercentageCloserConfig
 from .sections._filters import PercentageCloserSoftConfig as PercentageCloserSoftConfig
 from .sections._filters import RandomDiskConfig as RandomDiskConfig
+from .sections._filters import SeparableConfig as SeparableConfig
 from .sections._filters import TentConfig as TentConfig
 from .sections._filters import VarianceConfig as VarianceConfig
 from .sections._fit import AnnealConfig as AnnealConfig

@@ -20,6 +20,10 @@ from ._profile import Profile as Profile
 from ._profile import Side as Side
 from ._run import Outcome as Outcome
 from ._run import Start as Start
+from ._train import Training as Training
+from ._train import TrainingPhase as TrainingPhase
+from ._train import mean_square_error as mean_square_error
+from ._train import train as train
 from .problems import AbstractProblem as AbstractProblem
 from .problems import PoseProblem as PoseProblem
 from .problems import TechniqueProblem as TechniqueProblem

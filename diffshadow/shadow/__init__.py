@@ -6,6 +6,7 @@ from ._compare import AbstractCompare as AbstractCompare
 from ._compare import HardCompare as HardCompare
 from ._compare import SoftCompare as SoftCompare
 from ._compare import SoftKernel as SoftKernel
+from ._glsl import to_glsl as to_glsl
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
 from ._map import MapSettings as MapSettings
@@ -29,7 +30,9 @@ from .biases import AdaptiveBias as AdaptiveBias
 from .biases import Bias as Bias
 from .biases import BiasTerms as BiasTerms
 from .biases import ConstantBias as ConstantBias
+from .biases import LinearBias as LinearBias
 from .biases import NormalOffset as NormalOffset
+from .biases import PerceptronBias as PerceptronBias
 from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
 from .engines import AbstractEngineShadows as AbstractEngineShadows
@@ -53,6 +56,7 @@ from .filters import Nearest as Nearest
 from .filters import PercentageCloser as PercentageCloser
 from .filters import PercentageCloserSoft as PercentageCloserSoft
 from .filters import RandomDisk as RandomDisk
+from .filters import Separable as Separable
 from .filters import Tent as Tent
 from .filters import VarianceShadowMap as VarianceShadowMap
 from .kernels import mean_of_taps as mean_of_taps

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, normalize, safe_norm
-from .._types import DepthMap, Mask, TexelMap, VectorMap
+from .._misc import as_float, dot, normalize, safe_norm, take
+from .._types import DepthMap, Mask, Scalar, TexelMap, VectorMap
 from ..geometry import View, transform_points, transform_vectors
 from ..raster import DepthTest, Surface
 from ._map import ShadowMap
@@ -32,6 +32,9 @@ class Receiver(eqx.Module):
     - `slope`: (h, w, 2), the receiver plane's depth slope along the map's x and y, in texel widths per texel.
     - `rounding`: (h, w), bound on the rounding error between its depth, or its plane's under a kernel, and the map's,
         in window depth.
+    - `distance`: (h, w), along the light's axis, 0 at the map's near plane and 1 at its far plane; `depth_range`: from
+        one to the other, in world units.
+    - `stored`: (h, w), the map's window depth at the texel that it falls in; 1 beyond the map.
     - `layer`: (h, w), which of the light's maps it falls in; none if there is only one.
     """
 
@@ -45,6 +48,9 @@ class Receiver(eqx.Module):
     depth_per_texel: Float[Array, "h w"]
     slope: TexelMap
     rounding: Float[Array, "h w"]
+    distance: Float[Array, "h w"]
+    depth_range: Scalar
+    stored: DepthMap
     layer: Int[Array, "h w"] | None
 
 
@@ -77,6 +83,9 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
         depth_per_texel=depth_per_texel,
         slope=slope,
         rounding=_rounding(shadow_map, view, eye, distance, surface.position, texel_size, slope),
+        distance=(distance - view.near) / (view.far - view.near),
+        depth_range=view.far - view.near,
+        stored=_stored(shadow_map, texel, layer),
         layer=layer,
     )
 
@@ -149,3 +158,13 @@ def _rounding(
         0.0 if shadow_map.depth_format == "float32" else DepthTest(shadow_map.depth_format).decode(as_float(0.5))
     )
     return _ROUNDINGS * unit * (1 + view.depth_slope(distance) * reach * steepness) + half_step
+
+
+def _stored(shadow_map: ShadowMap, texel: TexelMap, layer: Int[Array, "h w"] | None) -> DepthMap:
+    """The depth stored in the texel (h, w, 2) of each point; 1 beyond the map."""
+    height, width = shadow_map.resolution
+    x, y = (jnp.floor(lax.stop_gradient(texel[..., i])) for i in range(2))
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    column, row = (jnp.where(inside, place, 0).astype(jnp.int32) for place in (x, y))
+    row = row if layer is None else row + layer * height
+    return jnp.where(inside, take(shadow_map.depth.reshape(-1), row * width + column), 1)

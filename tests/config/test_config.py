@@ -16,12 +16,14 @@ from diffshadow.config import (
     PercentageCloserConfig,
     RandomDiskConfig,
     SceneConfig,
+    TermsConfig,
     describe,
     dump_resolved,
     fit_paths,
     load_config,
     parse_config,
 )
+from diffshadow.shadow.biases import FEATURES
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 QUICKSTART = next(path for path in CONFIGS if path.stem == "quickstart")
@@ -165,7 +167,7 @@ def test_no_text_ends_in_another_error(text):
 
 
 # Each fault alone: the line it is on, the key, what is said.
-FILTER_TYPES = "nearest, bilinear, four_tap, pcf, tent, castano, random_disk, pcss, vsm, esm, evsm or msm"
+FILTER_TYPES = "nearest, bilinear, four_tap, pcf, tent, castano, separable, random_disk, pcss, vsm, esm, evsm or msm"
 BROKEN = {
     "misspelt key": (
         "filter:\n  radius: 2\n  sampels: 64\n",
@@ -246,7 +248,7 @@ BROKEN = {
     "number for a section": (
         "bias: 3\n",
         "2: bias: is 3; expected a section with the keys constant, slope, slope_profile, slope_least, slope_most, "
-        "unit, normal_offset, normal_offset_profile, factors, plane; write its keys below it, indented",
+        "unit, normal_offset, normal_offset_profile, factors, terms, network, plane; write its keys below it, indented",
     ),
     "misspelt pattern": (
         "filter:\n  pattern: sobbol\n",
@@ -347,6 +349,26 @@ BROKEN = {
     "parameter below its range": (
         "fit: {parameters: {bias.slope: {lower: -1, upper: 1}}}\n",
         "2: fit.parameters.bias.slope.lower: is -1; expected a number at least 0, as for bias.slope; raise it",
+    ),
+    "term of no feature": (
+        "bias: {terms: {tangent: 1}}\n",
+        "2: bias.terms.tangent: is not a key of bias.terms; expected one, slope, sine, one_minus_cosine, texel_size, "
+        "distance or blocker_distance; remove it",
+    ),
+    "network without terms": (
+        "bias: {network: {hidden: [{weight: [[1]], bias: [0]}], last: [1]}}\n",
+        "2: bias.network: is given without terms; expected the terms that it corrects; give terms, such as "
+        "{slope: 0.5}",
+    ),
+    "weights of a layer": (
+        "bias: {terms: {slope: 1}, network: {hidden: [{weight: 1, bias: [0]}], last: [1]}}\n",
+        "2: bias.network.hidden.0.weight: is 1; expected a list of lists of numbers; give such a value",
+    ),
+    "fit of a term that is not given": (
+        "bias: {terms: {slope: 1}}\nfit: {parameters: {bias.terms.sine: {lower: 0, upper: 1}}}\n",
+        "3: fit.parameters.bias.terms.sine: cannot be fitted with filter type 'random_disk'; expected bias.constant, "
+        "bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset, bias.terms.slope or filter.radius; "
+        "did you mean 'bias.terms.slope'?",
     ),
     "misspelt parameter": (
         "fit: {parameters: {bias.constnat: {lower: 0, upper: 1}}}\n",
@@ -1066,6 +1088,8 @@ FITTED = {
     "filter: {type: pcss}": {"filter.light_size": "filter.light_size", "filter.min_radius": "filter.min_radius"},
     "filter: {type: evsm}": {f"filter.{x}_exponent": f"filter.{x}_exponent" for x in ("positive", "negative")},
     "bias: {plane: {type: adaptive}}": {"bias.plane.epsilon": "bias.plane.epsilon"},
+    "bias: {terms: {slope: 1}}": {"bias.terms.slope": "bias.terms.weights.slope"},
+    "filter: {type: separable}": {f"filter.weights.{i}": f"filter.weights.{i}" for i in range(2)},
 }
 
 
@@ -1082,6 +1106,19 @@ def test_override_reaches_a_parameter_of_the_plane():
     config = parse_config(text, ["fit.parameters.bias.plane.epsilon.upper=2"])
     assert config.fit.parameters["bias.plane.epsilon"].upper == 2
     assert {row.key: row.unit for row in describe(config)}["fit.parameters.bias.plane.epsilon.upper"] == "texels"
+
+
+NETWORK = "network: {hidden: [{weight: [[1], [-2]], bias: [0, 0.5]}], last: [0.5, -0.25]}"
+
+
+def test_a_bias_of_terms_needs_no_other_by_default():
+    terms = parse_config(TINY + "bias: {terms: {one: 0.5, blocker_distance: -0.1}}").bias
+    assert (terms.constant, terms.slope) == (0, 0)
+    assert parse_config(TINY + "bias: {slope: 2, terms: {one: 0.5}}").bias.slope == 2
+    assert parse_config(TINY + "bias: {terms: {}}").bias.constant > 0
+    assert TermsConfig.model_fields.keys() == FEATURES.keys()
+    text = f"{TINY}bias: {{terms: {{one: 0.3, slope: 1}}, {NETWORK}}}\n"
+    assert parse_config(dump_resolved(parse_config(text))) == parse_config(text)
 
 
 def test_a_bias_that_knows_the_plane_needs_no_other_by_default():

@@ -178,6 +178,7 @@ def test_damaged_mesh_file_is_told_with_line_and_key(tmp_path):
         ("compare={type: soft, width: 0.2, kernel: gaussian}", "RandomDisk", "SoftCompare"),
         ("filter={type: tent, radius: 3}", "Tent", "HardCompare"),
         ("filter={type: castano, size: 7}", "Castano", "HardCompare"),
+        ("filter={type: separable, weights: [0.5]}", "Separable", "HardCompare"),
         ("filter={type: pcss, light_size: 0.1}", "PercentageCloserSoft", "HardCompare"),
         ("filter={type: vsm, kernel: gaussian}", "VarianceShadowMap", "HardCompare"),
         ("filter={type: esm, exponent: 40}", "ExponentialShadowMap", "HardCompare"),
@@ -325,6 +326,26 @@ def test_everything_that_can_be_fitted_is_in_the_module_and_has_its_unit():
                 found = resolve(technique, parameter.where)
                 assert jnp.shape(found) == ()
                 assert parameter.unit == ("texels" if parameter.name in TEXELS else ""), parameter.name
+
+
+def test_terms_and_their_network_are_built_and_terms_fitted():
+    fitted = "fit: {parameters: {bias.terms.one: {lower: 0, upper: 2}}}"
+    text = f"{TINY}bias: {{terms: {{one: 0.3, slope: 1}}}}\n{fitted}\n"
+    network = "bias.network={hidden: [{weight: [[1], [-2]], bias: [0, 0.5]}], last: [0.5, -0.25]}"
+    plain, corrected = (build_technique(parse_config(text, overrides)) for overrides in ([], [network]))
+    assert (float(plain.bias.constant.value), float(plain.bias.slope.value)) == (0, 0)
+    assert {name: float(weight) for name, weight in plain.bias.terms.weights.items()} == pytest.approx(
+        {"one": 0.3, "slope": 1}
+    )
+    (parameter,) = build_fit(parse_config(text, [network])).parameters
+    assert (parameter.unit, parameter.initial) == ("texels", 0.3)
+    for technique in (plain, corrected):
+        assert float(resolve(technique, parameter.where)) == pytest.approx(0.3)
+    np.testing.assert_allclose(corrected.bias.terms.hidden[0].weight, [[1], [-2]])
+    np.testing.assert_allclose(corrected.bias.terms.hidden[0].bias, [0, 0.5])
+    np.testing.assert_allclose(corrected.bias.terms.last, [0.5, -0.25])
+    with pytest.raises(ConfigError, match=r": bias: the perceptron has 2 inputs and layers of 2 x 1, 1 x 2 weights"):
+        build_technique(parse_config(text, [network, "bias.terms.sine=1"]))
 
 
 TEXELS = {

@@ -729,16 +729,16 @@ _SHADOW = (
     ),
     _fault(
         "normal offset: cosine not squared",
-        "shadow/biases/_normal_offset.py",
+        "shadow/biases/_features.py",
         "squared = 1 - cosine * cosine",
         "squared = 1 - cosine",
         "test_bias.py",
     ),
     _fault(
         "slope bias: sum for the norm",
-        "shadow/biases/_slope.py",
-        "safe_norm(receiver.slope)",
-        "jnp.sum(jnp.abs(receiver.slope), axis=-1)",
+        "shadow/biases/_features.py",
+        "safe_norm(at.slope)",
+        "jnp.sum(jnp.abs(at.slope), axis=-1)",
         "test_bias.py",
     ),
     _fault(
@@ -1366,6 +1366,69 @@ _SHADOW = (
         "back = _NEAR - near",
         "test_import.py",
     ),
+    _fault(
+        "learned bias: blockers behind the receiver count",
+        "shadow/biases/_features.py",
+        "receiver.depth_per_texel, 0, _MOST_TEXELS)",
+        "receiver.depth_per_texel, -_MOST_TEXELS, _MOST_TEXELS)",
+        "test_bias.py",
+    ),
+    _fault(
+        "learned bias: below zero",
+        "shadow/biases/_linear.py",
+        "in_depth(at_least(self.total(receiver), as_float(0)), ",
+        "in_depth(self.total(receiver), ",
+        "test_bias.py",
+    ),
+    _fault(
+        "learned bias: inputs not squashed",
+        "shadow/biases/_perceptron.py",
+        "return feature / (1 + feature)",
+        "return feature",
+        "test_bias.py",
+    ),
+    _fault(
+        "receiver: stored depth of the texel beside",
+        "shadow/_receiver.py",
+        "row * width + column), 1)",
+        "row * width + column + 1), 1)",
+        "test_bias.py",
+    ),
+    _fault(
+        "weighted kernel: shifted the other way",
+        "shadow/kernels/_weighted.py",
+        "(1 - shift) * self._weight(from_middle) + shift * self._weight(from_middle - 1)",
+        "shift * self._weight(from_middle) + (1 - shift) * self._weight(from_middle - 1)",
+        "test_tent.py",
+    ),
+    _fault(
+        "separable kernel: weights counted once in their sum",
+        "shadow/filters/_separable.py",
+        "each[0] + 2 * sum(self.weights)",
+        "each[0] + sum(self.weights)",
+        "test_tent.py",
+    ),
+    _fault(
+        "GLSL: the slope's cosine not clamped",
+        "shadow/biases/_features.py",
+        '_COSINE = "clamp(cosine, 0.0, 1.0)"',
+        '_COSINE = "clamp(cosine, 0.2, 1.0)"',
+        "test_glsl.py",
+    ),
+    _fault(
+        "GLSL: kernel not shifted",
+        "shadow/_glsl.py",
+        "mix(k[i + 1], k[i], s.x)",
+        "k[i + 1]",
+        "test_glsl.py",
+    ),
+    _fault(
+        "GLSL: biases of the hidden layer forgotten",
+        "shadow/_glsl.py",
+        "tanh({_product(row, values)} + {_text(b)})",
+        "tanh({_product(row, values)} + 0.0 * {_text(b)})",
+        "test_glsl.py",
+    ),
 )
 
 _SHADING = (
@@ -1716,6 +1779,27 @@ _FIT = (
         "ratio**0.5 * sides[0] ** 2 + ratio**-0.5 * sides[1] ** 2",
         "sides[0] ** 2 + sides[1] ** 2",
         "test_sureness.py",
+    ),
+    _fault(
+        "training: each view replaces those before",
+        "fit/_train.py",
+        'jnp.linalg.qr(jnp.concatenate([rows, own]), mode="r")',
+        'jnp.linalg.qr(jnp.concatenate([0 * rows, own]), mode="r")',
+        "test_train.py",
+    ),
+    _fault(
+        "training: the last phase is the result",
+        "fit/_train.py",
+        "best = int(np.nanargmin(losses))",
+        "best = len(losses) - 1",
+        "test_train.py",
+    ),
+    _fault(
+        "training: lower bounds not kept",
+        "fit/_train.py",
+        "    bounded = lambda y: _bounded(y, least)",
+        "    bounded = lambda y: y",
+        "test_train.py",
     ),
 )
 

@@ -18,8 +18,10 @@ from diffshadow.shadow import (
     Bilinear,
     ConstantBias,
     FourTap,
+    LinearBias,
     NormalOffset,
     Pattern,
+    PerceptronBias,
     Receiver,
     ReceiverPlane,
     ShadowMap,
@@ -30,6 +32,7 @@ from diffshadow.shadow import (
     mean_of_taps,
     receiver,
 )
+from diffshadow.shadow.biases import FEATURES
 from diffshadow.shadow.biases._abstract import at_least, at_most
 
 ANGLES = np.array([0.0, 10.0, 45.0, 80.0, 89.9, 90.0, 120.0])
@@ -58,6 +61,9 @@ def receivers_at(angles=ANGLES, texel=0.02, depth_per_texel=1e-3):
         depth_per_texel=zero + depth_per_texel,
         slope=slope,
         rounding=zero + ROUNDING,
+        distance=zero + 0.25,
+        depth_range=jnp.asarray(20.0),
+        stored=zero + 0.494,
         layer=None,
     )
 
@@ -177,6 +183,72 @@ def test_normal_offset_moves_along_the_normal_by_its_profile(profile, formula):
     assert (np.asarray(terms.depth) == 0).all()
 
 
+LINEAR = LinearBias({"one": 0.5, "slope": 0.25, "blocker_distance": -0.5})
+
+
+def network(sizes):
+    """A perceptron on top of `LINEAR` whose last weights are not 0."""
+    made = PerceptronBias.correcting(LINEAR, sizes, seed=3)
+    return eqx.tree_at(lambda bias: bias.last, made, 0.3 + 0.1 * jnp.arange(made.last.size))
+
+
+def test_linear_bias_is_the_sum_of_its_terms_and_never_negative():
+    at = receivers_at(np.array([0.0, 45.0, 60.0, 120.0]))
+    angle = np.radians([0.0, 45.0, 60.0, 120.0])
+    tangent, cosine = np.abs(np.tan(angle)), np.maximum(np.cos(angle), 0)
+    # As `receivers_at` has them: texels 0.1 % of the depth range, a quarter of the way, the map 6 texels in front.
+    features = {
+        "one": np.ones(4),
+        "slope": tangent,
+        "sine": np.sqrt(1 - cosine**2),
+        "one_minus_cosine": 1 - cosine,
+        "texel_size": np.full(4, 0.1),
+        "distance": np.full(4, 0.25),
+        "blocker_distance": np.full(4, 6.0),
+    }
+    assert features.keys() == FEATURES.keys()
+    for name, feature in features.items():
+        found = LinearBias({"one": 0.5, name: 2.0} if name != "one" else {name: 2.5})(at).depth[0] / 1e-3
+        np.testing.assert_allclose(found, 0.5 + 2 * feature, rtol=1e-4, atol=1e-5)
+    # -2.5 and more of the slope.
+    np.testing.assert_allclose(LINEAR(at).depth[0], 0, atol=0)
+    steep = LinearBias({"slope": 2.0, "blocker_distance": -0.5})(at).depth[0]
+    np.testing.assert_allclose(steep, 1e-3 * np.maximum(2 * tangent - 3, 0), rtol=1e-4, atol=1e-7)
+
+
+def test_a_linear_bias_holds_the_classical_ones():
+    at = receivers_at()
+    linear = LinearBias({"one": 0.7, "slope": 0.4})
+    np.testing.assert_allclose(linear(at).depth, Bias(0.7, 0.4)(at).depth, rtol=1e-6)
+    np.testing.assert_allclose(Bias(terms=linear)(at).depth, linear(at).depth, rtol=1e-6)
+    start = PerceptronBias.correcting(linear)
+    np.testing.assert_array_equal(start(at).depth, linear(at).depth)
+    assert start.count == 2 + 8 + 8 + 8
+
+
+def test_perceptron_is_its_formula():
+    bias, at = network((4, 3)), receivers_at(np.array([20.0, 60.0, 87.0]))
+    x = np.stack([np.tan(np.radians([20.0, 60.0, 87.0])), np.full(3, 6.0)])
+    total = 0.5 + 0.25 * x[0] - 0.5 * x[1]
+    values = x / (1 + x)
+    for layer in bias.hidden:
+        values = np.tanh(np.asarray(layer.weight) @ values + np.asarray(layer.bias)[:, None])
+    total = total + np.asarray(bias.last) @ values
+    assert (total > 0).any()
+    assert (total < 0).any()
+    np.testing.assert_allclose(bias(at).depth[0], 1e-3 * np.maximum(total, 0), rtol=1e-4, atol=1e-7)
+    again = PerceptronBias.of(
+        LINEAR, [(layer.weight.tolist(), layer.bias.tolist()) for layer in bias.hidden], bias.last.tolist()
+    )
+    np.testing.assert_array_equal(again(at).depth, bias(at).depth)
+
+
+def test_blockers_count_to_sixteen_texels_and_not_behind_the_receiver():
+    at = receivers_at(np.zeros(3))
+    at = eqx.tree_at(lambda at: at.stored, at, jnp.array([[0.4, 0.5005, 1.0]]))
+    np.testing.assert_allclose(LinearBias({"blocker_distance": 1.0})(at).depth[0], [0.016, 0, 0], rtol=1e-4, atol=1e-9)
+
+
 def test_terms_of_a_bias_add_up():
     at = receivers_at(np.array([30.0, 60.0]))
     whole = Bias(1.0, 0.5, 2.0)(at)
@@ -193,6 +265,8 @@ EVERY = {
     "normal_offset": NormalOffset(2.0),
     "plane": ReceiverPlane(0.5, deepening=1.0),
     "adaptive": AdaptiveBias(0.1),
+    "linear": LinearBias({"one": 0.2, "slope": 0.3, "distance": -0.1}),
+    "perceptron": PerceptronBias.correcting(LinearBias({"one": 0.2, "slope": 0.3}), (2,)),
     "bias": Bias(0.3, 0.2, 0.1, ReceiverPlane(deepening=0.5)),
 }
 
@@ -230,6 +304,14 @@ def test_any_two_biases_add_up(one, other):
         (lambda: ReceiverPlane(-1.0), r"receiver plane's fudge is -1.0; expected 0 or more times the slope"),
         (lambda: ReceiverPlane(limit=-1.0), r"receiver plane's limit is -1.0; expected 0 or more texels"),
         (lambda: ReceiverPlane(deepening=float("nan")), r"receiver plane's deepening is nan; expected 0 or more"),
+        (lambda: LinearBias({}), r"linear bias has the terms none; expected one or more"),
+        (lambda: LinearBias({"tangent": 1.0}), r"linear bias has a term 'tangent'; expected some of one, slope, sine"),
+        (lambda: LinearBias({"one": float("nan")}), r"weight of one is nan; expected a finite number of texels"),
+        (lambda: network((40,)), r"perceptron has 163 weights; expected at most 100"),
+        (lambda: network(()), r"2 inputs and layers of 1 x 2 weights; expected one or more hidden layers"),
+        (lambda: PerceptronBias.of(LINEAR, [([[1.0]], [0.0])], [1.0]), r"2 inputs and layers of 1 x 1, 1 x 1 weights"),
+        (lambda: PerceptronBias.of(LINEAR, [([[1.0, 2.0]], [0.0] * 2)], [1.0]), r"and a bias for each row"),
+        (lambda: PerceptronBias.of(LINEAR, [([[1.0], [1.0, 2.0]], [0.0] * 2)], [1.0]), r"lengths \[1, 2\]; expected"),
         (lambda: AdaptiveBias(-0.1), r"adaptive bias's epsilon is -0.1.*; expected 0 or more texels"),
     ],
 )
@@ -300,6 +382,16 @@ def test_receivers_know_the_size_of_their_texels(light):
     # Along the axis, the eye looks along -z; a finite step sees the perspective's curvature.
     np.testing.assert_allclose(-moved[2][mask][:, 2] * 8, np.asarray(at.depth_per_texel)[mask], rtol=0.03)
     np.testing.assert_allclose(np.linalg.norm(np.asarray(surface.normal)[mask], axis=-1), 1, atol=1e-5)
+    # The way along the axis, and what the map stores there.
+    eye = position @ world_to_eye[2, :3] + world_to_eye[2, 3]
+    near, far = (float(getattr(shadow_map.view, end)) for end in ("near", "far"))
+    np.testing.assert_allclose(np.asarray(at.distance)[mask], ((-eye - near) / (far - near))[mask], atol=1e-5)
+    np.testing.assert_allclose(at.depth_range, far - near, rtol=1e-6)
+    column, row = np.clip(np.floor(np.asarray(at.texel)).astype(int), 0, 63)[mask].T
+    within = ((np.asarray(at.texel) >= 0) & (np.asarray(at.texel) < 64)).all(axis=-1)[mask]
+    stored = np.where(within, np.asarray(shadow_map.depth)[row, column], 1)
+    np.testing.assert_array_equal(np.asarray(at.stored)[mask], stored)
+    assert (~within).any() == (light == "spot") or within.all()
     assert (np.abs(np.asarray(at.cosine)[mask]) <= 1 + 1e-6).all()
 
 
@@ -368,6 +460,11 @@ def test_grazing_receivers_have_a_large_slope_but_no_endless_one():
     np.testing.assert_allclose(steepness, 100 * extent[1] / np.sqrt(extent.prod()), rtol=1e-3)
 
 
+def network_of(weights):
+    made = PerceptronBias.correcting(LinearBias(weights), (3,), seed=1)
+    return eqx.tree_at(lambda bias: bias.last, made, jnp.full(3, 0.2, made.last.dtype))
+
+
 STEP = 1e-5
 GRADIENTS = {
     # What is fitted, by name, with its value: each bound holds back some of the receivers, and no other.
@@ -387,6 +484,17 @@ GRADIENTS = {
         (
             *("bias.constant", "bias.slope.value", "bias.slope.least", "bias.slope.most", "bias.normal_offset"),
             "bias.plane.epsilon",
+        ),
+    ),
+    "perceptron": (
+        lambda: Bias(
+            normal_offset=0.3,
+            terms=network_of({"one": 0.3, "slope": 0.2, "sine": 0.1, "texel_size": 0.2, "distance": -0.3}),
+        ),
+        Bilinear,
+        (
+            *("bias.normal_offset", "bias.terms.weights.one", "bias.terms.weights.slope", "bias.terms.weights.sine"),
+            *("bias.terms.weights.texel_size", "bias.terms.weights.distance"),
         ),
     ),
     "receiver_plane": (
@@ -445,5 +553,5 @@ def test_gradients_of_every_parameter_match_central_differences(case):
 
 def _named(module, name):
     for part in name.split("."):
-        module = getattr(module, part)
+        module = module[part] if isinstance(module, dict) else getattr(module, part)
     return module

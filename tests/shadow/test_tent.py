@@ -1,4 +1,4 @@
-"""Percentage-closer filtering with a tent, and Castaño's kernels: closed forms, weights, derivatives."""
+"""Percentage-closer filtering with a tent, Castaño's kernels and free ones: closed forms, weights, derivatives."""
 
 import equinox as eqx
 import jax
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import apply, lookups_at, map_of, problem, random_lookups, random_map, slopes_of_loss, technique
 
-from diffshadow.shadow import Bilinear, Castano, HardCompare, Lookup, Nearest, SoftCompare, Tent
+from diffshadow.shadow import Bilinear, Castano, HardCompare, Lookup, Nearest, Separable, SoftCompare, Tent
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
 WEIGHTS = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
@@ -57,6 +57,23 @@ def test_castano_of_half_plane_is_a_staircase_of_ramps(size, axis):
     # The penumbra is as many texels wide.
     inside = np.abs(x - 8) < size / 2 - 0.01
     np.testing.assert_array_equal((exact > 0) & (exact < 1), inside)
+
+
+def test_separable_kernel_of_half_plane_is_a_staircase_with_its_weights():
+    x = np.linspace(4, 12, COUNT)
+    for axis in (0, 1):
+        visibility = apply(
+            Separable((0.5, 0.3)), map_of(HALF_PLANE if axis == 0 else HALF_PLANE.T), along(axis, x), HARD
+        )
+        weights = np.array([0.3, 0.5, 1, 0.5, 0.3]) / 2.6
+        exact = sum(w * np.clip(x + o - 8 + 0.5, 0, 1) for w, o in zip(weights, range(-2, 3), strict=True))
+        np.testing.assert_allclose(np.ravel(visibility), exact, atol=3e-6)
+
+
+def test_castanos_kernels_are_separable_ones(rng):
+    shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
+    of = lambda kernel: apply(kernel, shadow_map, lookup, HARD)
+    np.testing.assert_allclose(of(Separable((0.75, 0.25))), of(Castano(5)), atol=1e-6)
 
 
 BOTH = [pytest.param(HARD, id="hard"), pytest.param(SOFT, id="soft", marks=pytest.mark.exhaustive)]
@@ -126,12 +143,15 @@ def test_constant_maps_give_the_compare_itself_even_far_away(kernel, compare, rn
     [
         pytest.param("tent", lambda: Tent(1.0, 2.0), id="tent", marks=pytest.mark.exhaustive),
         pytest.param("castano", lambda: Castano(3), id="castano", marks=pytest.mark.exhaustive),
+        pytest.param("separable", lambda: Separable((0.8, 0.3)), id="separable"),
     ],
 )
 def test_gradient_of_the_loss_matches_central_differences(name, kernel):
     names, values = ("bias.constant", "bias.slope", "bias.normal_offset"), (0.9, 0.6, 0.4)
     if name == "tent":
         names, values = (*names, "filter.radius"), (*values, 1.7)
+    if name == "separable":
+        names, values = (*names, "filter.weights.0", "filter.weights.1"), (*values, 0.8, 0.3)
     with jax.enable_x64(True):
         known = problem(technique(kernel(), compare=SoftCompare(3.0)), "spot")
         slopes, forward, backward = slopes_of_loss(known, names, values, np.full(len(names), 1e-5), reverse=True)
@@ -193,6 +213,13 @@ def test_impossible_settings_are_refused():
         Tent(-1.0)
     with pytest.raises(ValueError, match=r"the tent's radius is 3.0 texels; expected 0 to max_radius = 2: give"):
         Tent(3.0, 2.0)
+    for weights, message in {
+        (): r"has 0 weights; expected 1 to 16",
+        (0.5, -0.1): r"a weight of the separable kernel is -0.1\d*; expected 0 or more times the middle's",
+        (float("inf"),): r"is inf; expected 0 or more",
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            Separable(weights)
     kernel = Castano(3)
     # Where types are checked, as in these tests, the constructor does not get so far.
     object.__setattr__(kernel, "size", 4)

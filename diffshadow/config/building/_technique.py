@@ -52,6 +52,7 @@ def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
         normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
         plane=_plane(config, fitting=fitting),
         factors=given["factors"],
+        terms=_terms(config, fitting=fitting),
     )
 
 
@@ -78,6 +79,15 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     bounds = config.fit.parameters.get("technique.blend") if fitting else None
     arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
     return shadow.Cascades(**arguments)
+
+
+def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
+    given = _arguments(config, "bias.terms", fitting=fitting)
+    weights = {key: weight for key, weight in given.items() if weight is not None}
+    linear, network = shadow.LinearBias(weights) if weights else None, config.bias.network
+    if linear is None or network is None:
+        return linear
+    return shadow.PerceptronBias.of(linear, [(layer.weight, layer.bias) for layer in network.hidden], network.last)
 
 
 def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Tag
 
-from ._section import FARTHEST, Conflict, Fitted, Section, Texels, Unit, by_type, fault, ordered
+from ._section import FARTHEST, Conflict, Fitted, Form, Section, Texels, Unit, as_list, by_type, fault, ordered
 
 Radius = Annotated[Texels, Fitted()]
 # The radius of a kernel that is unrolled texel by texel. Compilation takes minutes for much larger radii.
@@ -87,6 +87,25 @@ class CastanoConfig(_FilterConfig):
     @property
     def reach(self) -> float:
         return (self.size + 1) / 2
+
+
+class SeparableConfig(_FilterConfig):
+    """A symmetric kernel with given weights, the same along both axes."""
+
+    type: Literal["separable"] = "separable"
+    weights: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=1000)], ...], as_list, Form("a list of weights"), Fitted()
+    ] = Field(
+        default=(0.75, 0.25),
+        min_length=1,
+        max_length=16,
+        description="weights of the bilinear compares 1, 2, ... texels from the middle, whose weight is 1",
+    )
+    builds: ClassVar[str] = "Separable"
+
+    @property
+    def reach(self) -> float:
+        return len(self.weights) + 1.0
 
 
 class PatternedConfig(_FilterConfig):
@@ -217,6 +236,7 @@ FilterConfig = Annotated[
     | Annotated[PercentageCloserConfig, Tag("pcf")]
     | Annotated[TentConfig, Tag("tent")]
     | Annotated[CastanoConfig, Tag("castano")]
+    | Annotated[SeparableConfig, Tag("separable")]
     | Annotated[RandomDiskConfig, Tag("random_disk")]
     | Annotated[PercentageCloserSoftConfig, Tag("pcss")]
     | Annotated[VarianceConfig, Tag("vsm")]

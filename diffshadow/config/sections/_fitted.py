@@ -7,7 +7,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from .._errors import did_you_mean, listing
-from ._biases import BiasConfig, PlaneConfig
+from ._biases import BiasConfig, PlaneConfig, TermsConfig
 from ._engines import EngineConfig
 from ._filters import FilterConfig
 from ._marks import Limits, bare, marked
@@ -36,14 +36,14 @@ def fit_paths(data: Any) -> dict[str, str]:
         f"{holder}.{key}{entry}": f"{_field(holder, section)}{mark.path or key}{entry}"
         for holder, section in _holders(data).items()
         for key, mark in _fitted_keys(section).items()
-        for entry in _entries(section.model_fields[key], look(data, *holder.split("."), key))
+        for entry in _entries(section.model_fields[key], mark, look(data, *holder.split("."), key))
     }
 
 
-def _entries(field: FieldInfo, value: Any) -> list[str]:
+def _entries(field: FieldInfo, mark: Fitted, value: Any) -> list[str]:
     """What follows the key of a field in the names of its numbers: their indices if it is a list."""
     if get_origin(marked(field)[0]) is not tuple:
-        return [""]
+        return [] if mark.needs_value and value is None else [""]
     return [f".{i}" for i in range(len(value))] if isinstance(value, list | tuple) else []
 
 
@@ -127,6 +127,7 @@ def outside(
 # All sections with numbers that can be fitted, by their keys.
 _HOLDERS = {
     "bias": [BiasConfig],
+    "bias.terms": [TermsConfig],
     "bias.plane": [*_PLANES.values()],
     "filter": [*FILTERS.values()],
     "technique": [*_TECHNIQUES.values()],
@@ -153,7 +154,13 @@ def _holders(data: Any) -> dict[str, type[Section]]:
     technique = _TECHNIQUES.get(str(look(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
     if issubclass(technique, EngineConfig):
         return {"technique": technique}
-    return {"bias": BiasConfig, "bias.plane": plane, "filter": FILTERS[_filter_type(data)], "technique": technique}
+    return {
+        "bias": BiasConfig,
+        "bias.terms": TermsConfig,
+        "bias.plane": plane,
+        "filter": FILTERS[_filter_type(data)],
+        "technique": technique,
+    }
 
 
 def _filter_type(data: Any) -> str:

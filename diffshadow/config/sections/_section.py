@@ -49,10 +49,12 @@ class Fitted:
 
     - `path`: the dotted path of the number in the module that its section builds; by default its key.
     - `searched`: whether a search finds it.
+    - `needs_value`: whether it can only be fitted if the key is set.
     """
 
     path: str | None = None
     searched: bool = False
+    needs_value: bool = False
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:

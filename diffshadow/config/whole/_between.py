@@ -238,7 +238,7 @@ def _key_of_reach(config: Parts) -> KeyPath:
     section = config.filter
     if config.bias.normal_offset > section.reach:
         return ("bias", "normal_offset")
-    keys = (key for key in (section.radius_key, "size") if key in type(section).model_fields)
+    keys = (key for key in (section.radius_key, "size", "weights") if key in type(section).model_fields)
     key = next(keys, None)
     return ("filter",) if key is None else ("filter", key)
 

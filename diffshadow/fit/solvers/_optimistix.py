@@ -12,7 +12,6 @@ from ._settings import Solver
 
 # Singular values of the Jacobian below this fraction of the largest count as zero, at the precision of float32.
 _LEAST_SINGULAR = 1e-6
-_LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
 
 
 def optimistix_solver(
@@ -36,4 +35,4 @@ def optimistix_solver(
 
 def optimistix_options(solver: Solver) -> dict[str, Any]:
     """The options with which `optimistix.least_squares` runs it, for forward mode."""
-    return {"jac": "fwd"} if solver.name in _LEAST_SQUARES else {"autodiff_mode": "fwd"}
+    return {"jac": "fwd"} if solver.is_least_squares else {"autodiff_mode": "fwd"}

@@ -7,6 +7,7 @@ import numpy as np
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 # Fraction of the loss.
 _NOISE_OF_POSES = 0.25
+_LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
 _SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam")
 
 
@@ -29,6 +30,11 @@ class Solver(NamedTuple):
     atol: float = 1e-6
     learning_rate: float = 0.05
     noise: float | None = None
+
+    @property
+    def is_least_squares(self) -> bool:
+        """Whether it uses the residuals' Jacobian, rather than the loss' gradient."""
+        return self.name in _LEAST_SQUARES
 
     def for_problem(self, moves: bool) -> "Solver":
         """With the noise of a problem in which lights or meshes move, or do not."""

@@ -11,7 +11,12 @@ from ._abstract import AbstractBias as AbstractBias
 from ._abstract import BiasTerms as BiasTerms
 from ._adaptive import AdaptiveBias as AdaptiveBias
 from ._constant import ConstantBias as ConstantBias
+from ._features import FEATURES as FEATURES
+from ._features import GLSL_INPUTS as GLSL_INPUTS
+from ._linear import LinearBias as LinearBias
 from ._normal_offset import NormalOffset as NormalOffset
+from ._perceptron import MOST_WEIGHTS as MOST_WEIGHTS
+from ._perceptron import PerceptronBias as PerceptronBias
 from ._receiver_plane import ReceiverPlane as ReceiverPlane
 from ._slope import SlopeBias as SlopeBias
 from ._sum import Bias as Bias

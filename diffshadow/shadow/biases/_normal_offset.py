@@ -4,12 +4,12 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, check_choice, check_not_negative
+from ._features import FEATURES
 
 OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]
 
@@ -30,19 +30,6 @@ class NormalOffset(AbstractBias):
         check_not_negative("the normal offset", self.value)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
-        cosine = jnp.clip(receiver.cosine, 0, 1)
-        match self.profile:
-            case "sine":
-                profile = _sine(cosine)
-            case "constant":
-                profile = jnp.ones_like(cosine)
-            case "one_minus_cosine":
-                profile = 1 - cosine
+        profile = FEATURES["one" if self.profile == "constant" else self.profile].of(receiver)
         length = self.value * receiver.texel_size * profile
         return BiasTerms(jnp.zeros_like(length), receiver.normal * length[..., None])
-
-
-def _sine(cosine: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    squared = 1 - cosine * cosine
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

@@ -3,10 +3,8 @@
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete, safe_norm
+from ..._misc import as_float, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import (
@@ -21,6 +19,7 @@ from ._abstract import (
     in_depth,
     optional_float,
 )
+from ._features import FEATURES
 
 SlopeProfile = Literal["tangent", "one_minus_cosine"]
 
@@ -60,10 +59,6 @@ class SlopeBias(AbstractBias):
             raise ValueError(f"the slope bias's least is {least}, above its most, {most}; expected least <= most")
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
-        bias = at_most(at_least(self.value * self._profile(receiver), self.least), self.most)
+        profile = FEATURES["slope" if self.profile == "tangent" else self.profile].of(receiver)
+        bias = at_most(at_least(self.value * profile, self.least), self.most)
         return BiasTerms(in_depth(bias, self.unit, receiver))
-
-    def _profile(self, receiver: Receiver) -> Float[Array, "h w"]:
-        if self.profile == "tangent":
-            return safe_norm(receiver.slope)
-        return 1 - jnp.clip(receiver.cosine, 0, 1)

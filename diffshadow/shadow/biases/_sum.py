@@ -18,9 +18,10 @@ class Bias(AbstractBias):
     """The sum of constant bias, slope bias, normal offset and a bias that uses the receiver's plane.
 
     - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module.
+    - `terms`: a `LinearBias`, a `PerceptronBias` or none.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
-    - `factors`: for a map with layers, such as cascades: by what constant bias, slope bias and normal offset are
-        multiplied in each layer. They are in texels of each layer without it, too.
+    - `factors`: for a map with layers, such as cascades: by what all of these but `plane` are multiplied in
+        each layer. They are in texels of each layer without it, too.
 
     **Raises** `ValueError` if a number is negative or not finite; and when called with `factors` for a map without
     layers.
@@ -31,6 +32,7 @@ class Bias(AbstractBias):
     normal_offset: AbstractBias
     plane: AbstractBias | None
     factors: tuple[Scalar, ...] | None
+    terms: AbstractBias | None
 
     def __init__(
         self,
@@ -39,11 +41,12 @@ class Bias(AbstractBias):
         normal_offset: Any = 0.0,
         plane: AbstractBias | None = None,
         factors: Sequence[float | Scalar] | None = None,
+        terms: AbstractBias | None = None,
     ):
         self.constant = constant if isinstance(constant, AbstractBias) else ConstantBias(constant)
         self.slope = slope if isinstance(slope, AbstractBias) else SlopeBias(slope)
         self.normal_offset = normal_offset if isinstance(normal_offset, AbstractBias) else NormalOffset(normal_offset)
-        self.plane = plane
+        self.plane, self.terms = plane, terms
         self.factors = None if factors is None else tuple(as_float(factor) for factor in factors)
 
     def __check_init__(self):
@@ -52,6 +55,7 @@ class Bias(AbstractBias):
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         terms = self.constant(receiver) + self.slope(receiver) + self.normal_offset(receiver)
+        terms = terms if self.terms is None else terms + self.terms(receiver)
         if self.factors is not None:
             if receiver.layer is None:
                 raise ValueError(

@@ -9,6 +9,7 @@ from ._moments import MomentShadowMap as MomentShadowMap
 from ._pcf import PercentageCloser as PercentageCloser
 from ._pcss import PercentageCloserSoft as PercentageCloserSoft
 from ._random_disk import RandomDisk as RandomDisk
+from ._separable import Separable as Separable
 from ._single import Bilinear as Bilinear
 from ._single import Nearest as Nearest
 from ._tent import Tent as Tent

@@ -3,7 +3,8 @@
 To write a filter, use one of these:
 
 - `mean_of_taps` averages compares at the points of a pattern; `single_tap` makes one compare.
-- `sum_over_rows` sums over a square of texels, weighted by a `SeparableRow` or another `AbstractRow`.
+- `sum_over_rows` sums over a square of texels, weighted by a `SeparableRow`, a `WeightedRow` or another
+  `AbstractRow`.
 - `sum_over` sums over any other `AbstractKernel`, on a map padded by `pad`.
 """
 
@@ -25,3 +26,4 @@ from ._taps import Tap as Tap
 from ._taps import TapMode as TapMode
 from ._taps import mean_of_taps as mean_of_taps
 from ._taps import single_tap as single_tap
+from ._weighted import WeightedRow as WeightedRow

@@ -66,8 +66,9 @@ def convert(config: Config, *, console: Console) -> None:
             except ValueError as error:
                 raise ConfigError([Mistake(config.origin.place(key), ".".join(map(str, key)), str(error))]) from error
             table.print_settings(console, f"{'.'.join(map(str, key))}: {title}", settings)
-    if config.bias.slope or config.bias.plane.type != "none":
-        table.print_lines(console, ["bias.slope and bias.plane are left out: most engines have no such setting"])
+    if config.bias.slope or config.bias.terms.given or config.bias.plane.type != "none":
+        what = "bias.slope, bias.terms and bias.plane are left out: most engines have no such setting"
+        table.print_lines(console, [what])
 
 
 def _converted(

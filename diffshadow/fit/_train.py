@@ -1,0 +1,241 @@
+"""Fits of many numbers to many views.
+
+Residuals of all views do not fit into memory once there are many numbers. The views are therefore scanned: of each, the
+residuals and their Jacobian are compressed to as many rows as there are numbers, by an orthogonal transformation that
+keeps their sums of squares (sequential least squares; Lawson & Hanson, "Solving Least Squares Problems", chapter 27).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from .._misc import as_float
+from .._types import Scalar
+from ..shadow import FittableTechnique, HardCompare, SoftCompare
+from ._anneal import Anneal, check_anneal
+from .problems import TechniqueProblem
+from .solvers import Solver, check_solver, optimistix_options, optimistix_solver
+
+Where = Callable[[Any], Any]
+# A number with a lower bound starts at least this far above it.
+_INSET = 1e-3
+
+
+class TrainingPhase(NamedTuple):
+    """How a phase of a training ended.
+
+    - `width`: of its soft compare, in texels; `steps`: of the solver.
+    - `loss`: the mean square error under that compare; `hard_loss`: under the hard one.
+    """
+
+    width: float
+    steps: int
+    loss: float
+    hard_loss: float
+
+
+class Training(NamedTuple):
+    """What a training found.
+
+    - `technique`: the trained one, with the hard compare.
+    - `initial_loss`, `loss`: its mean square error over all views under the hard compare, before and after.
+    - `phases`: how each went; `chosen`: which of them ended best, -1 if the start was best.
+    """
+
+    technique: FittableTechnique
+    initial_loss: float
+    loss: float
+    phases: list[TrainingPhase]
+    chosen: int
+
+
+def train(
+    problems: Sequence[TechniqueProblem],
+    where: Where,
+    *,
+    lower: Any = -np.inf,
+    solver: Solver | None = None,
+    anneal: Anneal | None = None,
+    on_phase: Callable[[TrainingPhase], None] | None = None,
+) -> Training:
+    """Fits all numbers in a part of a technique, such as a network's weights, to several views.
+
+    It minimises the mean square error over all pixels that count, under a soft compare that hardens from phase to
+    phase. The hard compare judges the start and the end of each phase, and the best is the result. Views whose arrays
+    have equal shapes share a compiled loop, and only one of them at a time has its derivatives in memory.
+
+    **Arguments:**
+
+    - `problems`: views. They start from the technique of the first.
+    - `where`: selects what is trained of a technique: a module or several, whose inexact arrays all are. Calls with
+        the same function share their compiled programs.
+    - `lower`: the least value of what is trained, minus infinity for none: a number, or a tree of numbers with the
+        structure of what `where` returns or its upper part.
+    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
+        pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
+    - `on_phase`: called after each phase.
+
+    **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, a number starts below its
+    least value, or `solver` or `anneal` hold values that make no sense.
+    """
+    solver, anneal = (solver or Solver()).for_problem(False), anneal or Anneal()
+    check_solver(solver)
+    check_anneal(anneal)
+    if not problems:
+        raise ValueError("got no view to train on; expected one or more problems")
+    technique = _with_compare(problems[0].technique, HardCompare())
+    start, _ = ravel_pytree(_selected(technique, where))
+    if not start.size:
+        raise ValueError("where selects no number of the technique; expected some: select a module that holds them")
+    least = _least(lower, _selected(technique, where))
+    if (np.asarray(start) < least).any():
+        raise ValueError("a number starts below its lower bound; expected each at or above it: raise it, or lower it")
+    groups = _stacked([_plain(problem, technique) for problem in problems])
+    if not _count(groups) > 0:
+        raise ValueError("no pixel of any view counts; expected cameras and lights to see the same part of the scene")
+    values, losses, phases = [start], [float(_loss(groups, technique, start, where))], []
+    for width in anneal.widths:
+        soft = _with_compare(technique, SoftCompare(width, anneal.kernel))
+        found, loss, steps = _phase(groups, soft, values[-1], as_float(least), where, solver)
+        values.append(found if np.isfinite(found).all() else values[-1])
+        losses.append(float(_loss(groups, technique, values[-1], where)))
+        phases.append(TrainingPhase(width, int(steps), float(loss), losses[-1]))
+        if on_phase is not None:
+            on_phase(phases[-1])
+    best = int(np.nanargmin(losses))
+    return Training(_put(technique, where, values[best]), losses[0], losses[best], phases, best - 1)
+
+
+def mean_square_error(problems: Sequence[TechniqueProblem], technique: FittableTechnique) -> float:
+    """The mean square error of a technique over all pixels of several views that count, by one compiled program."""
+    groups = _stacked([_plain(problem, technique) for problem in problems])
+    return float(_loss(groups, technique, jnp.zeros(0), _nothing))
+
+
+Groups = list[TechniqueProblem]
+"""Views with arrays of equal shapes, stacked along their first axis."""
+
+
+def _nothing(technique: Any) -> tuple[()]:
+    return ()
+
+
+def _selected(technique: Any, where: Where) -> Any:
+    return eqx.filter(where(technique), eqx.is_inexact_array)
+
+
+def _put(technique: Any, where: Where, values: Float[Array, " p"]) -> Any:
+    """`technique` with `values` (p,) in place of what `where` selects."""
+    selected, rest = eqx.partition(where(technique), eqx.is_inexact_array)
+    _, unravel = ravel_pytree(selected)
+    return eqx.tree_at(where, technique, eqx.combine(unravel(values), rest)) if values.size else technique
+
+
+def _least(lower: Any, selected: Any) -> Float[np.ndarray, " p"]:
+    """The least value of each number (p,)."""
+    spread = jax.tree.map(lambda least, part: jax.tree.map(lambda x: np.full(x.shape, least), part), lower, selected)
+    return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(spread)])
+
+
+def _with_compare(technique: Any, compare: Any) -> Any:
+    if isinstance(compare, HardCompare) and isinstance(technique.compare, HardCompare):
+        return technique
+    return eqx.tree_at(lambda t: t.compare, technique, compare)
+
+
+def _plain(problem: TechniqueProblem, technique: Any) -> TechniqueProblem:
+    """`problem` without its scene, and with the technique that all share."""
+    return TechniqueProblem(technique, problem.shadow_map, problem.surface, problem.reference, problem.mask)
+
+
+def _stacked(problems: Sequence[TechniqueProblem]) -> Groups:
+    groups: dict[Any, list[Any]] = {}
+    for problem in problems:
+        leaves, tree = jax.tree.flatten(problem)
+        groups.setdefault((tree, tuple(leaf.shape for leaf in leaves)), []).append(problem)
+    return [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in groups.values()]
+
+
+def _count(groups: Groups) -> Scalar:
+    return sum((jnp.sum(group.mask) for group in groups), start=jnp.zeros(()))
+
+
+@eqx.filter_jit
+def _loss(groups: Groups, technique: Any, values: Float[Array, " p"], where: Where) -> Scalar:
+    """The mean square error over all views."""
+    technique = _put(technique, where, values)
+
+    # In reverse mode each view is drawn again, so that only one has its intermediate values in memory.
+    @jax.checkpoint
+    def add(total: Scalar, problem: TechniqueProblem) -> tuple[Scalar, None]:
+        return total + jnp.sum(problem.difference(technique) ** 2), None
+
+    total = jnp.zeros(())
+    for group in groups:
+        total, _ = jax.lax.scan(add, total, group)
+    return total / _count(groups)
+
+
+@eqx.filter_jit
+def _phase(
+    groups: Groups, technique: Any, start: Float[Array, " p"], least: Float[Array, " p"], where: Where, solver: Solver
+) -> tuple[Array, Array, Array]:
+    """The values (p,) at the end of a phase, the loss there under the technique's compare, and the solver's steps."""
+    bounded = lambda y: _bounded(y, least)
+
+    def residual(y: Array, args: Any) -> Array:
+        groups, technique = args
+        fixed = jax.lax.stop_gradient(y)
+        rows = _compressed(groups, lambda y: _put(technique, where, bounded(y)), fixed)
+        return rows[:, -1] + jnp.matmul(rows[:, :-1], y - fixed, precision="highest")
+
+    def loss(y: Array, args: Any) -> Array:
+        groups, technique = args
+        return _loss(groups, technique, bounded(y), where)
+
+    quiet, start = (lambda **_: None), _free(start, least)
+    method: Any = optimistix_solver(solver, quiet)
+    views, until = (groups, technique), {"max_steps": solver.max_steps, "throw": False}
+    if solver.is_least_squares:
+        solution = optx.least_squares(residual, method, start, views, optimistix_options(solver), **until)
+    else:
+        # Reverse: its cost does not depend on how many numbers there are.
+        solution = optx.minimise(loss, method, start, views, {"autodiff_mode": "bwd"}, **until)
+    end = bounded(solution.value)
+    return end, _loss(groups, technique, end, where), solution.stats["num_steps"]
+
+
+def _bounded(y: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
+    """`least - 1 + sqrt(y² + 1)`, or `y` where there is no bound: every `y` is allowed, and the bound can be reached
+    (James & Roos, "Minuit", Computer Physics Communications 10, 1975)."""
+    return jnp.where(jnp.isfinite(least), jnp.where(jnp.isfinite(least), least, 0) - 1 + jnp.sqrt(y * y + 1), y)
+
+
+def _free(x: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
+    """The inverse of `_bounded`, for values moved off the bound, where it has no slope."""
+    above = jnp.maximum(jnp.where(jnp.isfinite(least), x - least, 0), _INSET) + 1
+    return jnp.where(jnp.isfinite(least), jnp.sqrt(above * above - 1), x)
+
+
+def _compressed(groups: Groups, of: Callable[[Array], Any], y: Float[Array, " p"]) -> Float[Array, "q q"]:
+    """p + 1 rows with the sums of squares and products of all views' Jacobian and, as last column, their residuals."""
+    size = y.size + 1
+
+    def add(rows: Array, problem: TechniqueProblem) -> tuple[Array, None]:
+        difference = lambda y: problem.difference(of(y)).ravel()
+        push = lambda way: jax.jvp(difference, (y,), (way,))
+        value, columns = jax.vmap(push, out_axes=(None, 0))(jnp.eye(y.size, dtype=y.dtype))
+        own = jnp.concatenate([columns, value[None]]).T
+        return jnp.linalg.qr(jnp.concatenate([rows, own]), mode="r"), None
+
+    rows = jnp.zeros((size, size), y.dtype)
+    for group in groups:
+        rows, _ = jax.lax.scan(add, rows, group)
+    return rows / jnp.sqrt(_count(groups))

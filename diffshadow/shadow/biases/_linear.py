@@ -1,0 +1,51 @@
+"""A linear combination of what a shader knows of the receiver."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._misc import as_float, concrete
+from ..._types import Scalar
+from .._receiver import Receiver
+from ._abstract import AbstractBias, BiasTerms, at_least, in_depth
+from ._features import FEATURES, check_features
+
+
+class LinearBias(AbstractBias):
+    """`max(0, Σ weight · feature)`, in texels along the light's axis.
+
+    A constant and a slope bias of tangent are the terms `one` and `slope`.
+
+    - `weights`: by the feature's name, in texels per unit of the feature; of any sign. Features:
+        - `one`: 1;
+        - `slope`: the norm of the receiver's depth slope in the map, as of `SlopeBias`;
+        - `sine`, `one_minus_cosine`: sin θ and 1 - cos θ, with θ the angle between normal and light;
+        - `texel_size`: the width of a texel at the receiver, in percent of the map's depth range;
+        - `distance`: along the light's axis, 0 at the map's near plane and 1 at its far plane;
+        - `blocker_distance`: how far in front of the receiver the map's depth at its own texel is, in texels, from 0 to
+            16.
+
+    **Raises** `ValueError` if there is none, one has another name, or a weight is not finite.
+    """
+
+    weights: dict[str, Scalar]
+
+    def __init__(self, weights: Mapping[str, float | Scalar]):
+        self.weights = {name: as_float(weight) for name, weight in weights.items()}
+
+    def __check_init__(self):
+        check_features("the linear bias", list(self.weights))
+        for name, weight in self.weights.items():
+            known = concrete(weight)
+            if known is not None and not np.isfinite(known):
+                raise ValueError(f"the linear bias's weight of {name} is {known}; expected a finite number of texels")
+
+    def total(self, receiver: Receiver) -> Float[Array, "h w"]:
+        """The sum of all terms, in texels; of any sign."""
+        terms = (weight * FEATURES[name].of(receiver) for name, weight in self.weights.items())
+        return sum(terms, start=jnp.zeros_like(receiver.cosine))
+
+    def __call__(self, receiver: Receiver) -> BiasTerms:
+        return BiasTerms(in_depth(at_least(self.total(receiver), as_float(0)), "texels", receiver))

@@ -1,0 +1,128 @@
+"""A small multilayer perceptron of what a shader knows of the receiver."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._misc import as_float
+from .._receiver import Receiver
+from ._abstract import AbstractBias, BiasTerms, at_least, in_depth
+from ._features import FEATURES
+from ._linear import LinearBias
+
+MOST_WEIGHTS = 100
+"""The most weights of a perceptron, its linear terms included: a shader evaluates them for each pixel."""
+
+
+class PerceptronBias(AbstractBias):
+    """A linear bias and a perceptron that corrects it, `max(0, linear + wₙ · tanh(... tanh(W₁ x + b₁) ...))`, in texels
+    along the light's axis.
+
+    The perceptron's inputs are the features of the linear terms but `one`, each squashed to `x = f / (1 + f)`.
+
+    - `linear`: the linear terms.
+    - `hidden`: the hidden layers, from the first; of each, `weight` (out, in) and `bias` (out,).
+    - `last`: (n,), the weights of the last hidden layer's values, in texels.
+
+    **Raises** `ValueError` if the layers' sizes do not fit together, or there are more than `MOST_WEIGHTS` weights.
+    """
+
+    linear: LinearBias
+    hidden: tuple[eqx.nn.Linear, ...]
+    last: Float[Array, " n"]
+
+    @classmethod
+    def correcting(cls, linear: LinearBias, sizes: Sequence[int] = (8,), seed: int = 0) -> "PerceptronBias":
+        """A perceptron that gives what `linear` gives: its last weights are 0, those of its hidden layers random.
+
+        **Arguments:**
+
+        - `sizes`: of the hidden layers.
+
+        **Raises** as the class does.
+        """
+        keys = jax.random.split(jax.random.key(seed), len(sizes))
+        widths = [len(_inputs(linear)), *sizes]
+        layers = [
+            eqx.nn.Linear(before, after, key=key, dtype=jnp.result_type(float))
+            for before, after, key in zip(widths, sizes, keys, strict=False)
+        ]
+        return cls(linear, tuple(layers), jnp.zeros(widths[-1]))
+
+    @classmethod
+    def of(
+        cls,
+        linear: LinearBias,
+        hidden: Sequence[tuple[Sequence[Sequence[float]], Sequence[float]]],
+        last: Sequence[float],
+    ) -> "PerceptronBias":
+        """The perceptron with these numbers: of each hidden layer its weights, row by row, and its biases.
+
+        **Raises** as the class does, and if rows of weights differ in length.
+        """
+        layers = []
+        for weight, bias in hidden:
+            lengths = {len(row) for row in weight}
+            if len(lengths) != 1:
+                raise ValueError(f"rows of the perceptron's weights have lengths {sorted(lengths)}; expected all equal")
+            empty = eqx.nn.Linear(lengths.pop(), len(weight), key=jax.random.key(0))
+            layers.append(eqx.tree_at(lambda x: (x.weight, x.bias), empty, (as_float(weight), as_float(bias))))
+        return cls(linear, tuple(layers), as_float(last))
+
+    def __check_init__(self):
+        inputs = len(self.inputs)
+        shapes = [layer.weight.shape for layer in self.hidden]
+        before = [inputs, *(rows for rows, _ in shapes)]
+        fits = bool(shapes) and before == [*(columns for _, columns in shapes), self.last.size]
+        biased = all(layer.bias is not None and layer.bias.shape == layer.weight.shape[:1] for layer in self.hidden)
+        if not (fits and biased):
+            given = ", ".join(f"{rows} x {columns}" for rows, columns in [*shapes, (1, self.last.size)])
+            raise ValueError(
+                f"the perceptron has {inputs} inputs and layers of {given} weights; expected one or more hidden "
+                "layers, each with as many columns as the one before has rows, and a bias for each row"
+            )
+        if self.count > MOST_WEIGHTS:
+            raise ValueError(
+                f"the perceptron has {self.count} weights; expected at most {MOST_WEIGHTS}: take smaller layers, or "
+                "fewer terms"
+            )
+
+    @property
+    def weights(self) -> dict[str, Any]:
+        """Of the linear terms."""
+        return self.linear.weights
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The names of the features that the perceptron sees."""
+        return _inputs(self.linear)
+
+    @property
+    def count(self) -> int:
+        """How many weights there are, with those of the linear terms."""
+        return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(self, eqx.is_inexact_array)))
+
+    def __call__(self, receiver: Receiver) -> BiasTerms:
+        values = jnp.stack([_squashed(FEATURES[name].of(receiver)) for name in self.inputs])
+        for layer in self.hidden:
+            offset = jnp.asarray(layer.bias)[:, None, None]
+            values = jnp.tanh(_weighted(layer.weight, values) + offset)
+        total = self.linear.total(receiver) + _weighted(self.last[None], values)[0]
+        return BiasTerms(in_depth(at_least(total, as_float(0)), "texels", receiver))
+
+
+def _inputs(linear: LinearBias) -> tuple[str, ...]:
+    # In the order of the table: JAX sorts the keys of mappings.
+    return tuple(name for name in FEATURES if name in linear.weights and name != "one")
+
+
+def _squashed(feature: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    return feature / (1 + feature)
+
+
+def _weighted(weight: Float[Array, "m n"], values: Float[Array, "n h w"]) -> Float[Array, "m h w"]:
+    return jnp.tensordot(weight, values, 1, precision="highest")
