@@ -213,8 +213,9 @@ def test_worst_view_is_better_by_its_own_loss_and_all_worst_views_are_all(views)
     )
     by_mean, by_worst = (root_errors(views, found.technique) for found in (mean, worst))
     assert max(by_worst) < 0.97 * max(by_mean)
-    # At the least of the greatest error of two, both are equal.
-    assert max(by_worst) == pytest.approx(min(by_worst), rel=0.05)
+    at = lambda radius: with_values(disk(), ("filter.radius",), jnp.array([radius]))
+    least = min(max(root_errors(views, at(radius))) for radius in np.linspace(2.4, 4.5, 22).tolist())
+    assert max(by_worst) < 1.02 * least
     assert all_of_them.fitted["filter.radius"] == pytest.approx(mean.fitted["filter.radius"], abs=1e-3)
     # The judge has the maximum itself.
     assert worst.phases[worst.chosen].hard_loss == pytest.approx(max(by_worst) ** 2, rel=1e-4)
@@ -273,10 +274,10 @@ def test_a_sample_of_more_than_count_is_all_of_them(views):
     assert float(mean_square_error(none, mapping)) == 0
 
 
-def test_only_several_views_with_more_pixels_are_sampled(views):
+def test_views_are_sampled_only_where_more_pixels_count(views):
     joint, pixels = Joint.of(views), sum(int(each.mask.sum()) for each in views)
     assert joint.sampled(pixels) is joint
-    assert Joint.of(views[0]).sampled(100).problems[0].reference.shape == (64, 64)
+    assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 32)
     sampled = joint.sampled(640)
     assert [each.reference.shape for each in sampled.problems] == [(16, 32)] * 2
     # Views keep their shares.

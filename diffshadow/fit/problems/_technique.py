@@ -121,9 +121,10 @@ class TechniqueProblem(AbstractProblem):
         taken = np.minimum(sizes, runs)
         # Pixels of a place follow one another; the last entry is for places without any.
         sorted_by_place = np.append(counting[np.argsort(place, kind="stable")], 0)
-        lengths = sizes / np.maximum(taken, 1)
-        within = (np.arange(runs) + np.random.default_rng(seed).random((places, runs))) * lengths
-        chosen = np.cumsum(sizes)[:, None] - sizes + np.minimum(within.astype(np.int64), np.maximum(sizes - 1, 0))
+        ends = np.arange(runs + 1) * sizes // np.maximum(taken, 1)
+        lengths = np.diff(ends)
+        within = ends[:, :-1] + (np.random.default_rng(seed).random((places, runs)) * lengths).astype(np.int64)
+        chosen = np.cumsum(sizes)[:, None] - sizes + np.minimum(within, np.maximum(sizes - 1, 0))
         in_tiles = lambda values: values.reshape(_TILE, _TILE, runs).transpose(0, 2, 1).reshape(_TILE, -1)
         pixels, weight = in_tiles(sorted_by_place[chosen]), np.broadcast_to(np.asarray(self.weight), self.mask.shape)
         gathered = lambda image: np.asarray(image).reshape(-1, *image.shape[2:])[pixels]
@@ -134,7 +135,7 @@ class TechniqueProblem(AbstractProblem):
             reference=jnp.asarray(gathered(self.reference)),
             mask=jnp.asarray(in_tiles(np.arange(runs) < taken)),
             scene=self.scene,
-            weight=gathered(weight) * in_tiles(np.broadcast_to(lengths, (places, runs))),
+            weight=gathered(weight) * in_tiles(lengths),
         )
 
     def padded(self) -> "TechniqueProblem":
