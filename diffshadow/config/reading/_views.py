@@ -4,6 +4,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,13 @@ def _views(
                 changed = written(changed, choice, draft.origin)
             views.append(View(name, check(changed)))
         except ConfigError as error:
-            mistakes |= {(mistake.key, mistake.message): mistake for mistake in error.mistakes}
+            named = [replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
+            # A fault of all views is said once, for the first.
+            mistakes |= {
+                (each.key, each.message): full
+                for each, full in zip(error.mistakes, named, strict=True)
+                if (each.key, each.message) not in mistakes
+            }
     if mistakes:
         raise ConfigError(mistakes.values())
     for view in views:

@@ -1,10 +1,11 @@
 """The views of a fit: its own scene, or those of `fit.views` and `fit.validation`."""
 
+import dataclasses
 import itertools
 from typing import NamedTuple
 
 from ... import shadow
-from ...config import Config, build_technique
+from ...config import Config, ConfigError, build_technique
 from ._progress import Stages
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, Loaded, draw, load
@@ -82,7 +83,11 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
 
 def _drawn(name: str, config: Config, stages: Stages) -> Seen:
-    loaded = load(config, stages)
-    drawn = draw(config, loaded, build_technique(config), stages)
+    try:
+        loaded = load(config, stages)
+        drawn = draw(config, loaded, build_technique(config), stages)
+    except ConfigError as error:
+        named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
+        raise ConfigError(named) from error
     key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
     return Seen(name, config, [each._replace(key=key(each)) for each in drawn])
