@@ -148,6 +148,22 @@ def test_values_do_best_where_they_were_fitted():
 
 
 @pytest.mark.exhaustive
+def test_joint_fits_of_views_are_measured_on_a_grid_and_on_other_views():
+    axes = "{grid: {scene.light.azimuth: [-150, -60, 30]}}"
+    unseen = "{grid: {scene.light.azimuth: [-100, 80]}}"
+    found = run("many_views", f"fit.views={axes}", f"fit.validation={unseen}", size=7)
+    assert set(found["fits"]) == {"mean", "worst"}
+    for name, fitted in found["fits"].items():
+        assert fitted["ratio"] == pytest.approx(fitted["fit"]["rmse"] / fitted["grid"]["rmse"]), name
+        assert fitted["ratio"] < 1.1, "a coarse grid is no better"
+    assert found["fits"]["worst"]["fit"]["rmse"] >= found["fits"]["mean"]["fit"]["rmse"]
+    assert [row["fitted_on"] for row in found["rows"]] == [f"azimuth {azimuth}" for azimuth in (-150, -60, 30)]
+    single = np.mean([row["rmse_unseen"] for row in found["rows"]])
+    assert found["validation"]["single view"]["mean"] == pytest.approx(single)
+    assert found["gain"]["mean"] == pytest.approx(found["validation"]["joint, mean"]["mean"] / single)
+
+
+@pytest.mark.exhaustive
 def test_nothing_changes_with_the_scale():
     found = run("scale_invariance", scales="0.01,100")
     assert [row["scale"] for row in found["rows"]] == [0.01, 1, 100]
@@ -186,6 +202,7 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
         ("generalisation", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
         ("learned_bias", ["tiny.yaml", "--views", "0"], "expected 1 to 10"),
         ("learned_bias", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
+        ("many_views", ["tiny.yaml"], "fit.views: is missing"),
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
 )

@@ -109,7 +109,14 @@ def print_validation(
     console: Console, views: int, before: Mapping[str, float | None], after: Mapping[str, float | None]
 ) -> None:
     """Prints the errors before and after a fit over views that it has not seen."""
-    table = Table("", "before", "after", "unit", title=f"{views} views for validation", title_justify="left")
+    table = Table(
+        "",
+        "before",
+        "after",
+        "unit",
+        title=f"{views} view{'' if views == 1 else 's'} for validation",
+        title_justify="left",
+    )
     for column in table.columns[1:3]:
         column.justify = "right"
     _add_errors(table, before, after)

@@ -1,0 +1,103 @@
+"""Fits over views: what the folder, the page and the terminal say of views that the fit sees, and of others."""
+
+import io as text_io
+import json
+import shutil
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scenes import fit_section, staying_in
+
+from diffshadow import io, study
+from diffshadow.config import ConfigError, parse_config
+
+TEXT = """
+name: views
+scene:
+  meshes:
+    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [48, 48], orbit: {distance: 3}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [128, 128]}
+filter: {samples: 8, pattern_size: 4, radius: 1}
+bias: {constant: 0.1}
+reference: {samples: 8}
+output: runs
+"""
+TEXT += fit_section(bias=10, radius=8, max_steps=3, anneal="{phases: 2}")
+VIEWS = [
+    "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
+    "fit.validation={list: [{label: low, scene.light.elevation: 25}]}",
+]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of a fit over two views, and what was printed."""
+    out = text_io.StringIO()
+    with staying_in(tmp_path_factory.mktemp("views")):
+        settings = [*VIEWS, "fit.intervals=[0.05]", "fit.front=3", "fit.prefer=least_bias"]
+        folder = study.run_fit(parse_config(TEXT, settings, fitting=True), console=Console(file=out, width=100))
+        return folder.absolute(), out.getvalue()
+
+
+def test_errors_of_views_add_up_and_those_of_the_validation_are_apart(run):
+    folder, printed = run
+    measured = json.loads((folder / "result.json").read_text())["metrics"]
+    lights, masks = measured["lights"], np.load(folder / "arrays.npz")["mask"]
+    assert [light["light"] for light in lights] == ["azimuth -150", "azimuth -30", "low"]
+    assert [light["validation"] for light in lights] == [False, False, True]
+    pixels = masks.sum(axis=(1, 2))
+    assert measured["pixels"] == pixels.sum()
+    for when in ("before", "after"):
+        squares = [light[when]["rmse"] ** 2 for light in lights]
+        assert measured[when]["rmse"] == pytest.approx(np.average(squares[:2], weights=pixels[:2]) ** 0.5, rel=1e-5)
+        assert measured["validation"][when]["rmse"] == pytest.approx(squares[2] ** 0.5, rel=1e-6)
+    assert measured["after"]["rmse"] < measured["before"]["rmse"]
+    after = [light["after"]["rmse"] for light in lights]
+    assert measured["shown"] == sorted(range(3), key=lambda i: -after[i])
+    assert "1 view for validation" in printed
+
+
+def test_the_page_shows_views_worst_first_and_how_sure_the_values_are(run):
+    folder, printed = run
+    page, measured = (folder / "report.html").read_text(), json.loads((folder / "result.json").read_text())
+    names = [measured["metrics"]["lights"][i]["light"] for i in measured["metrics"]["shown"]]
+    places = [page.index(f'<th scope="row">{name}</th>') for name in names]
+    assert places == sorted(places)
+    for heading in ("View by view, the worst first", "How sure the values are", "False shadow against false light"):
+        assert heading in page
+    for name in measured["fitted"]:
+        interval = measured["profiles"][name]["intervals"][0]
+        assert interval["lower"]["value"] <= measured["profiles"][name]["best"]["value"] <= interval["upper"]["value"]
+    assert "within 5 %" in printed
+    assert "knee" in printed
+    # It can be made again, from the folder alone.
+    before = page
+    study.report(folder)
+    assert (folder / "report.html").read_text() == before
+
+
+def test_a_stored_view_that_does_not_exist_is_damage(run, tmp_path):
+    folder = shutil.copytree(run[0], tmp_path / "views")
+    result = json.loads((folder / "result.json").read_text())
+    result["metrics"]["shown"] = [3]
+    (folder / "result.json").write_text(json.dumps(result))
+    with pytest.raises(io.FileError, match=r"metrics\.shown: is \[3\]; expected less than 3"):
+        study.report(folder)
+
+
+def test_a_view_that_sees_nothing_is_named(tmp_path):
+    away = "{label: away, scene.camera: {resolution: [48, 48], eye: [0, 5, 0], target: [0, 10, 1]}}"
+    config = parse_config(TEXT, [f"fit.views={{list: [{away}]}}"], fitting=True)
+    with staying_in(tmp_path), pytest.raises(ConfigError, match=r"behind the camera.*\(in the view away\)"):
+        study.run_fit(config, console=Console(quiet=True))
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_render_takes_a_configuration_with_views(tmp_path):
+    with staying_in(tmp_path):
+        folder = study.run_render(parse_config(TEXT, VIEWS), console=Console(quiet=True))
+        assert len(json.loads((folder / "result.json").read_text())["metrics"]["lights"]) == 1
