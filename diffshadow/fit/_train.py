@@ -20,7 +20,7 @@ from .._misc import as_float
 from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
 from ._anneal import Anneal, check_anneal
-from .problems import TechniqueProblem
+from .problems import TechniqueProblem, of_one_structure, together
 from .solvers import Solver, check_solver, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
@@ -156,11 +156,7 @@ def _plain(problem: TechniqueProblem, technique: Any) -> TechniqueProblem:
 
 
 def _stacked(problems: Sequence[TechniqueProblem]) -> Groups:
-    groups: dict[Any, list[Any]] = {}
-    for problem in problems:
-        leaves, tree = jax.tree.flatten(problem)
-        groups.setdefault((tree, tuple(leaf.shape for leaf in leaves)), []).append(problem)
-    return [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in groups.values()]
+    return [together(group) for group in of_one_structure(problems)]
 
 
 def _count(groups: Groups) -> Scalar:

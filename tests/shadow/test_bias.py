@@ -246,7 +246,9 @@ def test_perceptron_is_its_formula():
 def test_blockers_count_to_sixteen_texels_and_not_behind_the_receiver():
     at = receivers_at(np.zeros(3))
     at = eqx.tree_at(lambda at: at.stored, at, jnp.array([[0.4, 0.5005, 1.0]]))
-    np.testing.assert_allclose(LinearBias({"blocker_distance": 1.0})(at).depth[0], [0.016, 0, 0], rtol=1e-4, atol=1e-9)
+    # A constant beside it, since no bias is negative.
+    bias = LinearBias({"one": 1.0, "blocker_distance": 1.0})
+    np.testing.assert_allclose(bias(at).depth[0], [0.017, 0.001, 0.001], rtol=1e-4, atol=1e-9)
 
 
 def test_terms_of_a_bias_add_up():

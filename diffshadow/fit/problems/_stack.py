@@ -36,11 +36,21 @@ class Stack(eqx.Module):
 
 
 def stacked(problems: Sequence[AbstractProblem]) -> tuple[AbstractProblem | Stack, ...]:
-    """Fits of a technique that are of one structure as a `Stack`; all other problems as they are, in their order."""
-    groups: dict[Any, list[AbstractProblem]] = {}
-    for i, problem in enumerate(problems):
+    """Fits of a technique that are of one structure as a `Stack`; all other problems as they are."""
+    alone = tuple(problem for problem in problems if not isinstance(problem, TechniqueProblem))
+    groups = of_one_structure([problem for problem in problems if isinstance(problem, TechniqueProblem)])
+    return (*(group[0] if len(group) == 1 else Stack(together(group)) for group in groups), *alone)
+
+
+def of_one_structure(problems: Sequence[TechniqueProblem]) -> list[list[TechniqueProblem]]:
+    """The problems in groups whose arrays have equal shapes."""
+    groups: dict[Any, list[TechniqueProblem]] = {}
+    for problem in problems:
         leaves, structure = jax.tree.flatten(problem)
-        key = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
-        groups.setdefault(key if isinstance(problem, TechniqueProblem) else i, []).append(problem)
-    together = lambda group: Stack(jax.tree.map(lambda *leaves: jnp.stack(leaves), *group))
-    return tuple(group[0] if len(group) == 1 else together(group) for group in groups.values())
+        groups.setdefault((structure, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(problem)
+    return list(groups.values())
+
+
+def together(problems: Sequence[TechniqueProblem]) -> TechniqueProblem:
+    """One problem whose arrays have a leading axis for the images."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
