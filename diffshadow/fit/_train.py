@@ -211,13 +211,15 @@ def _phase(
 def _bounded(y: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
     """`least - 1 + sqrt(y² + 1)`, or `y` where there is no bound: every `y` is allowed, and the bound can be reached
     (James & Roos, "Minuit", Computer Physics Communications 10, 1975)."""
-    return jnp.where(jnp.isfinite(least), jnp.where(jnp.isfinite(least), least, 0) - 1 + jnp.sqrt(y * y + 1), y)
+    # sqrt(y² + 1) - 1 without a difference, which rounding could carry below the bound.
+    above = y * y / (jnp.sqrt(y * y + 1) + 1)
+    return jnp.where(jnp.isfinite(least), least + above, y)
 
 
 def _free(x: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
     """The inverse of `_bounded`, for values moved off the bound, where it has no slope."""
-    above = jnp.maximum(jnp.where(jnp.isfinite(least), x - least, 0), _INSET) + 1
-    return jnp.where(jnp.isfinite(least), jnp.sqrt(above * above - 1), x)
+    above = jnp.maximum(jnp.where(jnp.isfinite(least), x - least, 0), _INSET)
+    return jnp.where(jnp.isfinite(least), jnp.sqrt(above * (above + 2)), x)
 
 
 def _compressed(groups: Groups, of: Callable[[Array], Any], y: Float[Array, " p"]) -> Float[Array, "q q"]:

@@ -635,19 +635,19 @@ def test_validating_loads_no_matplotlib():
 
 @pytest.fixture
 def readme():
-    """The Python of the README and of docs/usage.md, one block each."""
+    """The Python of the README and of docs/usage.md, block by block."""
     shutil.copytree(ROOT / "configs", "configs")
     blocks = []
     for page in ("README.md", "docs/usage.md"):
-        (block,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
-        blocks.append(compile(block, page, "exec"))
+        for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL):
+            blocks.append(compile(block, page, "exec"))
     return blocks
 
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs(readme, capsys, monkeypatch):
     """But for the fit of the sun, which compiles for minutes: of that, the problem is made and its start set."""
-    names, (technique, sun) = {}, readme
+    names, (technique, sun, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
 
@@ -659,13 +659,16 @@ def test_python_of_the_readme_runs(readme, capsys, monkeypatch):
     exec(sun, names)
     assert isinstance(names["problem"], fit.PoseProblem)
     assert "Arrangement" in capsys.readouterr().out
+    exec(training, names)
+    assert names["found"].loss <= names["found"].initial_loss
+    assert "float shadow_visibility(" in capsys.readouterr().out
 
 
 @pytest.mark.exhaustive
 def test_readme_finds_the_sun_where_it_says(readme, capsys):
-    names = {}
-    for block in readme:
-        exec(block, names)
+    names, (technique, sun, _) = {}, readme
+    exec(technique, names)
+    exec(sun, names)
     found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
     assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
 
