@@ -12,6 +12,8 @@ _CLOSE = 0.1
 _TRIALS, _NARROW = 12, 1e-4
 # The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
 _FIRST, _LEAST_GROWTH, _MOST_GROWTH = 0.01, 1.3, 4.0
+# Later ones keep away from those on both sides by this part of their distance.
+_MARGIN = 0.1
 # A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
 _BETTER, _RESTARTS = 1e-3, 4
 
@@ -89,12 +91,15 @@ class Profiler:
 
         The first parameter goes as far as it can; the next as far as it then can, and so on.
         """
-        names, kept, limit = [p.name for p in self.parameters], [], (1 + within) * self.best.error
-        at = self.best
-        for name, side in order:
-            index = names.index(name)
-            at = self._furthest(at, index, side, limit, kept)
-            kept.append(index)
+        names, at = [p.name for p in self.parameters], self.best
+        for _ in range(_RESTARTS):
+            best = at = self.best
+            kept: list[int] = []
+            for name, side in order:
+                at = self._furthest(at, names.index(name), side, (1 + within) * best.error, kept)
+                kept.append(names.index(name))
+            if self.best == best:
+                break
         return at
 
     def _profile(self, index: int, within: Sequence[float]) -> Profile:
@@ -152,6 +157,8 @@ class Profiler:
         """The best with the parameter at `value`, from the values of a trial that is near."""
         moved = (*near.values[:index], value, *near.values[index + 1 :])
         again = self.run.refitted(moved, (*kept, index))
+        # Not rounded to single precision, so that a bound is met exactly.
+        again = (*again[:index], value, *again[index + 1 :])
         trial = Trial(again, self.run.error(again))
         if trial.error <= limit or again == moved:
             return trial
@@ -167,7 +174,8 @@ class Profiler:
             near = inside.values[index] - here
             part = (limit**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
             reach = (near**2 + part * (far**2 - near**2)) ** 0.5
-            reach = min(max(reach, abs(near) + 0.1 * abs(far - near)), abs(near) + 0.9 * abs(far - near))
+            margin = _MARGIN * abs(far - near)
+            reach = min(max(reach, abs(near) + margin), abs(far) - margin)
         elif far == 0:
             reach = _FIRST * (parameter.upper - parameter.lower)
         else:

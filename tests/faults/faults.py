@@ -1754,8 +1754,8 @@ _FIT = (
     _fault(
         "preference: the first moves again for the second",
         "fit/_profile.py",
-        "            kept.append(index)",
-        "            kept.append(0) if False else None",
+        "                kept.append(names.index(name))",
+        "                kept.clear()",
         "test_sureness.py",
     ),
     _fault(

@@ -37,7 +37,7 @@ class Bowl(Run):
             u = -SLANT * v if 1 in kept else 0.0
         if 1 not in kept:
             v = -SLANT * u
-        return (float(BEST[0] + u), float(BEST[1] + v))
+        return (float(np.float32(BEST[0] + u)), float(np.float32(BEST[1] + v)))
 
 
 def half_width(within):
@@ -63,6 +63,7 @@ def test_intervals_end_where_the_error_reaches_its_limit():
 
 
 def test_an_interval_ends_at_a_bound_or_at_a_jump():
+    # 2.98 is no number of single precision, in which the others are fitted again.
     narrow = [Parameter("a", 3.0, 2.98, 10.0), BOUNDS[1]]
     (profile, _) = Profiler(Bowl(jump=3.02), narrow, BEST).profiles([0.05])
     (interval,) = profile.intervals
