@@ -293,7 +293,7 @@ def test_verdict_claims_no_difference_below_the_noise():
     assert "of 128² instead of 64² texels: an RMSE of 0.0405, the same within the reference's noise of 0.0010" in said
     assert "in 2.00 times the time" in said
     assert "Disk instead of tent: an RMSE of 0.0600, 50 % more, in 1.50 times the time" in said
-    # The fastest is told once.
+    # The fastest is named once.
     assert "The fastest" not in said
     nearest = candidate("n", 0.08, 1.0, filter="nearest", resolution=(32, 32))
     said = " ".join(verdict(findings(wide, disk, nearest)))
@@ -392,7 +392,7 @@ def test_advice_that_is_started_again_fits_and_times_nothing_twice(finished, mon
     with staying_in(folder.parent.parent):
         run(advice)
     assert result_of(folder)["advice"] == before
-    # Another set of techniques is timed anew.
+    # Other techniques are timed again.
     (folder / "measured.json").write_text('{"ids": [], "times": [], "enough": {}}')
     with staying_in(folder.parent.parent), pytest.raises(pytest.fail.Exception, match="measured again"):
         run(advice)

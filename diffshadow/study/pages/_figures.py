@@ -44,7 +44,7 @@ def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = st
 def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
     for i, light in enumerate(run.shown):
         if run.kind == "fit":
-            # Of several views, the first is shaded.
+            # Only the first of several views has a shaded picture.
             is_shaded = i == 0 or "shown" not in run.result["metrics"]
             yield f"comparison{light.end}", comparison(light, run.shaded[-1:] if is_shaded else [])
             continue

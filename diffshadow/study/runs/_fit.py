@@ -247,7 +247,7 @@ def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[
     from ..pages import _figures as figures
     from ..pages._report import write_report
 
-    # Of several views, the worst is shown shaded.
+    # Only the worst of several views has a shaded picture.
     worst = fitted.views.of(fitted.shown[0])
     drawn, arrays = fitted.drawn, {**_arrays(fitted), **shaded[worst]}
     run = stored(draft, result, arrays, fitted.config)
