@@ -16,6 +16,9 @@ shadow_map: {resolution: [64, 64]}
 SUN = "{count: 3, latitude: 0, day: 80, first: 9, last: 15}"
 
 
+SUN_IS_FITTED = "fit.parameters={scene.light.azimuth: {lower: -90, upper: 90}}"
+
+
 @pytest.fixture(autouse=True)
 def apart(tmp_path):
     with staying_in(tmp_path):
@@ -79,6 +82,41 @@ def test_files_come_in_order_from_beside_the_configuration(tmp_path):
     assert len(load_sweep(folder / "sweep.yaml").runs) == 6
 
 
+def test_what_is_written_out_has_the_same_views():
+    axes = [
+        "fit.views={grid: {scene.meshes.0.path: ['builtin:box', 'builtin:torus']}, sun: {count: 2, turn: 30}}",
+        "fit.validation={path: {count: 2, through: {scene.camera.orbit.azimuth: [100, 200]}}}",
+        "fit.loss={over: cvar, fraction: 0.25, false_light: 2}",
+    ]
+    config = parse_config(TEXT, axes, fitting=True)
+    again = parse_config(dump_resolved(config), fitting=True)
+    assert again == config
+    assert (len(again.views), len(again.validation)) == (4, 2)
+    assert (again.views, again.validation) == (config.views, config.validation)
+
+
+def test_runs_of_a_sweep_are_told_apart_by_their_views_and_the_content_of_their_meshes():
+    sweep = "\nsweep: {run: fit, grid: {seed: [1, 2]}}\n"
+
+    def ids(axes):
+        Path("s.yaml").write_text(TEXT + sweep + f"fit: {{views: {axes}}}\n")
+        return [run.id for run in load_sweep(Path("s.yaml")).runs]
+
+    write = lambda x: Path("a.obj").write_text(f"v 0 0 0\nv {x} 0 0\nv 0 1 0\nf 1 2 3\n")
+    own, files = "{grid: {scene.light.azimuth: [0, 10]}}", "{files: {scene.meshes.0.path: '*.obj'}}"
+    write(1)
+    first, other, of_file = ids(own), ids("{grid: {scene.light.azimuth: [0, 11]}}"), ids(files)
+    assert ids(own) == first
+    assert len({*first, *other, *of_file}) == 6
+    Path("a.obj").rename("b.obj")
+    assert ids(files) == of_file, "the content counts, not the name"
+    # The content is read once per path and process.
+    Path("b.obj").rename("c.obj")
+    with Path("c.obj").open("a") as file:
+        file.write("v 0 0 1\n")
+    assert not {*ids(files)} & {*of_file}
+
+
 def test_views_have_short_names_where_these_tell_them_apart():
     grid = "{grid: {scene.meshes.0.path: ['builtin:box', 'builtin:torus'], scene.light.azimuth: [0, 33.33333]}}"
     assert [view.name for view in views(grid)] == [
@@ -124,7 +162,8 @@ def test_a_validation_view_that_the_fit_sees_is_refused():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["fit.parameters={scene.light.azimuth: {lower: -90, upper: 90}}", "fit.views={sun: {count: 2}}"], "fit.views"),
+        ([SUN_IS_FITTED, "fit.views={grid: {scene.light.elevation: [20, 40]}}"], "are given in a fit of lights"),
+        ([SUN_IS_FITTED, "fit.validation={grid: {scene.light.elevation: [20]}}"], "is given in a fit of lights"),
         (["fit.prefer=bias.slope"], "names bias.slope, which is not fitted"),
         (["fit.prefer=least_bias", "fit.parameters={filter.radius: {lower: 0, upper: 4}}"], "no bias is fitted"),
         (["fit.front=2"], "fit.front: is 2"),

@@ -8,6 +8,7 @@ import pytest
 from scenes import covered, floor_and_card, problem, shadows, sun, technique
 
 from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
+from diffshadow.fit._phases import phases_of
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
 from diffshadow.fit.problems._stack import Stack
@@ -282,6 +283,15 @@ def test_views_are_sampled_only_where_more_pixels_count(views):
     assert [each.reference.shape for each in sampled.problems] == [(16, 32)] * 2
     # Views keep their shares.
     np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
+
+
+def test_last_phase_of_the_worst_view_takes_no_sample(views):
+    pixels = lambda loss: [p.pixels for p in phases_of(Joint.of(views, loss), ["filter.radius"], SHORT, None, 640)]
+    assert pixels(Loss()) == [640, 640]
+    for over in ("worst", "cvar"):
+        first, last = pixels(Loss(over))
+        assert first == 640
+        assert last > 1 << 60
 
 
 def test_a_fit_to_a_sample_ends_near_that_to_all(views):
