@@ -80,6 +80,8 @@ def test_files_come_in_order_from_beside_the_configuration(tmp_path):
         TEXT + "sweep: {files: {scene.meshes.0.path: meshes/*.obj}, grid: {seed: [1, 2]}}\n"
     )
     assert len(load_sweep(folder / "sweep.yaml").runs) == 6
+    given = "sweep.files={scene.meshes.0.path: 'inner/meshes/[ab].obj'}"
+    assert len(load_sweep(folder / "sweep.yaml", [given]).runs) == 4
 
 
 def test_what_is_written_out_has_the_same_views():

@@ -189,14 +189,15 @@ def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
     )
 
 
-def test_problems_of_two_structures_are_a_stack_and_a_problem(views):
+def test_problems_of_several_structures_are_a_stack_and_problems(views):
     spot = problem(disk(), "spot", image=48, texels=48, target=disk(3.0, 0.8))
-    mapping = disk(2.0, 0.4)
-    joint = Joint.of([views[0], spot, views[1]]).stacked()
-    assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem]
-    pixels = np.array([float(each.mask.sum()) for each in (*views, spot)])
+    # Of the stack's kind, but smaller.
+    small, mapping = problem(disk(), image=48, texels=48, target=disk(3.0, 0.8)), disk(2.0, 0.4)
+    joint = Joint.of([views[0], spot, views[1], small]).stacked()
+    assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem, TechniqueProblem]
+    pixels = np.array([float(each.mask.sum()) for each in (*views, spot, small)])
     np.testing.assert_allclose(joint.shares, pixels / pixels.sum(), rtol=1e-6)
-    errors = [float(each.mean_square_error(mapping)) for each in (*views, spot)]
+    errors = [float(each.mean_square_error(mapping)) for each in (*views, spot, small)]
     np.testing.assert_allclose(squares(joint.differences(mapping)), errors, rtol=1e-5)
     assert float(joint.mean_square_error(mapping)) == pytest.approx(np.average(errors, weights=pixels), rel=1e-5)
 
