@@ -75,9 +75,7 @@ def phases_of(
     for number, width in enumerate(anneal.widths):
         part = (number + 1) / len(anneal.widths)
         soft = joint.with_compare(SoftCompare(width, anneal.kernel)).with_loss(joint.loss.in_phase(part))
-        # A mean over a part of the pixels is close to that over all. The worst of several is not.
-        whole = part == 1 and joint.loss.over != "mean"
-        annealed.append(Phase(soft, smooth, width, pixels=_ALL if whole else pixels))
+        annealed.append(Phase(soft, smooth, width, pixels=pixels))
     if joint.moves:
         if searched:
             raise ValueError(

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._misc import as_float, as_int
 from ._history import Reporter, Step
+from ._loss import Errors, Loss
 from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
 from ._precision import Precision, precision_of
@@ -126,6 +127,7 @@ class Run:
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, Any] = {}
+        self._judged_errors: dict[Any, Errors] = {}
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
@@ -253,8 +255,7 @@ class Run:
         found = np.asarray(self._program(phase.program, solve, arguments)(*arguments).value)
         if not np.isfinite(found).all():
             return values
-        ended = lower + (upper - lower) * (1 + np.sin(found)) / 2
-        return tuple(_replaced(as_float(values), active, as_float(ended)).tolist())
+        return tuple(_replaced(as_float(values), active, narrowed.to_bounded(as_float(found))).tolist())
 
     def error(self, values: Values) -> float:
         """The root of the judge's loss at `values`; infinite for a layout that does not suit the scene."""
@@ -266,7 +267,7 @@ class Run:
     def sides(self, values: Values) -> tuple[float, float]:
         """The roots of the judge's losses at `values`: of false shadow, and of false light."""
         judge = self.judged_at(as_float(values))
-        dark, light = (float(judge.with_loss(loss).losses(judge.subject)[1]) ** 0.5 for loss in judge.loss.sides())
+        dark, light = (float(judge.with_loss(loss).losses(judge.subject).whole) ** 0.5 for loss in judge.loss.sides())
         return dark, light
 
     def _arguments(
@@ -279,10 +280,14 @@ class Run:
         token: Array,
     ) -> tuple[Any, ...]:
         """The arguments of a phase's program from the `free` values of its active `parameters`."""
-        joint = phase.joint
+        joint = phase.joint.put(self.parameters, values)
         if not joint.moves:
-            joint = Joint(joint.subject, self.judged_at(values).problems, joint.loss).sampled(phase.pixels)
-        joint = joint.put(self.parameters, values).each(lambda p: p.padded()).stacked()
+            whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
+            joint = whole.sampled(phase.pixels)
+            # A mean of a part of the pixels is close to that of all. The worst of several is not.
+            if joint is not whole and joint.loss.over != "mean":
+                joint = joint.corrected(self._errors(values, joint.loss))
+        joint = joint.each(lambda p: p.padded()).stacked()
         return joint, parameters, as_float(free), self.solver, token, as_float(scale)
 
     def judged_at(self, values: Float[Array, " p"]) -> Joint:
@@ -290,14 +295,23 @@ class Run:
         self.judge = self.judge.laid_out(self.parameters, values)
         return self.judge.put(self.parameters, values)
 
+    def _errors(self, values: Float[Array, " p"], loss: Loss) -> Errors:
+        """Those of whole images under the hard compare at `values` (p,), with the factors of `loss`."""
+        key = _key(values, loss)
+        if key not in self._judged_errors:
+            judge = self.judged_at(values).with_loss(loss.exact())
+            self._judged_errors[key] = judge.losses(judge.subject).errors
+        return self._judged_errors[key]
+
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
         for _ in range(_ENLARGEMENTS + 1):
             # Not as one program: its parts share theirs with all else that is drawn.
             judge = self.judged_at(values)
-            *found, overflow = judge.losses(judge.subject)
-            if not overflow:
-                loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found)
+            found = judge.losses(judge.subject)
+            if not found.overflow:
+                self._judged_errors[_key(values, judge.loss)] = found.errors
+                loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found[:2])
                 return loss, hard_loss
             self.enlargements += 1
             self.judge = enlarged(self.judge, self.parameters, values[None])
@@ -332,6 +346,11 @@ class Run:
             self._programs[key] = compiled(function, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return self._programs[key]
+
+
+def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:
+    """What the errors of images depend on."""
+    return *values.tolist(), float(loss.false_shadow), float(loss.false_light)
 
 
 def _replaced(free: Float[Array, " p"], active: np.ndarray, values: Float[Array, " a"]) -> Float[Array, " p"]:

@@ -1844,10 +1844,32 @@ _FIT = (
         "test_views.py",
     ),
     _fault(
-        "worst view: the last phase sees a sample",
-        "fit/_phases.py",
-        'whole = part == 1 and joint.loss.over != "mean"',
-        "whole = False",
+        "worst view: errors of samples as they are",
+        "fit/_run.py",
+        'if joint is not whole and joint.loss.over != "mean":',
+        "if False:",
+        "test_views.py",
+    ),
+    _fault(
+        "worst view: samples are corrected without the factors of signs",
+        "fit/_run.py",
+        "return *values.tolist(), float(loss.false_shadow), float(loss.false_light)",
+        "return *values.tolist(), 1.0, 1.0",
+        "test_sureness.py",
+        "test_views.py",
+    ),
+    _fault(
+        "worst view: the factor of a sample is forgotten",
+        "fit/problems/_technique.py",
+        "jnp.sqrt(self.weight * self.factor)",
+        "jnp.sqrt(self.weight)",
+        "test_views.py",
+    ),
+    _fault(
+        "worst view: samples are corrected without a bound",
+        "fit/problems/_joint.py",
+        "np.clip(ratios, 1 / _MOST_FACTOR, _MOST_FACTOR)",
+        "ratios",
         "test_views.py",
     ),
     _fault(
@@ -2583,8 +2605,8 @@ _STUDY = (
     _fault(
         "FLIP after a fit: of the picture before",
         "study/runs/_fit.py",
-        '"after": {**fitted.errors_after, "flip": perceived["after"]}',
-        '"after": {**fitted.errors_after, "flip": perceived["before"]}',
+        '{**of_state, "flip": flip(state)}',
+        '{**of_state, "flip": flip("before")}',
         "test_study.py",
     ),
     _fault(
@@ -2696,10 +2718,10 @@ _STUDY = (
         "test_advise.py",
     ),
     _fault(
-        "sweep: validation before and after a fit are swapped",
-        "study/sweeps/_work.py",
-        'zip(("before", "after"), fitted.validated or (), strict=False)',
-        'zip(("after", "before"), fitted.validated or (), strict=False)',
+        "fit: errors before and after it are swapped",
+        "study/runs/_fit.py",
+        '{"before": self.errors_before, "after": self.errors_after}',
+        '{"after": self.errors_before, "before": self.errors_after}',
         "test_advise.py",
     ),
     _fault(
@@ -2817,15 +2839,15 @@ _STUDY = (
     _fault(
         "views: pictures of the best",
         "study/runs/_fit.py",
-        "np.argsort(-np.nan_to_num(errors)",
-        "np.argsort(np.nan_to_num(errors)",
+        "np.argsort(-errors,",
+        "np.argsort(errors,",
         "test_study_views.py",
     ),
     _fault(
         "validation: measured on what the fit sees",
         "study/runs/_fit.py",
-        "apart = slice(views.seen, None)",
-        "apart = slice(views.seen)",
+        "self._errors(slice(self.views.seen, None))",
+        "self._errors(slice(self.views.seen))",
         "test_study_views.py",
     ),
     _fault(

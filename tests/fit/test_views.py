@@ -8,7 +8,6 @@ import pytest
 from scenes import covered, floor_and_card, problem, shadows, sun, technique
 
 from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
-from diffshadow.fit._phases import phases_of
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
 from diffshadow.fit.problems._stack import Stack
@@ -286,13 +285,26 @@ def test_views_are_sampled_only_where_more_pixels_count(views):
     np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
 
 
-def test_last_phase_of_the_worst_view_takes_no_sample(views):
-    pixels = lambda loss: [p.pixels for p in phases_of(Joint.of(views, loss), ["filter.radius"], SHORT, None, 640)]
-    assert pixels(Loss()) == [640, 640]
-    for over in ("worst", "cvar"):
-        first, last = pixels(Loss(over))
-        assert first == 640
-        assert last > 1 << 60
+@pytest.mark.parametrize("over", ["worst", "cvar"])
+def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over, monkeypatch):
+    starts, corrected = [], Joint.corrected
+    monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
+    fitted(views, pixels=640, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
+    assert len(starts) >= 4  # two phases, and other points of the front
+    assert len({float(sample.loss.false_light) for sample, _, _ in starts}) > 1
+    hard_errors = lambda joint: np.asarray(joint.hard().losses(joint.hard().subject).errors)
+    for sample, errors, made in starts:
+        whole = Joint(sample.subject, tuple(views), sample.loss)
+        np.testing.assert_allclose(errors, hard_errors(whole), rtol=1e-4)
+        np.testing.assert_allclose(hard_errors(made), errors, rtol=1e-4)
+        assert abs(hard_errors(sample) / errors - 1).max() > 0.01
+
+
+def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):
+    sampled = Joint.of(views).sampled(640)
+    errors = np.asarray(sampled.hard().losses(sampled.hard().subject).errors)
+    factors = [float(problem.factor) for problem in sampled.corrected(jnp.asarray(errors) * jnp.array([1e-3, 1e3])).problems]
+    assert factors == [0.25, 4.0]
 
 
 def test_a_fit_to_a_sample_ends_near_that_to_all(views):

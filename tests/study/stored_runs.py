@@ -1,4 +1,4 @@
-"""Folders of finished runs and sweeps, made without doing them."""
+"""A fit that takes seconds, and folders of finished runs and sweeps, made without doing them."""
 
 import json
 from pathlib import Path
@@ -6,9 +6,26 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
+from scenes import fit_section
 
 from diffshadow import metrics
 from diffshadow.config import Config, dump_resolved, parse_config
+
+TINY = """
+name: tiny
+scene:
+  meshes:
+    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [64, 64], orbit: {distance: 3}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [128, 128]}
+filter: {samples: 8, pattern_size: 4, radius: 1}
+bias: {constant: 0.1}
+reference: {samples: 8}
+output: runs
+"""
+TINY += fit_section(bias=10, radius=8, max_steps=3, anneal="{phases: 2}")
 
 SCENE = "scene: {meshes: [{path: 'builtin:torus'}, {path: 'builtin:plane'}], camera: {resolution: [24, 32]}, LIGHT}"
 FIT = "{parameters: {bias.constant: {lower: 0, upper: 10}, filter.radius: {lower: 0, upper: 8}}}"

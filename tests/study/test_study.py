@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import fit_section, staying_in
+from scenes import staying_in
+from stored_runs import TINY
 
 from diffshadow import fit, io, metrics, study
 from diffshadow.cli import main
@@ -27,21 +28,6 @@ from diffshadow.study.runs._shade import perceptual_error
 ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 
-TINY = """
-name: tiny
-scene:
-  meshes:
-    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 3}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [128, 128]}
-filter: {samples: 8, pattern_size: 4, radius: 1}
-bias: {constant: 0.1}
-reference: {samples: 8}
-output: runs
-"""
-TINY += fit_section(bias=10, radius=8, max_steps=3, anneal="{phases: 2}")
 FIT_FILES = {
     *("config.yaml", "result.json", "arrays.npz", "report.html"),
     *("comparison.png", "shadow_map.png", "loss.png", "parameters.png", "shaded.png"),

@@ -7,26 +7,12 @@ import shutil
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import fit_section, staying_in
+from scenes import staying_in
+from stored_runs import TINY
 
 from diffshadow import io, study
 from diffshadow.config import ConfigError, parse_config
 
-TEXT = """
-name: views
-scene:
-  meshes:
-    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [48, 48], orbit: {distance: 3}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [128, 128]}
-filter: {samples: 8, pattern_size: 4, radius: 1}
-bias: {constant: 0.1}
-reference: {samples: 8}
-output: runs
-"""
-TEXT += fit_section(bias=10, radius=8, max_steps=3, anneal="{phases: 2}")
 VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
     "fit.validation={list: [{label: low, scene.light.elevation: 25}]}",
@@ -39,7 +25,7 @@ def run(tmp_path_factory):
     out = text_io.StringIO()
     with staying_in(tmp_path_factory.mktemp("views")):
         settings = [*VIEWS, "fit.intervals=[0.05]", "fit.front=3", "fit.prefer=least_bias"]
-        folder = study.run_fit(parse_config(TEXT, settings, fitting=True), console=Console(file=out, width=100))
+        folder = study.run_fit(parse_config(TINY, settings, fitting=True), console=Console(file=out, width=100))
         return folder.absolute(), out.getvalue()
 
 
@@ -90,8 +76,8 @@ def test_a_stored_view_that_does_not_exist_is_damage(run, tmp_path):
 
 
 def test_a_view_that_sees_nothing_is_named(tmp_path):
-    away = "{label: away, scene.camera: {resolution: [48, 48], eye: [0, 5, 0], target: [0, 10, 1]}}"
-    config = parse_config(TEXT, [f"fit.views={{list: [{away}]}}"], fitting=True)
+    away = "{label: away, scene.camera: {resolution: [64, 64], eye: [0, 5, 0], target: [0, 10, 1]}}"
+    config = parse_config(TINY, [f"fit.views={{list: [{away}]}}"], fitting=True)
     with staying_in(tmp_path), pytest.raises(ConfigError, match=r"behind the camera.*\(in the view away\)"):
         study.run_fit(config, console=Console(quiet=True))
     assert not (tmp_path / "runs").exists()
@@ -99,5 +85,5 @@ def test_a_view_that_sees_nothing_is_named(tmp_path):
 
 def test_a_render_takes_a_configuration_with_views(tmp_path):
     with staying_in(tmp_path):
-        folder = study.run_render(parse_config(TEXT, VIEWS), console=Console(quiet=True))
+        folder = study.run_render(parse_config(TINY, VIEWS), console=Console(quiet=True))
         assert len(json.loads((folder / "result.json").read_text())["metrics"]["lights"]) == 1

@@ -1,7 +1,8 @@
 """Several problems that share their subject."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,8 +16,25 @@ from .._parameters import Parameters, resolve
 from ._abstract import AbstractProblem
 from ._stack import Stack, stacked
 
+# Bounds of what corrects a sample's error.
+_LEAST_ERROR, _MOST_FACTOR = 1e-10, 4.0
+
 Images = tuple[Float[Array, "..."], ...]
 """The images of each stack, (n, h, w), and of each other problem, (1, h, w)."""
+
+
+class Losses(NamedTuple):
+    """The losses of a subject.
+
+    - `compared`: of the compared part of the differences, which a fit minimises; `whole`: of all of them.
+    - `errors`: (v,), those of the problems, of all differences.
+    - `overflow`: whether silhouettes are missing from a map, and the images wrong.
+    """
+
+    compared: Scalar
+    whole: Scalar
+    errors: Errors
+    overflow: Overflow
 
 
 class Joint(eqx.Module):
@@ -77,23 +95,18 @@ class Joint(eqx.Module):
         counts = jnp.concatenate([jnp.atleast_1d(jnp.asarray(p.count, jnp.float32)) for p in self.problems])
         return counts / jnp.maximum(jnp.sum(counts), 1)
 
-    def losses(self, subject: Any) -> tuple[Scalar, Scalar, Overflow]:
-        """The loss of the compared part of the differences, which a fit minimises, and of all of them.
-
-        **Returns** also whether silhouettes are missing from a map, and the images wrong.
-        """
+    def losses(self, subject: Any) -> Losses:
+        """The loss, and the errors that it is made of."""
         overflows: list[Overflow] = []
         differences = self.differences(subject, overflows)
-        compared, whole = (
-            jnp.sum(self.loss.weights(errors, self.shares) * errors)
-            for errors in map(squares, (self.compared(differences), differences))
-        )
-        return compared, whole, any_of(overflows)
+        compared, errors = squares(self.compared(differences)), squares(differences)
+        loss = lambda errors: jnp.sum(self.loss.weights(errors, self.shares) * errors)
+        return Losses(loss(compared), loss(errors), errors, any_of(overflows))
 
     def mean_square_error(self, subject: Any) -> Scalar:
         """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
         count."""
-        return self.losses(subject)[1]
+        return self.losses(subject).whole
 
     def put(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With `values` (p,) in the subject."""
@@ -109,6 +122,18 @@ class Joint(eqx.Module):
             return self
         count, problems = most // len(self.problems), enumerate(self.problems)
         return Joint(self.subject, tuple(problem.sampled(count, i) for i, problem in problems), self.loss)
+
+    def corrected(self, errors: Errors) -> "Joint":
+        """A sample whose errors at its subject, under the hard compare, are the `errors` (v,) of whole images there.
+
+        A ratio estimate (Cochran, Sampling Techniques, chapter 6): the errors of a sample and of the whole image have
+        nearly the same ratio close by.
+        """
+        hard = self.hard()
+        ratios = np.asarray(errors) / np.maximum(np.asarray(hard.losses(hard.subject).errors), _LEAST_ERROR)
+        factors = np.clip(ratios, 1 / _MOST_FACTOR, _MOST_FACTOR)
+        corrected = [dataclasses.replace(p, factor=c) for p, c in zip(self.problems, factors, strict=True)]
+        return Joint(self.subject, tuple(corrected), self.loss)
 
     def stacked(self) -> "Joint":
         """With fits of a technique that are of one structure as stacks."""

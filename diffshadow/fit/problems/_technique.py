@@ -31,6 +31,7 @@ class TechniqueProblem(AbstractProblem):
     - `mask`: (h, w), the pixels that count.
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
     - `weight`: how many pixels each stands for, one number or (h, w); more than 1 in a sample of them.
+    - `factor`: of all squared differences; in a sample, it corrects their sum.
     """
 
     technique: FittableTechnique
@@ -40,6 +41,7 @@ class TechniqueProblem(AbstractProblem):
     mask: Mask
     scene: Scene | None = None
     weight: Scalar | Float[Array, "h w"] = eqx.field(converter=as_float, default=1.0)
+    factor: Scalar = eqx.field(converter=as_float, default=1.0)
 
     @classmethod
     def of(
@@ -70,12 +72,12 @@ class TechniqueProblem(AbstractProblem):
         return jnp.sum(self.residual(technique) ** 2)
 
     def difference(self, subject: FittableTechnique, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere, times the square root of their weight.
+        """Visibility less reference at the pixels that count, 0 elsewhere, times the root of their weight and factor.
 
         Nothing is drawn that could overflow.
         """
         visibility = subject.visibility(self.shadow_map, self.surface)
-        return jnp.sqrt(self.weight) * jnp.where(self.mask, visibility - self.reference, 0)
+        return jnp.sqrt(self.weight * self.factor) * jnp.where(self.mask, visibility - self.reference, 0)
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """All of a difference."""

@@ -247,8 +247,7 @@ def capsule(
     j, theta = j.astype(int), i / columns * np.pi * 2
     x, z = -reach[j] * np.cos(theta), reach[j] * np.sin(theta)
     a, b, c, d = _corners(_numbered(2 * caps + middle, columns))
-    faces = np.stack([np.stack([a, d, b], axis=-1), np.stack([d, c, b], axis=-1)], axis=1).reshape(-1, 3)
-    return Geometry(_stacked(x, y[j], z), faces, _unit(_stacked(x, rise[j], z)))
+    return Geometry(_stacked(x, y[j], z), _halved(a, d, c, b), _unit(_stacked(x, rise[j], z)))
 
 
 def lathe(

@@ -23,7 +23,7 @@ from ._progress import Stages
 from ._remarks import remarks
 from ._setup import Drawn, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
-from ._views import Views, draw_views
+from ._views import Seen, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
 # Of views, the worst have pictures.
@@ -31,12 +31,10 @@ _MOST_SHOWN = 8
 
 
 class FittedRun(NamedTuple):
-    """A finished fit, with its images, one for each view and light, and its errors under the hard compare.
+    """A finished fit, with its images and their errors under the hard compare, one for each view and light.
 
     - `views`: all that the fit sees, and what it is validated on.
     - `seen`: the scenes before and after the fit, which may move lights and meshes; `drawn` is the truth.
-    - `errors_before`, `errors_after`: over all that the fit sees; `validated`: both over the validation, if there is
-        one.
     """
 
     config: Config
@@ -46,9 +44,8 @@ class FittedRun(NamedTuple):
     result: fit.FitResult
     before: Images
     after: Images
-    errors_before: dict[str, float]
-    errors_after: dict[str, float]
-    validated: tuple[dict[str, float], dict[str, float]] | None
+    errors_before: list[dict[str, float]]
+    errors_after: list[dict[str, float]]
     remarks: list[str]
     seen: tuple[list[Drawn], list[Drawn]]
 
@@ -72,8 +69,22 @@ class FittedRun(NamedTuple):
         """The indices of the scenes and lights whose pictures are written: all, or those of the worst views."""
         if not self.has_views:
             return list(range(len(self.drawn)))
-        errors = [record.measured(image, each)["rmse"] for image, each in zip(self.after, self.drawn, strict=True)]
-        return np.argsort(-np.nan_to_num(errors), kind="stable")[:_MOST_SHOWN].tolist()
+        errors = np.nan_to_num([errors["rmse"] for errors in self.errors_after])
+        return np.argsort(-errors, kind="stable")[:_MOST_SHOWN].tolist()
+
+    @property
+    def errors(self) -> dict[str, dict[str, float]]:
+        """The errors `before` and `after` the fit over all that it sees."""
+        return self._errors(slice(self.views.seen))
+
+    @property
+    def validation(self) -> dict[str, dict[str, float]]:
+        """The errors `before` and `after` the fit over the validation; empty if there is none."""
+        return self._errors(slice(self.views.seen, None)) if self.views.validation else {}
+
+    def _errors(self, part: slice) -> dict[str, dict[str, float]]:
+        states = {"before": self.errors_before, "after": self.errors_after}
+        return {state: record.combined(errors[part], self.drawn[part]) for state, errors in states.items()}
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
@@ -100,7 +111,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
         table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
     if fitted.result.front:
         table.print_front(console, list(fitted.result.fitted), fitted.result.front)
-    if fitted.validated is not None:
+    if fitted.validation:
         unseen = measured["validation"]
         table.print_validation(console, len(fitted.views.validation), unseen["before"], unseen["after"])
     steps, seconds = fitted.result.steps, sum(stages.seconds.values())
@@ -170,13 +181,9 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
                 poses.images_at(result.problems, drawn, s) for s in subjects
             )
             seen = seen_before[0], seen_after[0]
-        errors_before, errors_after = (_errors(images, drawn, slice(views.seen)) for images in (before, after))
-        apart = slice(views.seen, None)
-        validated = (_errors(before, drawn, apart), _errors(after, drawn, apart)) if views.validation else None
+        errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
     messages = [*views.remarks, *page_remarks(config, drawn), *remarks(config, plan.parameters, result)]
-    return FittedRun(
-        config, plan, views, drawn, result, before, after, errors_before, errors_after, validated, messages, seen
-    )
+    return FittedRun(config, plan, views, drawn, result, before, after, errors_before, errors_after, messages, seen)
 
 
 def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
@@ -190,11 +197,6 @@ def _seen_with(
     """`drawn`, with maps laid out as the technique says."""
     laid_out: Any = [problem.laid_out(technique) for problem in problems]
     return [each._replace(state=problem.shadow_map) for each, problem in zip(drawn, laid_out, strict=True)]
-
-
-def _errors(images: Images, drawn: list[Drawn], part: slice) -> dict[str, float]:
-    of_part = list(zip(images, drawn, strict=True))[part]
-    return record.combined([record.measured(image, each) for image, each in of_part], [each for _, each in of_part])
 
 
 def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
@@ -220,25 +222,20 @@ def _shaded(fitted: FittedRun) -> list[Pictures]:
     ]
 
 
-def _perceived(fitted: FittedRun, shaded: list[Pictures], part: slice) -> dict[str, float | None]:
-    """The mean of ꟻLIP before and after the fit over a part of the views; `None` without the package for it."""
-    views = list(zip(fitted.views.all, shaded, strict=True))[part]
+def _with_flip(
+    errors: dict[str, dict[str, float]], views: Sequence[Seen], shaded: Sequence[Pictures]
+) -> dict[str, dict[str, float | None]]:
+    """`errors` of the states of `views`, with the mean of ꟻLIP; this is `None` without the package for it."""
 
-    def mean(state: str) -> float | None:
+    def flip(state: str) -> float | None:
         name, truth = f"shaded_{state}", "shaded_reference"
-        errors = [perceptual_error(pictures[name], pictures[truth], view.drawn) for view, pictures in views]
-        known = [error for error in errors if error is not None]
+        found = (
+            perceptual_error(each[name], each[truth], view.drawn) for view, each in zip(views, shaded, strict=True)
+        )
+        known = [error for error in found if error is not None]
         return float(np.mean(known)) if known else None
 
-    return {state: mean(state) for state in ("before", "after")}
-
-
-def _validation(fitted: FittedRun, shaded: list[Pictures]) -> dict[str, dict[str, float | None]]:
-    """The errors over views that the fit does not see, before and after it."""
-    assert fitted.validated is not None
-    perceived = _perceived(fitted, shaded, slice(len(fitted.views.fitted), None))
-    before, after = fitted.validated
-    return {"before": {**before, "flip": perceived["before"]}, "after": {**after, "flip": perceived["after"]}}
+    return {state: {**of_state, "flip": flip(state)} for state, of_state in errors.items()}
 
 
 def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[str, Any]) -> None:
@@ -304,8 +301,8 @@ def _front_point(result: fit.FitResult, point: fit.FrontPoint) -> dict[str, Any]
 
 def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: dict[str, float]) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
-    seen = len(fitted.views.fitted)
-    perceived = _perceived(fitted, shaded, slice(seen))
+    views = fitted.views
+    seen = len(views.fitted)
     outcome = result.phases[result.chosen]
     phases = [
         {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
@@ -318,20 +315,25 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
         "bounds": {p.name: {"lower": p.lower, "upper": p.upper, "unit": p.unit} for p in fitted.plan.parameters},
         "metrics": {
             "compare": "hard",
-            "before": {**fitted.errors_before, "flip": perceived["before"]},
-            "after": {**fitted.errors_after, "flip": perceived["after"]},
+            **_with_flip(fitted.errors, views.fitted, shaded[:seen]),
             "reference_noise_floor": record.noise(fitted.drawn),
             "pixels": sum(each.pixels for each in fitted.drawn),
             "lights": [
                 {
                     "light": each.key,
-                    "before": record.measured(before, each),
-                    "after": record.measured(after, each),
-                    **({"validation": i >= fitted.views.seen} if fitted.views.validation else {}),
+                    "before": before,
+                    "after": after,
+                    **({"validation": i >= views.seen} if views.validation else {}),
                 }
-                for i, (each, before, after) in enumerate(zip(fitted.drawn, fitted.before, fitted.after, strict=True))
+                for i, (each, before, after) in enumerate(
+                    zip(fitted.drawn, fitted.errors_before, fitted.errors_after, strict=True)
+                )
             ],
-            **({} if fitted.validated is None else {"validation": _validation(fitted, shaded)}),
+            **(
+                {"validation": _with_flip(fitted.validation, views.validation, shaded[seen:])}
+                if views.validation
+                else {}
+            ),
             **({"shown": fitted.shown} if fitted.has_views else {}),
         },
         "solver": {

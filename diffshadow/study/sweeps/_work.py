@@ -200,12 +200,14 @@ def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
     if batch.settings.figures:
         with stages.stage("figures"):
             write_fit(folder_of(config), fitted, stages.seconds)
-    validated = dict(zip(("before", "after"), fitted.validated or (), strict=False))
     return {
         **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
-        **{f"before.{name}": value for name, value in fitted.errors_before.items()},
-        **{f"after.{name}": value for name, value in fitted.errors_after.items()},
-        **{f"{VALIDATION}{when}.{name}": v for when, errors in validated.items() for name, v in errors.items()},
+        **{f"{when}.{name}": value for when, errors in fitted.errors.items() for name, value in errors.items()},
+        **{
+            f"{VALIDATION}{when}.{name}": value
+            for when, errors in fitted.validation.items()
+            for name, value in errors.items()
+        },
         "steps": fitted.result.steps,
         **_of_reference(fitted.drawn),
     }
