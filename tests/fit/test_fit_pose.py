@@ -124,6 +124,7 @@ def test_azimuth_and_elevation_go_over_the_pole():
     np.testing.assert_allclose(way(20.0, 100.0), way(200.0, 80.0), atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_rectangle_light_takes_its_shadow_along():
     """The card's shadow, of area (H / (H - 1))² under a light at height H, and its middle, 1 / (H - 1) times as far off
     the card's as the light."""

@@ -72,6 +72,7 @@ def problem(seen, layout) -> TechniqueProblem:
     return TechniqueProblem.of(scene, technique, truth, surface=surface)
 
 
+@pytest.mark.exhaustive
 def test_the_spacing_of_cascades_is_found(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     at = lambda spacing: dataclasses.replace(made.technique, layout=Cascades(3, spacing, margin=2.0))

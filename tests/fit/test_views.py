@@ -303,7 +303,9 @@ def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over
 def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):
     sampled = Joint.of(views).sampled(640)
     errors = np.asarray(sampled.hard().losses(sampled.hard().subject).errors)
-    factors = [float(problem.factor) for problem in sampled.corrected(jnp.asarray(errors) * jnp.array([1e-3, 1e3])).problems]
+    factors = [
+        float(problem.factor) for problem in sampled.corrected(jnp.asarray(errors) * jnp.array([1e-3, 1e3])).problems
+    ]
     assert factors == [0.25, 4.0]
 
 

@@ -129,7 +129,7 @@ TECHNIQUES = {
 }
 
 
-@pytest.mark.parametrize("light", ["directional", "spot"])
+@pytest.mark.parametrize("light", ["spot", pytest.param("directional", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_visibility_with_exported_functions_is_ours(gl, name, light):
     bias, kernel = TECHNIQUES[name]

@@ -248,7 +248,7 @@ def test_levels_on_a_ground_follow_the_closed_form():
     assert (lower[level(light) > 0] == 1).mean() > 0.8
 
 
-@pytest.mark.parametrize("norm", ["area", "worst"])
+@pytest.mark.parametrize("norm", ["worst", pytest.param("area", marks=pytest.mark.exhaustive)])
 def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
     scene, surface = ground()
     technique = ShadowMapping(Bilinear(), Bias(0.5), map=MapSettings((1024, 1024)), layout=LAYOUTS[norm])
@@ -289,6 +289,7 @@ def test_a_bias_is_raised_until_all_pages_fit_and_nothing_is_left_out():
     assert counts[-1] < counts[0] / 10
 
 
+@pytest.mark.exhaustive
 def test_too_little_memory_blurs_shadows_and_loses_none():
     scene, surface = scene_and_surface()
     at = lambda texels: ShadowMapping(

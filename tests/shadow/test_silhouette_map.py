@@ -521,6 +521,7 @@ def test_a_thin_bar_between_texel_centres_casts_a_shadow():
     assert lit == pytest.approx(0.4 - 0.015, abs=2e-4)
 
 
+@pytest.mark.exhaustive
 def test_point_lights_find_silhouettes_in_all_their_maps():
     shadow_map, overflows = _draw(*_of_size(_square()), _point(jnp.zeros(3)))
     assert not any(map(bool, overflows))

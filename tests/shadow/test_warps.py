@@ -140,6 +140,7 @@ def test_a_warp_may_follow_the_depths_that_are_seen():
         layout("surface").light(NOON, camera, SIZE)
 
 
+@pytest.mark.exhaustive
 def test_a_parallel_camera_needs_no_warp():
     camera = OrthographicCamera((0, 1, 0), (0, 1, -1), height=4.0, near=-1.0, far=FAR, resolution=(32, 32))
     assert all(float(warped(PerspectiveWarp(method), NOON, camera).warp.strength) == 0 for method in METHODS)
@@ -376,6 +377,7 @@ def posts():
     return merge(parts)
 
 
+@pytest.mark.exhaustive
 def test_shadows_agree_with_the_reference_where_far_is_a_thousand_times_near():
     mesh = posts()
     camera = PinholeCamera((0, 0.35, 0), (0, 0.25, -1), fov_y=60.0, near=0.1, far=FAR, resolution=(64, 64))

@@ -79,7 +79,7 @@ def is_checking(leader: int) -> bool:
     ("moment", "presses", "arguments"),
     [
         pytest.param(is_checking, 1, ["sweep.repeats=65536"], id="while it is checked", marks=pytest.mark.exhaustive),
-        pytest.param(has_worker, 1, ["--workers", "2"], id="while workers start"),
+        pytest.param(has_worker, 1, ["--workers", "2"], id="while workers start", marks=pytest.mark.exhaustive),
         pytest.param(has_worker, 2, ["--workers", "1"], id="twice", marks=pytest.mark.exhaustive),
         pytest.param(has_results, 1, ["--workers", "2"], id="while they work"),
         pytest.param(has_results, 1, ["--workers", "0"], id="in one process", marks=pytest.mark.exhaustive),
