@@ -230,10 +230,7 @@ def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
     np.testing.assert_array_equal(seen(depth_layer="midpoint") == 0, dark)
 
 
-@pytest.mark.parametrize(
-    ("depth_format", "unit"),
-    [pytest.param("float32", 2.0**-24, marks=pytest.mark.exhaustive), ("unorm24", 2 / (2**24 - 1))],
-)
+@pytest.mark.parametrize(("depth_format", "unit"), [("float32", 2.0**-24), ("unorm24", 2 / (2**24 - 1))])
 def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
     # A plane whose depth lies between 1/2 and 1, where floats are 2⁻²⁴ apart, and rises by 0.3 along x and 0.1 along y.
     mesh = quad((0, 0, -1.0), (1, 0, -0.3), (0, 1, -0.1))
