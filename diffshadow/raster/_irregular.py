@@ -29,8 +29,9 @@ _TINY = 1e-12
 # Triangles that are closer to the light than this fraction of a point's distance do not hide the point, so that a light
 # on a surface is not hidden by it.
 _SHORT_OF_LIGHT = 2.0**-20
-# By how much of the view the bounds of triangles are widened.
-_MARGIN = 1e-9
+# Points this close to the view's border, as a fraction of its size, count as within, since a frustum fitted to a surface
+# touches it. Bounds of triangles are widened by twice as much.
+_BORDER, _MARGIN = 1e-6, 2e-6
 # Triangles with corners this close to the light's plane, as a fraction of their distance from the light, or this many
 # views aside, are not cut to strips.
 _BESIDE, _ASIDE = 1e-9, 1e3
@@ -113,12 +114,13 @@ def _hidden_points(
     low, high = jnp.min(jnp.stack(corners), axis=(0, 1)), jnp.max(jnp.stack(corners), axis=(0, 1))
     centre, tiny = (low + high) / 2, _TINY * jnp.max(high - low) / 2
     own = jnp.maximum(face, 0)
-    points = _on_faces(points, [take(at, own) for at in corners])
-    x, y, seen = _window(light.view(), points, light.layer(points))
-    seen = seen & (face >= 0)
+    # Without the barriers the compiler computes what is gathered anew for every gather.
+    points = lax.optimization_barrier(_on_faces(points, [take(at, own) for at in corners]))
+    x, y, seen = _window(light.view(), points, lax.optimization_barrier(light.layer(points)))
+    x, y, seen = lax.optimization_barrier((x, y, seen & (face >= 0)))
     strips = in_strips(x, y, seen)
-    outlines = _outlines(light.view(), vertices, faces, casts)
-    shadows = _shadows(corners, light, centre)
+    outlines = lax.optimization_barrier(_outlines(light.view(), vertices, faces, casts))
+    shadows = lax.optimization_barrier(_shadows(corners, light, centre))
     return _test(strips, outlines, shadows, points - centre, jnp.where(seen, own, -1), tiny)
 
 
@@ -141,11 +143,19 @@ def _on_faces(points: Float[Array, "n 3"], corners: list[Float[Array, "n 3"]]) -
 def _window(view: View, points: Float[Array, "n 3"], layer: Int[Array, " n"] | None) -> tuple[Array, Array, Array]:
     """Where points lie in the window of all views, which are one above the other, and whether they lie in their
     view, in front of the light."""
-    clip = (view if layer is None else view.facing(layer)).clip(points)
+    if layer is None:
+        clip = view.clip(points)
+    else:
+        # Several times as fast as to gather a matrix for each point.
+        def of_view(number: Array, clip: Array) -> Array:
+            return jnp.where((layer == number)[:, None], view.facing(number).clip(points), clip)
+
+        clip = lax.fori_loop(0, _views(view), of_view, jnp.zeros((points.shape[0], 4), points.dtype))
     w = clip[:, 3]
     in_front = w > (1e-3 * view.near if view.is_perspective else 0)
     x, y = (jnp.where(in_front, clip[:, k] / jnp.where(in_front, w, 1), 2) * 0.5 + 0.5 for k in range(2))
-    inside = in_front & (x >= 0) & (x <= 1) & (y >= 0) & (y <= 1)
+    inside = in_front & (jnp.maximum(jnp.abs(x - 0.5), jnp.abs(y - 0.5)) <= 0.5 + _BORDER)
+    x, y = jnp.clip(x, 0, 1), jnp.clip(y, 0, 1)
     return x, (y if layer is None else (layer + y) / _views(view)), inside
 
 
@@ -282,7 +292,7 @@ def _test(
             at = jnp.where(pair < pairs, at, 0)
             triangle = take(face, which)
             x, y, z = (take(place, at) for place in places)
-            heights = [_height(*(take(values, triangle)[:, None] for values in plane), x, y, z) for plane in planes]
+            heights = [_height([take(values, triangle)[:, None] for values in plane], x, y, z) for plane in planes]
             inside = (heights[0] >= -tiny) & (heights[1] >= -tiny) & (heights[2] >= -tiny)
             behind = (heights[3] < -tiny) & (heights[3] >= -take(shadows.reach, triangle)[:, None])
             hit = inside & behind & (take(own, at) != triangle[:, None])
@@ -297,9 +307,9 @@ def _test(
     return jnp.zeros(n, bool).at[strips.order.reshape(-1)].set(hidden.reshape(-1), mode="drop")
 
 
-def _height(a: Array, b: Array, c: Array, d: Array, x: Array, y: Array, z: Array) -> Array:
+def _height(plane: list[Array], x: Array, y: Array, z: Array) -> Array:
     """The height of points above planes."""
-    return a * x + b * y + (c * z + d)
+    return plane[0] * x + plane[1] * y + (plane[2] * z + plane[3])
 
 
 def _boxes(places: list[Float[Array, "sb p"]], strips: Strips) -> tuple[list[Array], list[Array]]:
@@ -312,7 +322,7 @@ def _boxes(places: list[Float[Array, "sb p"]], strips: Strips) -> tuple[list[Arr
 def _reaches(plane: list[Array], boxes: tuple[list[Array], list[Array]], strip: Array, tiny: Array) -> Array:
     """Whether a strip may have points behind a triangle's plane."""
     middle, half = ([take(values, strip) for values in part] for part in boxes)
-    nearest = _height(*plane, *middle) - sum(jnp.abs(n) * h for n, h in zip(plane[:3], half, strict=True))
+    nearest = _height(plane, *middle) - sum(jnp.abs(n) * h for n, h in zip(plane[:3], half, strict=True))
     return nearest < tiny
 
 
@@ -332,7 +342,6 @@ def _extent(outlines: Outlines, owner: Array, low: Array, high: Array) -> tuple[
             places.append((x + t * (other_x - x), crosses))
         lows += [jnp.where(counts, place, jnp.inf) for place, counts in places]
         highs += [jnp.where(counts, place, -jnp.inf) for place, counts in places]
-    margin = 2 * _MARGIN * _ASIDE
-    least = jnp.min(jnp.stack(lows), axis=0) - margin
-    most = jnp.max(jnp.stack(highs), axis=0) + margin
+    least = jnp.min(jnp.stack(lows), axis=0) - _MARGIN
+    most = jnp.max(jnp.stack(highs), axis=0) + _MARGIN
     return jnp.where(cut, jnp.maximum(left, least), left), jnp.where(cut, jnp.minimum(right, most), right)
