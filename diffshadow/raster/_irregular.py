@@ -29,7 +29,7 @@ _TINY = 1e-12
 # Triangles that are closer to the light than this fraction of a point's distance do not hide the point, so that a light
 # on a surface is not hidden by it.
 _SHORT_OF_LIGHT = 2.0**-20
-# Points this close to the view's border, as a fraction of its size, count as within, since a frustum fitted to a surface
+# Points this close to the view's border, as a fraction of its size, count as within: a frustum fitted to a surface
 # touches it. Bounds of triangles are widened by twice as much.
 _BORDER, _MARGIN = 1e-6, 2e-6
 # Triangles with corners this close to the light's plane, as a fraction of their distance from the light, or this many
@@ -82,8 +82,10 @@ def hidden_points(
 
     Points that `seen_points` leaves out are not hidden. Evaluated in double precision, without derivatives.
     """
+    of_light = light, *_views_of(light, points)
+    given = lax.stop_gradient((mesh.vertices, mesh.faces, casts, *of_light, points, face))
     with jax.enable_x64(True):
-        return _hidden_points(*lax.stop_gradient((mesh.vertices, mesh.faces, casts, light, points, face)))
+        return _hidden_points(*given)
 
 
 def seen_points(
@@ -91,23 +93,38 @@ def seen_points(
 ) -> Bool[Array, " n"]:
     """Which of some points on a mesh lie in one of the light's views, in front of the light, (n,); the near and far
     distances of a view cut nothing. Arguments as for `hidden_points`."""
+    given = lax.stop_gradient((mesh.vertices, mesh.faces, *_views_of(light, points), points, face))
     with jax.enable_x64(True):
-        return _seen_points(*lax.stop_gradient((mesh.vertices, mesh.faces, light, points, face)))
+        return _seen_points(*given)
 
 
 @eqx.filter_jit
-def _seen_points(vertices: Array, faces: Array, light: AbstractLight, points: Array, face: Array) -> Array:
-    vertices, light, points = _widened((vertices, light, points))
+def _views_of(light: AbstractLight, points: Array) -> tuple[View, Array | None]:
+    """The light's views, and which of them sees each of `points`. Single precision is enough: points and triangles are
+    sorted in the same views."""
+    return light.view(), light.layer(points)
+
+
+@eqx.filter_jit
+def _seen_points(vertices: Array, faces: Array, view: View, layer: Array | None, points: Array, face: Array) -> Array:
+    vertices, view, points = _widened((vertices, view, points))
     own = take(faces, jnp.maximum(face, 0))
     points = _on_faces(points, [take(vertices, own[:, k]) for k in range(3)])
-    return _window(light.view(), points, light.layer(points))[2] & (face >= 0)
+    return _window(view, points, layer)[2] & (face >= 0)
 
 
 @eqx.filter_jit
 def _hidden_points(
-    vertices: Array, faces: Array, casts: Array, light: AbstractLight, points: Array, face: Array
+    vertices: Array,
+    faces: Array,
+    casts: Array,
+    light: AbstractLight,
+    view: View,
+    layer: Array | None,
+    points: Array,
+    face: Array,
 ) -> Array:
-    vertices, light, points = _widened((vertices, light, points))
+    vertices, light, view, points = _widened((vertices, light, view, points))
     # Padded meshes have many faces that are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
     corners = [take(vertices, faces[:, k]) for k in range(3)]
@@ -116,10 +133,10 @@ def _hidden_points(
     own = jnp.maximum(face, 0)
     # Without the barriers the compiler computes what is gathered anew for every gather.
     points = lax.optimization_barrier(_on_faces(points, [take(at, own) for at in corners]))
-    x, y, seen = _window(light.view(), points, lax.optimization_barrier(light.layer(points)))
+    x, y, seen = _window(view, points, layer)
     x, y, seen = lax.optimization_barrier((x, y, seen & (face >= 0)))
     strips = in_strips(x, y, seen)
-    outlines = lax.optimization_barrier(_outlines(light.view(), vertices, faces, casts))
+    outlines = lax.optimization_barrier(_outlines(view, vertices, faces, casts))
     shadows = lax.optimization_barrier(_shadows(corners, light, centre))
     return _test(strips, outlines, shadows, points - centre, jnp.where(seen, own, -1), tiny)
 
