@@ -11,6 +11,7 @@ Pairs of triangles and strips are numbered, and so are the blocks of some thousa
 So memory does not depend on how many pairs there are.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot, safe_divide, safe_norm, take
+from .._misc import dot, safe_divide, take
 from ..geometry import AbstractLight, Mesh, View
 from ._strips import BLOCK, Strips, in_strips
 
@@ -40,11 +41,12 @@ _ITEMS, _PAIRS = 8192, 2048
 
 
 class Shadows(NamedTuple):
-    """Of each triangle the space that it hides from the light, (f, ...): where `edges` (f, 3, 4), planes through the
-    light, are not negative, and `face` (f, 4), the triangle's plane, is negative, but not below `-reach` (f,)."""
+    """Of each triangle the space that it hides from the light: where `edges`, three planes through the light, are not
+    negative, and `face`, its own plane, is negative, but not below `-reach` (f,). A plane is four coefficients, (f,)
+    each."""
 
-    edges: Float[Array, "f 3 4"]
-    face: Float[Array, "f 4"]
+    edges: list[list[Float[Array, " f"]]]
+    face: list[Float[Array, " f"]]
     reach: Float[Array, " f"]
 
 
@@ -127,11 +129,12 @@ def _hidden_points(
     vertices, light, view, points = _widened((vertices, light, view, points))
     # Padded meshes have many faces that are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
-    corners = [take(vertices, faces[:, k]) for k in range(3)]
-    low, high = jnp.min(jnp.stack(corners), axis=(0, 1)), jnp.max(jnp.stack(corners), axis=(0, 1))
+    # Without the barriers the compiler computes what is gathered anew for every gather.
+    corners = lax.optimization_barrier([take(vertices, faces[:, k]) for k in range(3)])
+    low = functools.reduce(jnp.minimum, [jnp.min(corner, axis=0) for corner in corners])
+    high = functools.reduce(jnp.maximum, [jnp.max(corner, axis=0) for corner in corners])
     centre, tiny = (low + high) / 2, _TINY * jnp.max(high - low) / 2
     own = jnp.maximum(face, 0)
-    # Without the barriers the compiler computes what is gathered anew for every gather.
     points = lax.optimization_barrier(_on_faces(points, [take(at, own) for at in corners]))
     x, y, seen = _window(view, points, layer)
     x, y, seen = lax.optimization_barrier((x, y, seen & (face >= 0)))
@@ -184,11 +187,9 @@ def _views(view: View) -> int:
 def _outlines(view: View, vertices: Array, faces: Array, casts: Bool[Array, " f"]) -> Outlines:
     """All triangles in each of the views."""
     views = _views(view)
-    clip = view.clip_vertices(vertices).reshape(views, -1, 4)
-    return jax.tree.map(
-        lambda of_view: of_view.reshape(-1),
-        jax.vmap(lambda clip, number: _outlines_of(clip, number, views, faces, casts))(clip, jnp.arange(views)),
-    )
+    clip = lax.optimization_barrier(view.clip_vertices(vertices).reshape(views, -1, 4))
+    outlines = lax.map(lambda view: _outlines_of(*view, views, faces, casts), (clip, jnp.arange(views)))
+    return jax.tree.map(lambda of_view: of_view.reshape(-1), outlines)
 
 
 def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bool[Array, " f"]) -> Outlines:
@@ -197,7 +198,8 @@ def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bo
     Of a triangle that crosses the light's plane, the part in front of it reaches to infinity in the directions in which
     its edges cross the plane.
     """
-    xs, ys, ws = ([take(clip[:, k], faces[:, corner]) for corner in range(3)] for k in (0, 1, 3))
+    at_corners = [[take(clip[:, k], faces[:, corner]) for corner in range(3)] for k in (0, 1, 3)]
+    xs, ys, ws = lax.optimization_barrier(at_corners)
     reach = [jnp.abs(x) + jnp.abs(y) + jnp.abs(w) for x, y, w in zip(xs, ys, ws, strict=True)]
     beside = sum(jnp.abs(w) <= _BESIDE * r for w, r in zip(ws, reach, strict=True)) > 0
     ahead = [w > 0 for w in ws]
@@ -239,26 +241,43 @@ def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bo
 
 def _shadows(corners: list[Array], light: AbstractLight, centre: Array) -> Shadows:
     """The space that each triangle hides, with planes in coordinates from `centre`."""
-    a, b, c = corners
-    normal = _unit(jnp.cross(b - a, c - a))
-    height = dot(normal, light.towards(a))
-    side = jnp.sign(height)[:, None]
+    # An array for each coordinate: that is what vectorizes.
+    apart = lambda points: [points[:, k] for k in range(3)]
+    a, b, c = (apart(corner - centre) for corner in corners)
+    to_light = [apart(light.towards(corner)) for corner in corners]
+    normal = _unit(_cross(_minus(b, a), _minus(c, a)))
+    height = _dot(normal, to_light[0])
+    side = jnp.sign(height)
 
-    def plane(normal: Array, point: Array) -> Array:
-        return jnp.concatenate([normal, -dot(normal, point - centre)[:, None]], axis=1)
+    def plane(normal: list[Array], point: list[Array]) -> list[Array]:
+        normal = [side * component for component in normal]
+        return [*normal, -_dot(normal, point)]
 
     edges = [
-        plane(side * _unit(jnp.cross(light.towards(start), end - start)), start)
-        for start, end in ((a, b), (b, c), (c, a))
+        plane(_unit(_cross(towards, _minus(end, start))), start)
+        for towards, start, end in zip(to_light, (a, b, c), (b, c, a), strict=True)
     ]
     limit = jnp.inf if light.is_directional else jnp.abs(height) * (1 / _SHORT_OF_LIGHT - 1)
     # A triangle that the light sees edge-on hides nothing.
     reach = jnp.where(height == 0, -jnp.inf, jnp.broadcast_to(limit, height.shape))
-    return Shadows(jnp.stack(edges, axis=1), plane(side * normal, a), reach)
+    return Shadows(edges, plane(normal, a), reach)
 
 
-def _unit(vectors: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    return safe_divide(vectors, jnp.broadcast_to(safe_norm(vectors)[:, None], vectors.shape))
+def _minus(a: list[Array], b: list[Array]) -> list[Array]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: list[Array], b: list[Array]) -> list[Array]:
+    return [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]
+
+
+def _unit(vector: list[Array]) -> list[Array]:
+    length = jnp.sqrt(_dot(vector, vector))
+    return [safe_divide(component, length) for component in vector]
 
 
 def _test(
@@ -275,8 +294,7 @@ def _test(
     index = jnp.where(there, strips.order, 0)
     own = jnp.where(there, take(own, index), -1)
     places = [jnp.where(own >= 0, take(points[:, k], index), jnp.nan) for k in range(3)]
-    planes = [[shadows.edges[:, i, k] for k in range(4)] for i in range(3)]
-    planes.append([shadows.face[:, k] for k in range(4)])
+    planes = [*shadows.edges, shadows.face]
     boxes = _boxes(places, strips)
 
     first, count = strips.strips_between(outlines.low, outlines.high)
@@ -294,7 +312,7 @@ def _test(
         strip = jnp.where(valid, strip, 0)
         face = owner % faces
         left, right = _extent(outlines, owner, take(strips.low, strip), take(strips.high, strip))
-        valid = valid & _reaches([take(values, face) for values in planes[3]], boxes, strip, tiny)
+        valid = valid & _reaches([take(values, face) for values in shadows.face], boxes, strip, tiny)
         block, length = strips.blocks_between(strip, left, right)
         length = jnp.where(valid, length, 0)
         until = jnp.cumsum(length)
