@@ -84,8 +84,7 @@ def hidden_points(
 
     Points that `seen_points` leaves out are not hidden. Evaluated in double precision, without derivatives.
     """
-    of_light = light, *_views_of(light, points)
-    given = lax.stop_gradient((mesh.vertices, mesh.faces, casts, *of_light, points, face))
+    given = lax.stop_gradient((mesh.vertices, mesh.faces, casts, light, *_views_of(light, points), points, face))
     with jax.enable_x64(True):
         return _hidden_points(*given)
 
@@ -95,24 +94,31 @@ def seen_points(
 ) -> Bool[Array, " n"]:
     """Which of some points on a mesh lie in one of the light's views, in front of the light, (n,); the near and far
     distances of a view cut nothing. Arguments as for `hidden_points`."""
-    given = lax.stop_gradient((mesh.vertices, mesh.faces, *_views_of(light, points), points, face))
+    given = lax.stop_gradient((mesh.vertices, mesh.faces, light, *_views_of(light, points), points, face))
     with jax.enable_x64(True):
         return _seen_points(*given)
 
 
 @eqx.filter_jit
 def _views_of(light: AbstractLight, points: Array) -> tuple[View, Array | None]:
-    """The light's views, and which of them sees each of `points`. Single precision is enough: points and triangles are
-    sorted in the same views."""
+    """The light's views, and which of them sees each of `points`, in the precision that they are given in."""
     return light.view(), light.layer(points)
 
 
 @eqx.filter_jit
-def _seen_points(vertices: Array, faces: Array, view: View, layer: Array | None, points: Array, face: Array) -> Array:
-    vertices, view, points = _widened((vertices, view, points))
+def _seen_points(
+    vertices: Array,
+    faces: Array,
+    light: AbstractLight,
+    view: View,
+    layer: Array | None,
+    points: Array,
+    face: Array,
+) -> Array:
+    vertices, light, view, points = _widened((vertices, light, view, points))
     own = take(faces, jnp.maximum(face, 0))
     points = _on_faces(points, [take(vertices, own[:, k]) for k in range(3)])
-    return _window(view, points, layer)[2] & (face >= 0)
+    return _window(_along_rays(view, light), points, layer)[2] & (face >= 0)
 
 
 @eqx.filter_jit
@@ -127,6 +133,7 @@ def _hidden_points(
     face: Array,
 ) -> Array:
     vertices, light, view, points = _widened((vertices, light, view, points))
+    view = _along_rays(view, light)
     # Padded meshes have many faces that are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
     # Without the barriers the compiler computes what is gathered anew for every gather.
@@ -142,6 +149,21 @@ def _hidden_points(
     outlines = lax.optimization_barrier(_outlines(view, vertices, faces, casts))
     shadows = lax.optimization_barrier(_shadows(corners, light, centre))
     return _test(strips, outlines, shadows, points - centre, jnp.where(seen, own, -1), tiny)
+
+
+def _along_rays(view: View, light: AbstractLight) -> View:
+    """The view, rounded to single precision, in which each of the light's rays is a point in double precision, too:
+    triangles then lie where their shadows do."""
+    towards = light.towards(jnp.zeros((1, 3), jnp.float64))[0]
+    turn, shift = view.world_to_eye[..., :3, :3], view.world_to_eye[..., :3, 3]
+    along = jnp.sum(turn * towards, axis=-1)
+    if light.is_directional:
+        across = turn[..., :2, :] - along[..., :2, None] * towards / dot(towards, towards)
+        turn = jnp.concatenate([across, turn[..., 2:, :]], axis=-2)
+    else:
+        shift = -along
+    matrix = view.world_to_eye.at[..., :3, :3].set(turn).at[..., :3, 3].set(shift)
+    return eqx.tree_at(lambda view: view.world_to_eye, view, matrix)
 
 
 def _widened(tree: Any) -> Any:
@@ -188,7 +210,7 @@ def _outlines(view: View, vertices: Array, faces: Array, casts: Bool[Array, " f"
     """All triangles in each of the views."""
     views = _views(view)
     clip = lax.optimization_barrier(view.clip_vertices(vertices).reshape(views, -1, 4))
-    outlines = lax.map(lambda view: _outlines_of(*view, views, faces, casts), (clip, jnp.arange(views)))
+    outlines = lax.map(lambda given: _outlines_of(given[0], given[1], views, faces, casts), (clip, jnp.arange(views)))
     return jax.tree.map(lambda of_view: of_view.reshape(-1), outlines)
 
 
