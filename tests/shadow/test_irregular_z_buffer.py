@@ -20,7 +20,7 @@ from diffshadow.geometry import (
     merge,
     translation,
 )
-from diffshadow.raster import draw_surface
+from diffshadow.raster import draw_surface, hidden_points
 from diffshadow.reference import trace_visibility, trace_visibility_exact
 from diffshadow.shadow import IrregularZBuffer
 
@@ -63,9 +63,13 @@ def soup(seed=3, count=120):
 
 
 def slivers():
-    """Long and thin: they overlap most strips of points, and hide few."""
+    """Long and thin, the way that the sun and the lamp shine: each overlaps most strips of points, and hides few, so
+    that there are more pairs than one round of the loop takes."""
     rng = np.random.default_rng(5)
-    start, end = rng.uniform([-2, 1.4, -2], [2, 1.5, 2], (2, 250, 1, 3))
+    along, across = np.array([[0.86, 0, -0.51], [0.51, 0, 0.86]])
+    start, end = (
+        rng.uniform(-2.5, 2.5, (2, 250, 1, 1)) * across + [0, 1.5, 0] + np.array([-3, 3]).reshape(2, 1, 1, 1) * along
+    )
     return triangles(np.concatenate([start, end, end + rng.normal(size=start.shape) * 0.02], axis=1))
 
 
@@ -127,7 +131,7 @@ def near_outline(truth, centre, same_face):
 
 
 SCENES = [(name, light) for name in CASTERS for light in LIGHTS]
-FEW = {("torus", "spot"), ("fence", "point"), ("soup", "directional"), ("slivers", "point"), ("soup", "point")}
+FEW = {("torus", "spot"), ("fence", "point"), ("soup", "directional"), ("slivers", "spot"), ("soup", "point")}
 
 
 @pytest.mark.parametrize(
@@ -200,6 +204,26 @@ def test_triangles_across_the_lights_plane_hide_what_they_hide(light):
     depth = (corners - position) @ -axis
     assert np.mean((depth.min(axis=1) < 0) & (depth.max(axis=1) > 0.1)) > 0.4
     assert_right(scene, trace_visibility_exact(scene, 1), least=0.1)
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_points_on_edges_of_a_convex_mesh_are_not_hidden_where_it_faces_the_light(light):
+    """Rounded, they lie on either side of both faces of their edge."""
+    mesh, rng = library_mesh("sphere", subdivisions=1), np.random.default_rng(1)
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    own = rng.integers(len(faces), size=RESOLUTION[0] * RESOLUTION[1])
+    share, corner = rng.choice([0, 0.3, 0.5, 1], len(own))[:, None], rng.integers(3, size=len(own))
+    start, end = vertices[faces[own, corner]], vertices[faces[own, (corner + 1) % 3]]
+    points = np.float32(start + share * (end - start))
+    a, b, c = np.moveaxis(vertices[faces[own]], 1, 0)
+    away = LIGHTS[light]()
+    lit = np.sum(np.cross(b - a, c - a) * np.asarray(away.towards(jnp.asarray(a, jnp.float32))), axis=1) > 1e-6
+    casts = jnp.ones(FACES, bool)
+    padded = mesh.padded()
+    hidden = hidden_points(padded, casts, away, jnp.asarray(points), jnp.asarray(own, jnp.int32))
+    assert 0.1 < lit.mean() < 0.9
+    assert not np.asarray(hidden)[lit].any()
+    assert np.asarray(hidden)[~lit].mean() > 0.7
 
 
 def test_points_outside_of_a_frustum_are_lit_and_not_covered():
