@@ -172,6 +172,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
     "Without a depth map": (
         Row("Shadow volumes, z-fail", ("technique={type: shadow_volumes}",), "exact hard shadows"),
         Row("Shadow volumes, z-pass", ("technique={type: shadow_volumes, method: z_pass}",), "without caps"),
+        Row("Irregular z-buffer", ("technique={type: irregular_z_buffer}",), "exact hard shadows, without a map"),
         Row(
             "Projective texture",
             ("technique={type: projective_texture, resolution: [1024, 1024], blur: 4}", f"{PLANE}.casts=false"),
@@ -359,9 +360,9 @@ def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Ro
         "",
         f"Times are medians of {repeats} runs in milliseconds, compilation apart: *light* draws the map, the texture "
         "or the table of edges, and *shadow* makes visibility of it. "
-        f"{width} × {height} pixels, {columns} × {rows} texels unless said, float32 (volumes: float64), JAX "
-        f"{jax.__version__} on {device.platform} ({platform.machine()}). They were taken on a machine that others used "
-        "too: compare them with each other only.",
+        f"{width} × {height} pixels, {columns} × {rows} texels unless said, float32 (volumes and irregular z-buffer: "
+        f"float64), JAX {jax.__version__} on {device.platform} ({platform.machine()}). They were taken on a "
+        "machine that others used too: compare them with each other only.",
         "",
     ]
     for section in SECTIONS:

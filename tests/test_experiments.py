@@ -292,3 +292,14 @@ def test_pose_benchmark_times_every_part(monkeypatch, capsys):
     told = capsys.readouterr().out
     for part in ("map and silhouettes", "plain step", "gradient, forward", "gradient, reverse"):
         assert part in told
+
+
+@pytest.mark.exhaustive
+def test_exact_benchmark_times_every_technique(monkeypatch, capsys):
+    options = ["--triangles", "100", "--pixels", "32", "--texels", "64", "--repeats", "1", "--lights", "spot"]
+    monkeypatch.setattr(sys, "argv", ["benchmark_exact.py", *options])
+    monkeypatch.setenv("COLUMNS", "150")
+    importlib.import_module("benchmark_exact").main()
+    told = capsys.readouterr().out
+    for part in ("spot, 104, 32²", "irregular", "volumes", "reference", "0.0e+00"):
+        assert part in told

@@ -86,6 +86,7 @@ from .sections._sweep import SweepConfig as SweepConfig
 from .sections._technique import CascadesConfig as CascadesConfig
 from .sections._technique import CompareConfig as CompareConfig
 from .sections._technique import HardCompareConfig as HardCompareConfig
+from .sections._technique import IrregularZBufferConfig as IrregularZBufferConfig
 from .sections._technique import MappedConfig as MappedConfig
 from .sections._technique import PerspectiveWarpConfig as PerspectiveWarpConfig
 from .sections._technique import ProjectiveTextureConfig as ProjectiveTextureConfig

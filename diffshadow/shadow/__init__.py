@@ -1,4 +1,4 @@
-"""Shadow mapping, its biases, compares and filters; shadow volumes and projective shadows."""
+"""Shadow mapping, its biases, compares and filters; shadow volumes, irregular z-buffers and projective shadows."""
 
 from ._aliasing import Aliasing as Aliasing
 from ._aliasing import aliasing as aliasing
@@ -7,6 +7,8 @@ from ._compare import HardCompare as HardCompare
 from ._compare import SoftCompare as SoftCompare
 from ._compare import SoftKernel as SoftKernel
 from ._glsl import to_glsl as to_glsl
+from ._irregular import IrregularScene as IrregularScene
+from ._irregular import IrregularZBuffer as IrregularZBuffer
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
 from ._map import MapSettings as MapSettings

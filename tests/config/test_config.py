@@ -282,7 +282,8 @@ BROKEN = {
     "misspelt technique": (
         "technique: {type: shadow_volume}\n",
         "2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, resolution_matched, "
-        "shadow_volumes, projective_texture, three.js or babylon.js; did you mean 'shadow_volumes'?",
+        "shadow_volumes, irregular_z_buffer, projective_texture, three.js or babylon.js; "
+        "did you mean 'shadow_volumes'?",
     ),
     "method of another technique": (
         "technique: {method: z_fail}\n",

@@ -307,6 +307,7 @@ def test_technique_follows_its_type():
     assert type(technique_of()).__name__ == "ShadowMapping"
     volumes = technique_of("technique={type: shadow_volumes, method: z_pass}")
     assert (type(volumes).__name__, volumes.method) == ("ShadowVolumes", "z_pass")
+    assert type(technique_of("technique={type: irregular_z_buffer}")).__name__ == "IrregularZBuffer"
     text = "scene: {meshes: [{path: 'builtin:box'}, {path: 'builtin:plane', casts: false}]}"
     projected = build_technique(parse_config(text, ["technique={type: projective_texture}"]))
     assert type(projected).__name__ == "ProjectiveShadow"
@@ -469,12 +470,13 @@ def test_casters_and_receivers_are_told_apart():
     assert scene.casting_faces.tolist() == [True] * 2 + [False] * 12
 
 
-def test_fit_of_a_technique_without_a_gradient_is_refused():
-    config = parse_config(f"technique:\n  type: shadow_volumes\n{TINY}", source="file.yaml")
+@pytest.mark.parametrize("kind", ["shadow_volumes", "irregular_z_buffer"])
+def test_fit_of_a_technique_without_a_gradient_is_refused(kind):
+    config = parse_config(f"technique:\n  type: {kind}\n{TINY}", source="file.yaml")
     with pytest.raises(ConfigError) as caught:
         build_fit(config)
     assert str(caught.value).startswith(
-        "file.yaml:2: technique.type: is shadow_volumes, whose visibility has no gradient; expected shadow_map"
+        f"file.yaml:2: technique.type: is {kind}, whose visibility has no gradient; expected shadow_map"
     )
 
 

@@ -110,7 +110,12 @@ SECTIONS: dict[str, list[Any]] = {
         {"eye": [0, 2, 5], "target": [0, 0, 0], "fov_y": 30.0, "resolution": [24, 16]},
         {"orbit": {"azimuth": 1e-3, "elevation": 1e1, "distance": 3}, "near": 0.1, "far": 100, "resolution": [8, 8]},
     ],
-    "technique": [{}, {"type": "shadow_volumes"}, {"type": "projective_texture", "resolution": [64, 64], "blur": 1.5}],
+    "technique": [
+        {},
+        {"type": "shadow_volumes"},
+        {"type": "irregular_z_buffer"},
+        {"type": "projective_texture", "resolution": [64, 64], "blur": 1.5},
+    ],
     "shadow_map": [{"resolution": [32, 48], "depth_layer": "midpoint"}, {"cull": "front"}, {"silhouettes": True}],
     "bias": [
         {"constant": 50},

@@ -13,7 +13,12 @@ from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
 from ..sections._shading import ModulatedConfig
-from ..sections._technique import MappedConfig, ProjectiveTextureConfig, ShadowVolumesConfig
+from ..sections._technique import (
+    IrregularZBufferConfig,
+    MappedConfig,
+    ProjectiveTextureConfig,
+    ShadowVolumesConfig,
+)
 from ..whole._preferences import preferences
 from ..whole._schema import Config
 from ._scene import build_camera, build_light, build_mesh, stage_of
@@ -114,6 +119,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
     match config.technique:
         case ShadowVolumesConfig(method=method):
             return shadow.ShadowVolumes(method)
+        case IrregularZBufferConfig():
+            return shadow.IrregularZBuffer()
         case ProjectiveTextureConfig(resolution=resolution, blur=blur, kernel=kernel):
             return shadow.ProjectiveShadow(resolution, blur, kernel=kernel)
         case EngineConfig():
@@ -303,6 +310,7 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
 def _no_gradient(kind: str) -> str:
     why = {
         "shadow_volumes": "whose visibility has no gradient",
+        "irregular_z_buffer": "whose visibility has no gradient",
         "projective_texture": "which has neither a bias nor a filter to fit",
     }[kind]
     return f"is {kind}, {why}; expected shadow_map, which can be fitted: change it, or render instead"

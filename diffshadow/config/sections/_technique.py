@@ -130,6 +130,12 @@ class ShadowVolumesConfig(Section):
     )
 
 
+class IrregularZBufferConfig(Section):
+    """Hard shadows at the surface's own points, by testing triangles against them in the light's view."""
+
+    type: Literal["irregular_z_buffer"] = "irregular_z_buffer"
+
+
 class ProjectiveTextureConfig(Section):
     """The casters' silhouette, drawn into a texture and projected onto the meshes that do not cast."""
 
@@ -212,6 +218,7 @@ TechniqueConfig = Annotated[
     | Annotated[PerspectiveWarpConfig, Tag("perspective_warp")]
     | Annotated[ResolutionMatchedConfig, Tag("resolution_matched")]
     | Annotated[ShadowVolumesConfig, Tag("shadow_volumes")]
+    | Annotated[IrregularZBufferConfig, Tag("irregular_z_buffer")]
     | Annotated[ProjectiveTextureConfig, Tag("projective_texture")]
     | Annotated[ThreeJsConfig, Tag("three.js")]
     | Annotated[BabylonJsConfig, Tag("babylon.js")],

@@ -129,7 +129,7 @@ def difference_limit(lights: Sequence[LightImages], states: slice = slice(None))
 
 
 def write_from_light(folder: Path, end: str, from_light: Any) -> None:
-    """Writes what a technique drew from a light: a shadow map or a texture. Shadow volumes have no image."""
+    """Writes what a technique drew from a light: a shadow map or a texture. Other techniques draw no image."""
     match from_light:
         case shadow.ShadowMap() | shadow.EngineMap():
             write_shadow_map(folder / f"shadow_map{end}.png", from_light)
