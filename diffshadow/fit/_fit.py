@@ -109,9 +109,9 @@ def fit(
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
     - `loss`: of the errors of several problems; by default the mean over all pixels.
-    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part.
-        For a loss other than the mean, the errors of the parts are corrected by those of whole images at the start of
-        each phase. The judge sees all.
+    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
+        for a loss other than the mean, most of it from the worst problems, with errors that are corrected by those of
+        whole images at the start of each phase. The judge sees all.
     - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
         (1 + ε) times the best, while the others are fitted again.
     - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.

@@ -53,8 +53,8 @@ class Precision(NamedTuple):
 
 def precision_of(
     names: Sequence[str],
-    differences: Sequence[Float[HostArray, "h w"]],
-    slopes: Sequence[Float[HostArray, "p h w"]],
+    differences: Sequence[Float[HostArray, "_ _"]],
+    slopes: Sequence[Float[HostArray, "p _ _"]],
     blurs: Sequence[float],
     span: Float[HostArray, " p"],
 ) -> Precision:

@@ -19,7 +19,7 @@ from ._precision import Precision, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
-from .problems import Joint
+from .problems import Joint, Samples
 from .solvers import Solver
 
 # How often a phase may be given memory for more silhouettes.
@@ -128,7 +128,7 @@ class Run:
         self.seconds_compiling = 0.0
         self._programs: dict[Any, Any] = {}
         self._judged_errors: dict[Any, Errors] = {}
-        self._sampled: tuple[Any, ...] | None = None
+        self._samples: Samples = {}
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
@@ -284,21 +284,18 @@ class Run:
         joint = phase.joint.put(self.parameters, values)
         if not joint.moves:
             whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
-            joint = self._sample(whole, phase.pixels)
-            # A mean of a part of the pixels is close to that of all. The worst of several is not.
-            if joint is not whole and joint.loss.over != "mean":
-                joint = joint.corrected(self._errors(values, joint.loss))
+            joint = whole if whole.count <= phase.pixels else self._sample(whole, phase.pixels, values)
         joint = joint.each(lambda p: p.padded()).stacked()
         return joint, parameters, as_float(free), self.solver, token, as_float(scale)
 
-    def _sample(self, whole: Joint, pixels: int) -> Joint:
-        """`whole`, or a sample of it; taken again only if a problem has changed."""
-        key = pixels, *map(id, whole.problems)
-        if self._sampled is None or self._sampled[0] != key:
-            # The problems are kept too, so that their ids stay theirs.
-            self._sampled = key, whole.problems, whole.sampled(pixels).problems
-        _, problems, sample = self._sampled
-        return whole if sample is problems else Joint(whole.subject, sample, whole.loss)
+    def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
+        """A sample of about so many `pixels` of `whole` at `values` (p,)."""
+        # A mean of a part of the pixels is close to that of all. The worst of several is not: few images decide.
+        errors = None if whole.loss.over == "mean" else self._errors(values, whole.loss)
+        order = [] if errors is None else np.argsort(-np.asarray(errors), kind="stable").tolist()
+        worst = order[: -(-len(order) // 4)]
+        sample = whole.sampled(pixels, worst, self._samples)
+        return sample if errors is None else sample.corrected(errors)
 
     def judged_at(self, values: Float[Array, " p"]) -> Joint:
         """The judge with `values` (p,), and maps laid out for them."""

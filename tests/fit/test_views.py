@@ -190,9 +190,9 @@ def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
 
 def test_problems_of_several_structures_are_a_stack_and_problems(views):
     spot = problem(disk(), "spot", image=48, texels=48, target=disk(3.0, 0.8))
-    # Of the stack's kind, but smaller.
+    # Of the stack's kind, but smaller. Large images come first.
     small, mapping = problem(disk(), image=48, texels=48, target=disk(3.0, 0.8)), disk(2.0, 0.4)
-    joint = Joint.of([views[0], spot, views[1], small]).stacked()
+    joint = Joint.of([spot, views[0], small, views[1]]).stacked()
     assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem, TechniqueProblem]
     pixels = np.array([float(each.mask.sum()) for each in (*views, spot, small)])
     np.testing.assert_allclose(joint.shares, pixels / pixels.sum(), rtol=1e-6)
@@ -275,9 +275,14 @@ def test_a_sample_of_more_than_count_is_all_of_them(views):
     assert float(mean_square_error(none, mapping)) == 0
 
 
-def test_views_are_sampled_only_where_more_pixels_count(views):
+def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
     joint, pixels = Joint.of(views), sum(int(each.mask.sum()) for each in views)
-    assert joint.sampled(pixels) is joint
+    assert joint.count == pixels
+    counts, of_joint = [], Joint.sampled
+    monkeypatch.setattr(Joint, "sampled", lambda *given: counts.append(given[1]) or of_joint(*given))
+    for most in (pixels, pixels - 1):
+        fit(views, [RADIUS], solver=Solver(max_steps=1), anneal=Anneal(1.0, 1.0, 1), pixels=most)
+    assert counts == [pixels - 1]
     assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 32)
     sampled = joint.sampled(640)
     assert [each.reference.shape for each in sampled.problems] == [(16, 32)] * 2
@@ -294,10 +299,21 @@ def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over
     assert len({float(sample.loss.false_light) for sample, _, _ in starts}) > 1
     hard_errors = lambda joint: np.asarray(joint.hard().losses(joint.hard().subject).errors)
     for sample, errors, made in starts:
+        assert np.argmax([each.reference.size for each in sample.problems]) == np.argmax(errors)
         whole = Joint(sample.subject, tuple(views), sample.loss)
         np.testing.assert_allclose(errors, hard_errors(whole), rtol=1e-4)
         np.testing.assert_allclose(hard_errors(made), errors, rtol=1e-4)
         assert abs(hard_errors(sample) / errors - 1).max() > 0.01
+
+
+def test_the_worst_views_have_three_quarters_of_the_pixels(views):
+    joint, taken = Joint.of([*views, *views]), {}
+    sizes = lambda count, worst: [p.reference.size for p in joint.sampled(count, worst, taken).problems]
+    assert sizes(4096, [2]) == [512, 512, 3072, 512]
+    assert len(taken) == 3  # views 0 and 2 are one, and so are 1 and 3
+    assert sizes(4096, [2, 1]) == [512, 1536, 1536, 512]
+    assert sizes(4096, []) == sizes(4096, range(4)) == [1024] * 4
+    assert joint.sampled(4096, [2], taken).problems[2] is joint.sampled(4096, [2], taken).problems[2]
 
 
 def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):

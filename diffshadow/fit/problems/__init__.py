@@ -4,6 +4,7 @@ from ._abstract import AbstractProblem as AbstractProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
 from ._joint import Images as Images
 from ._joint import Joint as Joint
+from ._joint import Samples as Samples
 from ._joint import any_of as any_of
 from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied

@@ -1,7 +1,7 @@
 """Several problems that share their subject."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,6 +15,9 @@ from .._loss import Errors, Loss
 from .._parameters import Parameters, resolve
 from ._abstract import AbstractProblem
 from ._stack import Stack, stacked
+
+Samples = dict[tuple[int, int], tuple[Any, Any]]
+"""Problems and their samples, by the problem's id and the number of pixels."""
 
 # Bounds of what corrects a sample's error.
 _LEAST_ERROR, _MOST_FACTOR = 1e-10, 4.0
@@ -116,12 +119,30 @@ class Joint(eqx.Module):
         """With another loss."""
         return Joint(self.subject, self.problems, loss)
 
-    def sampled(self, most: int) -> "Joint":
-        """With a part of the pixels of a fit of a technique, if more than `most` count."""
-        if self.moves or sum(int(problem.count) for problem in self.problems) <= most:
-            return self
-        count, problems = most // len(self.problems), enumerate(self.problems)
-        return Joint(self.subject, tuple(problem.sampled(count, i) for i, problem in problems), self.loss)
+    @property
+    def count(self) -> int:
+        """How many pixels of all problems count."""
+        return sum(int(problem.count) for problem in self.problems)
+
+    def sampled(self, count: int, worst: Collection[int] = (), samples: Samples | None = None) -> "Joint":
+        """With about `count` of the pixels of fits of a technique: as many of each, or three quarters of them of the
+        problems at the indices `worst`.
+
+        **Arguments:** `samples`: those taken so far, which are used again.
+        """
+        total, samples = len(self.problems), {} if samples is None else samples
+        shares = np.full(total, 1 / total)
+        if 0 < len(worst) < total:
+            shares[:] = 0.25 / (total - len(worst))
+            shares[list(worst)] = 0.75 / len(worst)
+        taken = []
+        for seed, (problem, share) in enumerate(zip(self.problems, shares, strict=True)):
+            key = id(problem), int(count * share)
+            if key not in samples:
+                # With the problem, so that its id stays its own.
+                samples[key] = problem, problem.sampled(key[1], seed)
+            taken.append(samples[key][1])
+        return Joint(self.subject, tuple(taken), self.loss)
 
     def corrected(self, errors: Errors) -> "Joint":
         """A sample whose errors at its subject, under the hard compare, are the `errors` (v,) of whole images there.

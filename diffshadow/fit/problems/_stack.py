@@ -11,9 +11,12 @@ from jaxtyping import Array, Float
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
 
+# The most images that are evaluated at once.
+_AT_ONCE = 4
+
 
 class Stack(eqx.Module):
-    """Fits of a technique to several images, evaluated one after another by one program.
+    """Fits of a technique to several images, evaluated a few at a time by one program.
 
     - `problems`: one problem whose arrays have a leading axis for the images.
     """
@@ -22,7 +25,10 @@ class Stack(eqx.Module):
 
     def difference(self, subject: Any) -> Float[Array, "n h w"]:
         """Those of all problems."""
-        return jax.lax.map(lambda problem: problem.difference(subject), self.problems)
+        images = self.problems.reference.shape[0]
+        # A few at once keep all cores busy, and none is left over, which would be a second program.
+        at_once = max(k for k in range(1, _AT_ONCE + 1) if images % k == 0)
+        return jax.lax.map(lambda problem: problem.difference(subject), self.problems, batch_size=at_once)
 
     @property
     def moves(self) -> bool:
@@ -43,12 +49,13 @@ def stacked(problems: Sequence[AbstractProblem]) -> tuple[AbstractProblem | Stac
 
 
 def of_one_structure(problems: Sequence[TechniqueProblem]) -> list[list[TechniqueProblem]]:
-    """The problems in groups whose arrays have equal shapes."""
+    """The problems in groups whose arrays have equal shapes, those of large images first."""
     groups: dict[Any, list[TechniqueProblem]] = {}
     for problem in problems:
         leaves, structure = jax.tree.flatten(problem)
         groups.setdefault((structure, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(problem)
-    return list(groups.values())
+    # In one order, whichever problem comes first: programs depend on it.
+    return sorted(groups.values(), key=lambda group: -group[0].reference.size)
 
 
 def together(problems: Sequence[TechniqueProblem]) -> TechniqueProblem:
