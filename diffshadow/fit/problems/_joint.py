@@ -81,7 +81,7 @@ class Joint(eqx.Module):
                 difference, count = problem.difference(subject), problem.count[:, None, None]
             else:
                 difference, count = problem.difference(subject, overflows)[None], problem.count
-            return self.loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))
+            return _scaled(self.loss, difference, count)
 
         return tuple(map(scaled, self.problems))
 
@@ -194,6 +194,16 @@ class Joint(eqx.Module):
         return Joint(self.subject, tuple(map(function, self.problems)), self.loss)
 
 
+@eqx.filter_jit
+def _scaled(loss: Loss, difference: Float[Array, "n h w"], count: Array) -> Float[Array, "n h w"]:
+    return loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))
+
+
+@eqx.filter_jit
+def _sums(images: Float[Array, "n h w"], others: Float[Array, "n h w"]) -> Float[Array, " n"]:
+    return jnp.sum(images * others, axis=(1, 2))
+
+
 def squares(images: Images) -> Errors:
     """The sum of the squares of each image, (v,)."""
     return products(images, images)
@@ -201,7 +211,7 @@ def squares(images: Images) -> Errors:
 
 def products(images: Images, others: Images) -> Errors:
     """The sum of the products of each two images, (v,)."""
-    return jnp.concatenate([jnp.sum(a * b, axis=(1, 2)) for a, b in zip(images, others, strict=True)])
+    return jnp.concatenate([_sums(a, b) for a, b in zip(images, others, strict=True)])
 
 
 def multiplied(images: Images, factors: Errors) -> Images:

@@ -77,7 +77,7 @@ class TechniqueProblem(AbstractProblem):
         Nothing is drawn that could overflow.
         """
         visibility = subject.visibility(self.shadow_map, self.surface)
-        return jnp.sqrt(self.weight * self.factor) * jnp.where(self.mask, visibility - self.reference, 0)
+        return _weighted(visibility, self.reference, self.mask, self.weight * self.factor)
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """All of a difference."""
@@ -163,3 +163,8 @@ class TechniqueProblem(AbstractProblem):
     def blur_in_pixels(self) -> float:
         """None: images are compared as they are."""
         return 0.0
+
+
+@eqx.filter_jit
+def _weighted(visibility: Visibility, reference: Visibility, mask: Mask, weight: Array) -> Float[Array, "h w"]:
+    return jnp.sqrt(weight) * jnp.where(mask, visibility - reference, 0)
