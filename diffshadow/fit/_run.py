@@ -126,7 +126,7 @@ class Run:
         self.slopes = np.zeros(len(parameters))
         self.enlargements = 0
         self.seconds_compiling = 0.0
-        self._programs: dict[Any, Any] = {}
+        self._programs: dict[Any, dict[Any, Any]] = {}
         self._judged_errors: dict[Any, Errors] = {}
         self._samples: Samples = {}
 
@@ -253,7 +253,7 @@ class Run:
         free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
         narrowed = Parameters(at.paths, jnp.asarray(lower), jnp.asarray(upper))
         arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD))
-        found = np.asarray(self._program(phase.program, solve, arguments)(*arguments).value)
+        found = np.asarray(self._program(phase, arguments)(*arguments).value)
         if not np.isfinite(found).all():
             return values
         return tuple(_replaced(as_float(values), active, narrowed.to_bounded(as_float(found))).tolist())
@@ -331,28 +331,30 @@ class Run:
             values, active = self.parameters.to_bounded(free), np.asarray(phase.active)
             at = self.parameters[phase.active]
             arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
-            found = self._program(phase.program, solve, arguments)(*arguments)
+            found = self._program(phase, arguments)(*arguments)
             jax.effects_barrier()
             if not self.reporter.overflowed:
                 return found
             places = list(dict.fromkeys(self.reporter.overflowed))
-            self._forget(phase.program)
+            self._forget(phase)
             self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.parameters, as_float(places)))
             self.reporter.again()
         raise RuntimeError(_NEVER_ENOUGH)
 
-    def _forget(self, key: Any) -> None:
-        """Drops a program that has memory for too few silhouettes."""
+    def _forget(self, phase: Phase) -> None:
+        """Drops the programs of a phase, which have memory for too few silhouettes."""
         self.enlargements += 1
-        self._programs.pop(key, None)
+        self._programs.pop(phase.program, None)
 
-    def _program(self, key: Any, function: Any, arguments: tuple[Any, ...]) -> Any:
-        """The compiled program of the phases with this key."""
-        if key not in self._programs:
+    def _program(self, phase: Phase, arguments: tuple[Any, ...]) -> Any:
+        """The compiled program of a phase for arguments of these shapes, which may differ between samples."""
+        programs = self._programs.setdefault(phase.program, {})
+        shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(arguments))
+        if shapes not in programs:
             started = time.perf_counter()
-            self._programs[key] = compiled(function, arguments)
+            programs[shapes] = compiled(solve, arguments)
             self.seconds_compiling += time.perf_counter() - started
-        return self._programs[key]
+        return programs[shapes]
 
 
 def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:

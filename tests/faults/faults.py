@@ -1594,8 +1594,8 @@ _FIT = (
     _fault(
         "residual: what lies outside the mask counts",
         "fit/problems/_technique.py",
-        "jnp.where(self.mask, visibility - self.reference, 0)",
-        "visibility - self.reference",
+        "jnp.where(mask, visibility - reference, 0)",
+        "visibility - reference",
         "test_fit.py",
     ),
     _fault(
@@ -1925,8 +1925,8 @@ _FIT = (
     _fault(
         "worst view: a sample of another size is used again",
         "fit/problems/_joint.py",
-        "key = id(problem), int(count * share)",
-        "key = id(problem), 0",
+        "if key not in samples:",
+        "if key[0] not in {each for each, _ in samples}:",
         "test_views.py",
     ),
     _fault(
@@ -1939,8 +1939,8 @@ _FIT = (
     _fault(
         "worst view: the factor of a sample is forgotten",
         "fit/problems/_technique.py",
-        "jnp.sqrt(self.weight * self.factor)",
-        "jnp.sqrt(self.weight)",
+        "self.mask, self.weight * self.factor)",
+        "self.mask, self.weight)",
         "test_views.py",
     ),
     _fault(

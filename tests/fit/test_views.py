@@ -316,6 +316,19 @@ def test_the_worst_views_have_three_quarters_of_the_pixels(views):
     assert joint.sampled(4096, [2], taken).problems[2] is joint.sampled(4096, [2], taken).problems[2]
 
 
+def test_the_worst_views_may_have_maps_of_any_size(views, monkeypatch):
+    small, of_joint, calls = problem(disk(), texels=48, target=disk(3.0, 0.8)), Joint.sampled, []
+
+    def in_turns(joint, count, worst, samples):
+        calls.append(worst)
+        return of_joint(joint, count, [len(calls) % 2], samples)
+
+    monkeypatch.setattr(Joint, "sampled", in_turns)
+    found = fitted([views[0], small], pixels=640, loss=Loss("worst"))
+    assert len(calls) == len(found.phases) == 2
+    assert found.fitted["filter.radius"] > 2.2
+
+
 def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):
     sampled = Joint.of(views).sampled(640)
     errors = np.asarray(sampled.hard().losses(sampled.hard().subject).errors)

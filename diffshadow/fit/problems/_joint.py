@@ -137,7 +137,7 @@ class Joint(eqx.Module):
             shares[list(worst)] = 0.75 / len(worst)
         taken = []
         for seed, (problem, share) in enumerate(zip(self.problems, shares, strict=True)):
-            key = id(problem), int(count * share)
+            key = id(problem), max(int(count * share), 1)
             if key not in samples:
                 # With the problem, so that its id stays its own.
                 samples[key] = problem, problem.sampled(key[1], seed)
