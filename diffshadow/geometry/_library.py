@@ -364,7 +364,7 @@ def _unit(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _turn(n: int) -> Float[HostArray, "n"]:
+def _turn(n: int) -> Float[HostArray, " n"]:
     """`n` evenly spaced angles of a full turn, radians."""
     return 2 * np.pi * np.arange(n) / n
 
@@ -395,7 +395,7 @@ def _rod(
     curve: Float[HostArray, "n 3"],
     across: Float[HostArray, "#n 3"],
     side: Float[HostArray, "#n 3"],
-    radius: Float[HostArray, "n"],
+    radius: Float[HostArray, " n"],
     sides: int,
 ) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
     """A tube with flat ends along an open curve, with a radius per point; cross-sections are spanned as in `_tube`."""
@@ -415,7 +415,7 @@ def _rings(
     curve: Float[HostArray, "n 3"],
     across: Float[HostArray, "n 3"],
     side: Float[HostArray, "n 3"],
-    radius: Float[HostArray, "n"],
+    radius: Float[HostArray, " n"],
     sides: int,
 ) -> Float[HostArray, "v 3"]:
     """The vertices of a tube, ring by ring."""

@@ -112,13 +112,13 @@ def crease_normals(
     return result.reshape(-1, 3, 3)
 
 
-def _compact(faces: Int[HostArray, "f 3"]) -> tuple[Int[HostArray, "w"], Int[HostArray, "f 3"]]:
+def _compact(faces: Int[HostArray, "f 3"]) -> tuple[Int[HostArray, " w"], Int[HostArray, "f 3"]]:
     """The vertices in use, ascending, and the faces as indices into these."""
     used, inverse = np.unique(faces, return_inverse=True)
     return used, inverse.reshape(-1, 3)
 
 
-def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int[HostArray, "v"]:
+def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int[HostArray, " v"]:
     """A group number for each point, equal for points to be merged."""
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.reshape(-1)

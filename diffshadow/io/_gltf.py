@@ -170,7 +170,7 @@ def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers)
     return _Triangles(points, triangles, normals)
 
 
-def _ordered(indices: Int[HostArray, "n"], mode: int) -> Int[HostArray, "t 3"]:
+def _ordered(indices: Int[HostArray, " n"], mode: int) -> Int[HostArray, "t 3"]:
     if mode == _STRIP:
         return strip_triangles(indices)
     if mode == _FAN:
@@ -212,7 +212,7 @@ def _moved(accessor: int, count: int, primitive: Primitive, buffers: Buffers) ->
     return moved
 
 
-def _indices(primitive: Primitive, buffers: Buffers) -> Int[HostArray, "n"]:
+def _indices(primitive: Primitive, buffers: Buffers) -> Int[HostArray, " n"]:
     if primitive.indices is None:
         return np.arange(_count(primitive, buffers))
     indices = buffers.values(primitive.indices, "SCALAR")[:, 0]

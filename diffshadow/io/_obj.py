@@ -64,9 +64,9 @@ def _bad_face(lines: list[str], at: list[int]) -> MeshError:
 def _check(
     lines: list[str],
     at: list[int],
-    sizes: Int[HostArray, "f"],
-    corners: Int[HostArray, "c"],
-    known: Bool[HostArray, "c"],
+    sizes: Int[HostArray, " f"],
+    corners: Int[HostArray, " c"],
+    known: Bool[HostArray, " c"],
     count: int,
 ) -> None:
     if not known.all():

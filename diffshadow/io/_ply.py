@@ -59,7 +59,7 @@ class _Column(NamedTuple):
     """The values of a property, row after row, and the number of values in each row."""
 
     values: HostArray
-    sizes: Int[HostArray, "n"]
+    sizes: Int[HostArray, " n"]
 
 
 def read_ply(data: bytes) -> Polygons:
@@ -230,7 +230,7 @@ def _points(columns: Mapping[str, _Column], names: Iterable[str]) -> Float[HostA
 
 def _lists(
     columns: Mapping[str, Mapping[str, _Column]], element: str
-) -> tuple[Int[HostArray, "c"], Int[HostArray, "f"]]:
+) -> tuple[Int[HostArray, " c"], Int[HostArray, " f"]]:
     """The vertex indices listed by the rows of `element`, and the number of them in each row."""
     if not columns.get(element):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -243,7 +243,7 @@ def _lists(
     return values.astype(np.int64), sizes.astype(np.int64)
 
 
-def _strips(corners: Int[HostArray, "c"], sizes: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
+def _strips(corners: Int[HostArray, " c"], sizes: Int[HostArray, " n"]) -> Int[HostArray, "t 3"]:
     """The triangles of lists of strips; -1 separates the strips of one list."""
     triangles = [np.zeros((0, 3), np.int64)]
     for strips in np.split(corners, np.cumsum(sizes)):

@@ -30,8 +30,8 @@ class Polygons(NamedTuple):
     """
 
     vertices: Float[HostArray, "v 3"]
-    corners: Int[HostArray, "c"]
-    sizes: Int[HostArray, "f"]
+    corners: Int[HostArray, " c"]
+    sizes: Int[HostArray, " f"]
     left_out: Mapping[str, int] = MappingProxyType({})
     normals: Float[HostArray, "v 3"] | None = None
 
@@ -100,7 +100,7 @@ def _cut(points: Float[HostArray, "n 3"], number: int) -> Int[HostArray, "t 3"]:
     )
 
 
-def strip_triangles(strip: Int[HostArray, "n"]) -> Int[HostArray, "t 3"]:
+def strip_triangles(strip: Int[HostArray, " n"]) -> Int[HostArray, "t 3"]:
     """The triangles of a strip of n vertices; every other one is reversed so that all have the same winding."""
     triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=-1) if len(strip) > 2 else strip[:0].reshape(0, 3)
     triangles[1::2] = triangles[1::2, ::-1]
@@ -127,8 +127,8 @@ def placed(
 
 
 def _upright(
-    triangles: Float[HostArray, "t 3 3"], face: Int[HostArray, "t"], tolerance: float = _EXACT
-) -> Bool[HostArray, "t"]:
+    triangles: Float[HostArray, "t 3 3"], face: Int[HostArray, " t"], tolerance: float = _EXACT
+) -> Bool[HostArray, " t"]:
     """Whether each triangle has the winding of its face; `face` (t,) is sorted.
 
     If all triangles of a face have it, they cover the face exactly once and nothing else. A flipped triangle is

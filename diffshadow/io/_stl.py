@@ -38,5 +38,5 @@ def read_stl(data: bytes) -> Polygons:
     return _polygons(vertices, np.diff(ends, prepend=0))
 
 
-def _polygons(vertices: Float[HostArray, "c 3"], sizes: Int[HostArray, "f"]) -> Polygons:
+def _polygons(vertices: Float[HostArray, "c 3"], sizes: Int[HostArray, " f"]) -> Polygons:
     return Polygons(vertices, np.arange(len(vertices)), sizes)

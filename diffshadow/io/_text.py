@@ -80,12 +80,12 @@ def read_points(lines: Sequence[str], at: Sequence[int], first: int) -> Float[Ho
         raise
 
 
-def numbers(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, "n"]:
+def numbers(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, " n"]:
     """Parses `words`. **Raises** `ValueError` if one of them is not a number."""
     return np.fromiter(map(float, words), np.float64, len(words))
 
 
-def integers(words: Sequence[str]) -> Int[HostArray, "n"]:
+def integers(words: Sequence[str]) -> Int[HostArray, " n"]:
     """Parses `words`. **Raises** `ValueError` if one of them is not a whole number of 64 bits."""
     try:
         return np.fromiter(map(int, words), np.int64, len(words))

@@ -11,7 +11,7 @@ from ._visibility import BATCH, Job, sampling_of
 _SAMPLES = 16
 
 
-def hides_light(scene: Scene, faces: Bool[HostArray, "f"]) -> bool:
+def hides_light(scene: Scene, faces: Bool[HostArray, " f"]) -> bool:
     """Whether any of `faces` lies between a light and a surface seen through a pixel's centre.
 
     Faces count even if others block the same light. For a light with a size, 16 points are tried per pixel.

@@ -40,7 +40,7 @@ class EmbreeTracer(AbstractTracer):
         # The first query builds the BVH, which is not thread-safe.
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
-    def closest(self, rays: Rays) -> Int[HostArray, "n"]:
+    def closest(self, rays: Rays) -> Int[HostArray, " n"]:
         return self._scene.run(
             rays.origin.astype(np.float32), rays.direction.astype(np.float32), dists=rays.reach.astype(np.float32)
         )
@@ -53,16 +53,16 @@ class EmbreeTracer(AbstractTracer):
     def occluded(
         self,
         origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, "n"],
-        which: Int[HostArray, "r"],
+        face: Int[HostArray, " n"],
+        which: Int[HostArray, " r"],
         direction: Float[HostArray, "r 3"],
         reach: float,
-    ) -> Bool[HostArray, "r"]:
+    ) -> Bool[HostArray, " r"]:
         starts = np.take(origin.astype(np.float32), which, axis=0)
         return self._scene.run(starts, direction, dists=reach, query="OCCLUDED") != -1
 
 
-def self_hit_offsets(triangles: Triangles) -> Float64[HostArray, "f"]:
+def self_hit_offsets(triangles: Triangles) -> Float64[HostArray, " f"]:
     """The distance from each face at which a float32 shadow ray must start, (f,), in the tracing frame."""
     edges = np.linalg.norm(triangles.corners - np.roll(triangles.corners, 1, axis=1), axis=-1)
     longest = edges.max(axis=1)

@@ -32,7 +32,7 @@ class ExactTracer(AbstractTracer):
         self._corner = triangles.corners[:, 0]
         self._edges = triangles.corners[:, 1:] - triangles.corners[:, :1]
 
-    def closest(self, rays: Rays) -> Int[HostArray, "n"]:
+    def closest(self, rays: Rays) -> Int[HostArray, " n"]:
         face = np.full(len(rays.origin), -1, dtype=np.int32)
         for part in self._parts(len(face)):
             distance = self._distances(rays.origin[part], rays.direction[part])
@@ -47,11 +47,11 @@ class ExactTracer(AbstractTracer):
     def occluded(
         self,
         origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, "n"],
-        which: Int[HostArray, "r"],
+        face: Int[HostArray, " n"],
+        which: Int[HostArray, " r"],
         direction: Float[HostArray, "r 3"],
         reach: float,
-    ) -> Bool[HostArray, "r"]:
+    ) -> Bool[HostArray, " r"]:
         hit = np.zeros(len(which), dtype=bool)
         for part in self._parts(len(which)):
             distance = self._distances(origin[which[part]], direction[part])

@@ -55,7 +55,7 @@ class Triangles:
         self.areas = np.linalg.norm(normals, axis=-1) / 2
         self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
 
-    def only(self, faces: Bool[HostArray, "f"]) -> "Triangles":
+    def only(self, faces: Bool[HostArray, " f"]) -> "Triangles":
         """The triangles selected by `faces` (f,), in the same frame."""
         some = copy.copy(self)
         some.corners, some.normals, some.areas = self.corners[faces], self.normals[faces], self.areas[faces]
@@ -75,7 +75,7 @@ class Rays(NamedTuple):
 
     origin: Float64[HostArray, "n 3"]
     direction: Float64[HostArray, "n 3"]
-    reach: Float64[HostArray, "n"]
+    reach: Float64[HostArray, " n"]
 
 
 class CameraRays:
@@ -100,7 +100,9 @@ class CameraRays:
         skipped = np.maximum(-np.sum(begin * direction, axis=-1) - 1.01 * _DIAGONAL, 0)
         return Rays(begin + skipped[:, None] * direction, direction, reach - skipped)
 
-    def _unproject(self, x: Float64[HostArray, "n"], y: Float64[HostArray, "n"], z: float) -> Float64[HostArray, "n 3"]:
+    def _unproject(
+        self, x: Float64[HostArray, " n"], y: Float64[HostArray, " n"], z: float
+    ) -> Float64[HostArray, "n 3"]:
         clip = np.stack([x, y, np.full_like(x, z), np.ones_like(x)], axis=-1)
         eye = clip @ self._clip_to_eye.T
         world = (eye / eye[:, 3:]) @ self._eye_to_world.T
@@ -117,10 +119,10 @@ class Hits(NamedTuple):
 
     position: Float64[HostArray, "n 3"]
     normal: Float64[HostArray, "n 3"]
-    face: Int[HostArray, "n"]
+    face: Int[HostArray, " n"]
 
 
-def hits_on_planes(rays: Rays, faces: Int[HostArray, "n"], triangles: Triangles) -> Hits:
+def hits_on_planes(rays: Rays, faces: Int[HostArray, " n"], triangles: Triangles) -> Hits:
     """The points where `rays` meet the planes of the `faces` (n,) that they hit, accurate to float64."""
     corners, normal = triangles.corners[faces], triangles.normals[faces]
     facing = np.sum(normal * rays.direction, axis=-1)

@@ -106,7 +106,9 @@ class LightSampler:
         else:
             self._points, self._cell = _grid(self.samples)
 
-    def points(self, first: int, count: int, chosen: Int[HostArray, "n"] | slice = _ALL) -> Float32[HostArray, "n s 2"]:
+    def points(
+        self, first: int, count: int, chosen: Int[HostArray, " n"] | slice = _ALL
+    ) -> Float32[HostArray, "n s 2"]:
         """The samples of pixels `first` to `first + count - 1`, or of the `chosen` ones of these, (n, samples, 2)."""
         if self._cell is None:
             square = _planar(self._points + _uniform(self.seed, first, (count, 1, 2))[chosen])

@@ -16,7 +16,7 @@ class AbstractTracer(abc.ABC):
     """Precision of shadow ray directions."""
 
     @abc.abstractmethod
-    def closest(self, rays: Rays) -> Int[HostArray, "n"]:
+    def closest(self, rays: Rays) -> Int[HostArray, " n"]:
         """The first face that each of `rays` hits within its reach, (n,); -1 for none."""
 
     @abc.abstractmethod
@@ -27,11 +27,11 @@ class AbstractTracer(abc.ABC):
     def occluded(
         self,
         origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, "n"],
-        which: Int[HostArray, "r"],
+        face: Int[HostArray, " n"],
+        which: Int[HostArray, " r"],
         direction: Float[HostArray, "r 3"],
         reach: float,
-    ) -> Bool[HostArray, "r"]:
+    ) -> Bool[HostArray, " r"]:
         """Whether shadow rays are occluded.
 
         **Arguments:**

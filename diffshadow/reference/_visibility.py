@@ -138,7 +138,7 @@ class _Centre:
 
     samples = 1
 
-    def points(self, first: int, count: int, chosen: Int[HostArray, "n"]) -> Float32[HostArray, "n 1 2"]:
+    def points(self, first: int, count: int, chosen: Int[HostArray, " n"]) -> Float32[HostArray, "n 1 2"]:
         return np.zeros((len(chosen), 1, 2), dtype=np.float32)
 
 
@@ -187,7 +187,7 @@ class Job:
                 # After an error or an interrupt, do not wait for batches that have not started.
                 pool.shutdown(wait=True, cancel_futures=True)
 
-    def reference(self, samples: int, visibility: Float32[HostArray, "n"]) -> Reference:
+    def reference(self, samples: int, visibility: Float32[HostArray, " n"]) -> Reference:
         """The finished image."""
         mask = self.face >= 0
         if not mask.any():
@@ -203,7 +203,7 @@ class Job:
             standard_error=self.standard_error.reshape(shape),
         )
 
-    def hits(self, first: int, count: int) -> tuple[Int[HostArray, "n"], Hits]:
+    def hits(self, first: int, count: int) -> tuple[Int[HostArray, " n"], Hits]:
         """Which of the `count` pixels from `first` on hit a surface, as indices from `first`, and the hits."""
         rays = self.rays.pixels(first, count)
         face = self.tracer.closest(rays)
@@ -244,7 +244,7 @@ class Job:
             hidden[above] = occluders.occluded(start, hits.face, which, direction, self.reach)
         return above, hidden
 
-    def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, "n"] | float:
+    def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, " n"] | float:
         """Estimated from the two halves of the samples: var(mean) = (difference of halves)² · n₁ n₂ / (n₁ + n₂)²."""
         samples = lit.shape[1]
         if samples == 1:

@@ -112,7 +112,7 @@ def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: 
     return geometry.OrthographicCamera(eye, target, up, height=height, near=near, far=far, resolution=config.resolution)
 
 
-def _depth_range(depth: Float[HostArray, "n"], *, perspective: bool) -> tuple[float, float]:
+def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[float, float]:
     """Near and far that tightly bound the points at `depth` (n,) along the view axis; all in world units.
 
     **Raises** `ValueError` if `perspective` and all points are behind the eye.
