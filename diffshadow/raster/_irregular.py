@@ -136,7 +136,7 @@ def _hidden_points(
     view = _along_rays(view, light)
     # Padded meshes have many faces that are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
-    # Without the barriers the compiler computes what is gathered anew for every gather.
+    # Without the barriers the compiler computes these again for every gather.
     corners = lax.optimization_barrier([take(vertices, faces[:, k]) for k in range(3)])
     low = functools.reduce(jnp.minimum, [jnp.min(corner, axis=0) for corner in corners])
     high = functools.reduce(jnp.maximum, [jnp.max(corner, axis=0) for corner in corners])
