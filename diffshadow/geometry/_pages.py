@@ -15,7 +15,7 @@ Broadcast = Int[Array, "*#n"]
 
 
 class Tile(NamedTuple):
-    """A part of a virtual map; or of each of several layers, or points, one.
+    """What a layer shows of a virtual map; or of each of several layers, or points, one.
 
     - `origin`: (2,), x and y of its first texel in the virtual map.
     - `size`: side of the virtual map, in texels.

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._misc import with_gradient_of
-from .._types import Scalar, Vec2
+from .._types import Scalar
 from ._pages import Tile
 from ._transforms import transform_points, transform_vectors
 from ._warp import Warp
@@ -24,11 +24,12 @@ class View(eqx.Module):
     - `is_perspective`: whether sizes shrink with distance.
     - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
         are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
-        whole steps then sees the same triangles to the bit. None if vertices are drawn where they are.
+        whole steps then sees the same triangles to the bit. None if vertices are drawn where they are. Of several
+        views, (l, 2).
     - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
         while depths stay those of the parallel view. None for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection is that of the whole
-        virtual map. None if a map shows all of the window.
+        virtual map. None if a map shows all of the window. A virtual map that is smaller than its layer ends within it.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -36,7 +37,7 @@ class View(eqx.Module):
     near: Scalar
     far: Scalar
     is_perspective: bool = eqx.field(static=True)
-    steps: Vec2 | None = None
+    steps: Float[Array, "*k 2"] | None = None
     warp: Warp | None = None
     tile: Tile | None = None
 
@@ -50,6 +51,14 @@ class View(eqx.Module):
         """(height, width) in texels of the map that the projection shows, given a layer's `resolution`: of the virtual
         map, if the layer is a part of one."""
         return resolution if self.tile is None else (self.tile.size, self.tile.size)
+
+    def shown(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
+        """(height, width) in texels of what a layer shows, given its `resolution`: less than that, if the virtual map
+        ends within it."""
+        if self.tile is None:
+            return resolution
+        end = self.tile.size[..., None] - self.tile.origin
+        return jnp.minimum(end[..., 1], resolution[0]), jnp.minimum(end[..., 0], resolution[1])
 
     @property
     def matrix(self) -> Float[Array, "*l 4 4"]:
@@ -78,8 +87,9 @@ class View(eqx.Module):
             return clip
         eye = transform_points(view.world_to_eye, vertices)[..., :3]
         from_axis, offset = transform_vectors(view.eye_to_clip, eye)[..., :2], view.eye_to_clip[..., :2, 3]
-        whole = jnp.round(from_axis * self.steps) + jnp.round(offset * self.steps)
-        return jnp.concatenate([with_gradient_of(clip[..., :2], whole / self.steps), clip[..., 2:]], axis=-1)
+        steps = self.steps[..., None, :]
+        whole = jnp.round(from_axis * steps) + jnp.round(offset * steps)
+        return jnp.concatenate([with_gradient_of(clip[..., :2], whole / steps), clip[..., 2:]], axis=-1)
 
     def _with(self, world_to_eye: Float[Array, "*l 4 4"], eye_to_clip: Float[Array, "*m 4 4"]) -> "View":
         matrices = lambda view: (view.world_to_eye, view.eye_to_clip)

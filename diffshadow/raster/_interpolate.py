@@ -188,11 +188,11 @@ def visible_depth(
 
     **Arguments:** as for `barycentrics`, and
 
-    - `tile`: of face maps (l, h, w) of square tiles of a virtual image, which part each is.
+    - `tile`: of face maps (l, h, w), or one, of square tiles of a virtual image, which part each is.
     """
     if tile is not None:
-        flat = face.reshape(-1, face.shape[-1])
-        return _visible_depth(flat, clip, faces, tile).reshape(face.shape)
+        flat, tiles = face.reshape(-1, face.shape[-1]), Tile(tile.origin.reshape(-1, 2), tile.size.reshape(-1))
+        return _visible_depth(flat, clip, faces, tiles).reshape(face.shape)
     return _visible_depth(face, clip, faces, None)
 
 

@@ -17,6 +17,9 @@ from ._depth_test import DepthTest
 from ._page_pass import PagedDrawing
 from ._windows import DrawPass, least_depth, least_depth_and_face
 
+MOST_PIXELS_ACROSS = 8192
+"""The most pixels along a side of an image."""
+
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
 
@@ -56,6 +59,7 @@ def rasterize(
     polygon_offset: Any = None,
     behind: Int[Array, "*l h w"] | None = None,
     pages: Pages | None = None,
+    sides: Int[Array, " b"] | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -75,10 +79,12 @@ def rasterize(
         second-nearest layer is drawn.
     - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are
         (l, h, w). `clip` is one view, that of the virtual map, and `resolution` that of a layer.
+    - `sides`: (b,), in pixels, for several views: each is drawn into the lower left square of its image of this side,
+        and pixels beyond see nothing. Each at most the lesser of height and width.
 
     **Raises** `ValueError` for a resolution or depth test out of range.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, with_face=True, pages=pages)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, sides)
 
 
 def rasterize_depth(
@@ -91,39 +97,47 @@ def rasterize_depth(
     polygon_offset: Any = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, with_face=False, pages=None)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages) -> Any:
+def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides) -> Any:
     test = test or DepthTest()
     test.check()
-    if not all(1 <= n <= 8192 for n in resolution):
-        raise ValueError(f"the resolution is {resolution}; expected (height, width), each from 1 to 8192 pixels")
+    if not all(1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
+        raise ValueError(
+            f"the resolution is {resolution}; expected (height, width), each from 1 to {MOST_PIXELS_ACROSS} pixels"
+        )
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = padded(lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces))
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages)
+    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides)
 
 
 @eqx.filter_jit
 def _rasterize(
-    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages
+    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides
 ) -> Fragments | Float[Array, "*b h w"]:
     decoded = lambda depth: jnp.where(depth < jnp.inf, test.decode(depth), jnp.float32(test.clear))
 
-    def view(clip: Array, behind: Array | None) -> Fragments | Array:
+    def view(clip: Array, behind: Array | None, side: Array | None) -> Fragments | Array:
+        viewport = resolution if side is None else (side, side)
         if pages is None:
-            triangles = bin_triangles(clip, faces, resolution, cull)
-            drawing = DrawPass(triangles, resolution, cull, test, polygon_offset)
+            triangles = bin_triangles(clip, faces, viewport, cull)
+            drawing = DrawPass(triangles, viewport, cull, test, polygon_offset, resolution)
         else:
             drawing = PagedDrawing(clip, faces, pages, cull, test, polygon_offset)
         if not with_face:
             return decoded(least_depth(drawing))
         depth, face = least_depth_and_face(drawing, behind)
+        if side is not None:
+            # Windows of pixels may reach beyond the viewport.
+            row, column = (jnp.arange(size, dtype=jnp.int32) for size in resolution)
+            within = (row[:, None] < side) & (column < side)
+            depth, face = jnp.where(within, depth, jnp.inf), jnp.where(within, face, NO_FACE)
         return Fragments(jnp.where(face < 0, NO_FACE, face), decoded(depth))
 
     # One view after the other, since each has its own number of triangles to draw.
-    return lax.map(lambda each: view(*each), (clip, behind)) if clip.ndim > 2 else view(clip, behind)
+    return lax.map(lambda each: view(*each), (clip, behind, sides)) if clip.ndim > 2 else view(clip, behind, None)

@@ -22,7 +22,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
-from .._types import Viewport
+from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Cull, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
@@ -81,7 +81,9 @@ class DrawPass(Drawing):
 
     **Arguments:**
 
-    - `triangles`: see `bin_triangles`; `cull`: as given there.
+    - `triangles`: see `bin_triangles`; `resolution`, `cull`: as given there.
+    - `buffer`: (height, width) of the image that buffers hold, whose lower left part is drawn; `resolution` if left
+        out.
     """
 
     def __init__(
@@ -91,20 +93,21 @@ class DrawPass(Drawing):
         cull: Cull,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
+        buffer: Resolution | None = None,
     ):
-        self.triangles, self.resolution = triangles, resolution
+        self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
         self.cull: Cull = cull
         self.test, self.polygon_offset = test, polygon_offset
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
-        height, width = self.resolution
+        height, width = self.buffer
         return jnp.full((height + PADDING, width + PADDING), value, dtype)
 
     def padded(self, image: Array, value: float | int) -> Array:
         return jnp.pad(image, ((0, PADDING), (0, PADDING)), constant_values=value)
 
     def image(self, buffer: Array) -> Array:
-        height, width = self.resolution
+        height, width = self.buffer
         return buffer[:height, :width]
 
     def draw(self, buffer: Array, write: Write) -> Array:

@@ -80,7 +80,7 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     to_camera = normalize(camera.eye - points) if view.is_perspective else view.world_to_eye[2, :3]
     half_way = normalize(to_light + to_camera)
     at, _, in_front = project(shadow_map, points, choice.layer)
-    height, width = shadow_map.resolution
+    height, width = shadow_map.view_of(choice.layer).shown(shadow_map.resolution)
     inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= width) & (at[..., 1] <= height)
     mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
     mask = mask if choice.strength is None else mask & (choice.strength > 0)

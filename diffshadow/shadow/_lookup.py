@@ -96,5 +96,5 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
     """Whether each receiver falls inside the map rather than on its border, (h, w)."""
-    height, width = shadow_map.resolution
+    height, width = shadow_map.view_of(lookup.layer).shown(shadow_map.resolution)
     return lookup.inside & (lookup.x >= 0) & (lookup.y >= 0) & (lookup.x <= width) & (lookup.y <= height)

@@ -101,8 +101,9 @@ def draw_shadow_map(
         throw it away and draw again.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
-    `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, and what
-    `rasterize` raises; and a runtime error if the silhouettes have more `crossings`.
+    `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
+    `edges` for one with pages or with cascades of several sizes, and what `rasterize` raises; and a runtime error if
+    the silhouettes have more `crossings`.
     """
     if depth_layer not in ("nearest", "midpoint", "second"):
         raise ValueError(
@@ -124,10 +125,12 @@ def draw_shadow_map(
             "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
         )
     tile, pages = light.view().tile, light.pages if isinstance(light, PagedLight) else None
-    if pages is not None and edges is not None:
+    if tile is not None and edges is not None:
+        what = "cascades of several sizes" if pages is None else "pages"
         raise ValueError(
-            "the shadow map has pages, and edges were given; expected no edges: leave them out, or use another layout"
+            f"the shadow map has {what}, and edges were given; expected no edges: leave them out, or use another layout"
         )
+    sides = None if tile is None or pages is not None else tile.size
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -141,6 +144,7 @@ def draw_shadow_map(
             polygon_offset=polygon_offset,
             behind=behind,
             pages=pages,
+            sides=sides,
         )
         if unwarped is not None:
             return seen.face, _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
@@ -279,5 +283,5 @@ def _unwarped_depth(
 def _depth(
     face: Int[Array, "*l h w"], clip: Float[Array, "*m v 4"], faces: Faces, tile: Tile | None
 ) -> Float[Array, "*l h w"]:
-    of_view = lambda face, clip: visible_depth(face, clip, faces, tile)
-    return jax.vmap(of_view)(face, clip) if clip.ndim > 2 else of_view(face, clip)
+    of_view = lambda face, clip, tile: visible_depth(face, clip, faces, tile)
+    return jax.vmap(of_view)(face, clip, tile) if clip.ndim > 2 else of_view(face, clip, tile)

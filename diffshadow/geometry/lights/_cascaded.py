@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._types import Vec2
+from .._pages import Tile
 from .._view import View
 from ._abstract import AbstractLight
 from ._fitted import AbstractFittedLight
@@ -18,7 +18,7 @@ CascadeSelection = Literal["interval", "map"]
 
 class CascadedLight(AbstractFittedLight):
     """A directional light whose shadow map has a layer, called a cascade, for each of several ranges of a camera's
-    depth. Each cascade is a part of the light's own map, drawn at full resolution.
+    depth. Each cascade is a part of the light's own map, drawn in all of its layer or in a part of it.
 
     `shadow.Cascades` makes one for a light and a camera.
 
@@ -28,10 +28,12 @@ class CascadedLight(AbstractFittedLight):
         range may begin before the one before it ends.
     - `scale`, `offset`: (l, 2), each cascade's window in the light's own clip space: a point's clip coordinates x and y
         in the cascade are `scale · xy + offset`.
-    - `margin`: (2,), how far from the border of a cascade a point must lie to be in it, in its clip space, if cascades
-        are selected by map.
+    - `margin`: (l, 2), how far from the border of a cascade a point must lie to be in it, in its clip space, if
+        cascades are selected by map.
     - `select`: how a point's cascade is found.
-    - `steps`: (2,), see `View.steps`.
+    - `steps`: (l, 2), see `View.steps`.
+    - `sides`: (l,), the side of each cascade in texels: it is the lower left square of its layer, and the texels beyond
+        stay empty. None if cascades fill their layers.
     """
 
     light: AbstractLight
@@ -40,9 +42,10 @@ class CascadedLight(AbstractFittedLight):
     ends: Float[Array, " l"]
     scale: Float[Array, "l 2"]
     offset: Float[Array, "l 2"]
-    margin: Vec2
+    margin: Float[Array, "l 2"]
     select: CascadeSelection = eqx.field(static=True, default="interval")
-    steps: Vec2 | None = None
+    steps: Float[Array, "l 2"] | None = None
+    sides: Int[Array, " l"] | None = None
 
     @property
     def count(self) -> int:
@@ -56,7 +59,8 @@ class CascadedLight(AbstractFittedLight):
         cropped = self.scale[..., None] * rows + self.offset[..., None] * own.eye_to_clip[3]
         others = jnp.broadcast_to(own.eye_to_clip[2:], (self.count, 2, 4))
         eye_to_clip = jnp.concatenate([cropped, others], axis=-2)
-        return View(own.world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, self.steps)
+        tile = None if self.sides is None else Tile(jnp.zeros((self.count, 2), jnp.int32), self.sides)
+        return View(own.world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, self.steps, tile=tile)
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
         points = lax.stop_gradient(points)
@@ -75,5 +79,5 @@ class CascadedLight(AbstractFittedLight):
         outside of it."""
         own = self.light.view().clip(points)
         at = self.scale[layer] * own[..., :2] + self.offset[layer]
-        inside = 1 - self.margin - jnp.abs(at)
+        inside = 1 - self.margin[layer] - jnp.abs(at)
         return jnp.minimum(inside[..., 0], inside[..., 1])

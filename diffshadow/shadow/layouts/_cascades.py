@@ -1,6 +1,7 @@
 """Cascaded shadow maps (Engel, "Cascaded Shadow Maps", ShaderX5, 2006), also called parallel-split shadow maps (Zhang,
 Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments", VRCIA 2006)."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -8,12 +9,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float, concrete
-from ..._types import Resolution, Scalar, Vec2
+from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
-from ...raster import SUBPIXELS, Surface
+from ...raster import MOST_PIXELS_ACROSS, SUBPIXELS, Surface
 from ..biases._abstract import check_choice
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout, check_depths
@@ -24,6 +25,8 @@ MOST_CASCADES = 8
 _LEAST_SIZE = 1e-3
 # The least share of a slice over which cascades are blended: 1 / blend has to be finite.
 _LEAST_BLEND = 1e-6
+# Relative rounding error of shares: a thousandth of a texel in the largest maps.
+_ROUNDING = 1e-6
 
 CascadeFit = Literal["cascade", "scene"]
 
@@ -40,6 +43,12 @@ class Cascades(AbstractFittedLayout):
     - `logarithmic`: λ in [0, 1], from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
         The last is the shadow distance.
+    - `shares`: for each cascade a number greater than 0, which says how many texels it has, relative to the others. A
+        map of R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
+        rounded down. Layers are as large as the largest, and the others fill the lower left square of theirs. If left
+        out, all fill their layers. Such a map is square, and has no silhouettes.
+    - `max_share`: upper bound on a cascade's part of all texels, in (0, 1], for which there is memory; defaults to that
+        of `shares`.
     - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the least and
         greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
         Lefohn 2011).
@@ -63,6 +72,7 @@ class Cascades(AbstractFittedLayout):
 
     logarithmic: Scalar
     distances: tuple[Scalar, ...] | None
+    shares: tuple[Scalar, ...] | None
     shadow_distance: Scalar | None
     blend: Scalar
     count: int = eqx.field(static=True)
@@ -70,6 +80,7 @@ class Cascades(AbstractFittedLayout):
     fit: CascadeFit = eqx.field(static=True)
     stabilize: bool = eqx.field(static=True)
     select: CascadeSelection = eqx.field(static=True)
+    max_share: float = eqx.field(static=True)
     max_blend: float = eqx.field(static=True)
     fade: float = eqx.field(static=True)
     margin: float = eqx.field(static=True)
@@ -80,6 +91,8 @@ class Cascades(AbstractFittedLayout):
         logarithmic: float | Scalar = 0.5,
         *,
         distances: Sequence[float | Scalar] | None = None,
+        shares: Sequence[float | Scalar] | None = None,
+        max_share: float | None = None,
         depths: DepthRange = "camera",
         shadow_distance: float | Scalar | None = None,
         fit: CascadeFit = "cascade",
@@ -95,6 +108,10 @@ class Cascades(AbstractFittedLayout):
         self.distances = None if distances is None else tuple(as_float(each) for each in distances)
         self.depths, self.fit, self.stabilize, self.select = depths, fit, stabilize, select
         self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
+        self.shares = None if shares is None else tuple(as_float(each) for each in shares)
+        if max_share is None:
+            max_share = 1.0 if not shares else max(map(float, shares)) / (sum(map(float, shares)) or 1.0)
+        self.max_share = max_share
         self.blend = as_float(blend)
         self.max_blend = float(blend) if max_blend is None else max_blend
         self.fade, self.margin = float(fade), float(margin)
@@ -111,6 +128,8 @@ class Cascades(AbstractFittedLayout):
                 raise ValueError(f"the cascades' {name} is {known}; expected 0 to {most:g}")
         if self.distances is not None:
             self._check_distances(self.distances)
+        if self.shares is not None:
+            self._check_shares(self.shares)
 
     def _check_distances(self, distances: tuple[Scalar, ...]) -> None:
         if self.shadow_distance is not None or self.depths != "camera":
@@ -125,9 +144,65 @@ class Cascades(AbstractFittedLayout):
                 "the one before: sort them, and remove those that occur twice"
             )
 
+    def _check_shares(self, shares: tuple[Scalar, ...]) -> None:
+        known = [concrete(each) for each in shares]
+        given = None if any(each is None for each in known) else np.array(known, float)
+        if len(shares) != self.count:
+            raise ValueError(
+                f"the cascades have {len(shares)} shares, and their count is {self.count}; expected as many: give one "
+                "for each"
+            )
+        if not 0 < self.max_share <= 1:
+            raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
+        if given is None:
+            return
+        if not ((given > 0) & np.isfinite(given)).all():
+            raise ValueError(f"the cascades' shares are {given.tolist()}; expected numbers greater than 0")
+        greatest = given.max() / given.sum()
+        if greatest > self.max_share * (1 + _ROUNDING):
+            raise ValueError(
+                f"the cascades' shares are {given.tolist()}, the greatest {greatest:.3g} of all texels, and max_share "
+                f"is {self.max_share:.3g}; expected at most that: lower the share, or raise max_share"
+            )
+
     @property
     def differentiable(self) -> tuple[str, ...]:
         return ("blend",)
+
+    def layer_resolution(self, resolution: Resolution) -> Resolution:
+        """(height, width) of a layer in texels; with shares, as large as the largest cascade that `max_share` allows.
+
+        **Raises** `ValueError` for shares of a map that is not square, or a layer that is too large to draw.
+        """
+        if self.shares is None:
+            return resolution
+        if resolution[0] != resolution[1]:
+            raise ValueError(
+                f"the cascades have shares, and maps of {resolution} texels, (height, width); expected square maps: "
+                "make height and width equal, or leave shares out"
+            )
+        side = _side(resolution[0], self.count * self.max_share)
+        if side > MOST_PIXELS_ACROSS:
+            raise ValueError(
+                f"the cascades' max_share is {self.max_share:.3g}, with which the largest of {self.count} maps of "
+                f"{resolution[0]}² texels on average has {side}²; expected at most {MOST_PIXELS_ACROSS}²: lower the "
+                "resolution, or the greatest share"
+            )
+        return side, side
+
+    def sides(self, resolution: Resolution) -> Int[Array, "l 2"]:
+        """Width and height of each cascade in texels, (count, 2), for a map of `resolution`."""
+        height, width = self.layer_resolution(resolution)
+        if self.shares is None:
+            return jnp.broadcast_to(jnp.array([width, height], jnp.int32), (self.count, 2))
+        shares = jnp.stack(self.shares)
+        sides = jnp.minimum(_side(resolution[0], self.count * shares / jnp.sum(shares)), width)
+        return jnp.stack([sides, sides], axis=-1)
+
+    def _least_resolution(self, resolution: Resolution) -> Resolution:
+        """(height, width) of the smallest cascade; `resolution` if shares are not known yet."""
+        sides = None if self.shares is None else concrete(self.sides(resolution))
+        return resolution if sides is None else (int(sides.min()), int(sides.min()))
 
     def splits(self, near: Scalar, far: Scalar) -> Float[Array, " k"]:
         """Where the slices of depths from `near` to `far` begin and end, (count + 1,), in world units."""
@@ -152,10 +227,10 @@ class Cascades(AbstractFittedLayout):
         The views follow the light's direction, but where the cascades lie has no gradient with respect to it.
 
         **Raises** `ValueError` for a light that is not directional, a map too small for the margin, a shadow distance
-        beyond the camera's far plane, or distances outside of the camera's range; and for logarithmic slices of a
-        camera whose near distance is not positive.
+        beyond the camera's far plane, or distances outside of the camera's range; for logarithmic slices of a camera
+        whose near distance is not positive; and what `layer_resolution` raises.
         """
-        self.check(light, camera, resolution, surface)
+        self.check(light, camera, self._least_resolution(resolution), surface)
         if self.distances is not None:
             check_depths("distances are", self.distances, camera)
         near, share = concrete(camera.near), concrete(self.logarithmic)
@@ -206,20 +281,30 @@ def _cascaded_light(
     lengths = splits[1:] - splits[:-1]
     ends = splits[1:]
     begins = jnp.concatenate([splits[:1], ends[:-1] - layout.max_blend * lengths[:-1]])
-    texels, frustum = np.array(resolution[::-1], float), Frustum.of(from_camera)
+    # As data, whether or not there are shares, so that both are computed in the same way.
+    sides = lax.optimization_barrier(layout.sides(resolution))
+    texels, frustum = as_float(sides), Frustum.of(from_camera)
     firsts = jnp.broadcast_to(splits[0], ends.shape) if layout.fit == "scene" else begins
     if layout.stabilize:
         scale, offset = _around_spheres(from_light, *frustum.spheres(firsts, ends), texels, layout.margin)
-        steps = as_float(texels * (SUBPIXELS / 2))
+        steps = texels * (SUBPIXELS / 2)
     else:
         corners = jnp.concatenate([frustum.corners_at(firsts), frustum.corners_at(ends)], axis=1)
         scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
-    margin = as_float(2 * layout.margin / texels)
-    return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps)
+    margin, own_sides = 2 * layout.margin / texels, None if layout.shares is None else sides[:, 0]
+    return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps, own_sides)
+
+
+def _side(resolution: int, part: Any) -> Any:
+    """The side of a square of `part` times `resolution`² texels, rounded down. A side that is whole stays so, whatever
+    the rounding errors of `part`."""
+    if isinstance(part, float):
+        return math.floor(resolution * math.sqrt(part) * (1 + _ROUNDING))
+    return jnp.floor(resolution * jnp.sqrt(part) * (1 + _ROUNDING)).astype(jnp.int32)
 
 
 def _around_spheres(
-    light: View, centre: Float[Array, "l 3"], radius: Float[Array, " l"], texels: Vec2 | Any, margin: float
+    light: View, centre: Float[Array, "l 3"], radius: Float[Array, " l"], texels: Float[Array, "l 2"], margin: float
 ) -> tuple[Float[Array, "l 2"], Float[Array, "l 2"]]:
     """Scale and offset of windows around spheres, which move by whole texels."""
     per_unit = jnp.stack([light.eye_to_clip[0, 0], light.eye_to_clip[1, 1]])
@@ -230,7 +315,7 @@ def _around_spheres(
 
 
 def _around_points(
-    light: View, points: Float[Array, "l k 3"], texels: Vec2 | Any, margin: float
+    light: View, points: Float[Array, "l k 3"], texels: Float[Array, "l 2"], margin: float
 ) -> tuple[Float[Array, "l 2"], Float[Array, "l 2"]]:
     """Scale and offset of windows around points, within the light's own window."""
     at = light.clip(points)[..., :2]
