@@ -76,8 +76,10 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
         return shadow.PerspectiveWarp(**arguments)
     if isinstance(section, ResolutionMatchedConfig):
         return shadow.ResolutionMatched(**arguments)
-    bounds = config.fit.parameters.get("technique.blend") if fitting else None
-    arguments["max_blend"] = max(section.blend, bounds.upper) if bounds else None
+    bounds = config.fit.parameters if fitting else {}
+    blend = bounds.get("technique.blend")
+    arguments["max_blend"] = max(section.blend, blend.upper) if blend else None
+    arguments["max_share"] = config.max_share(bounds)
     return shadow.Cascades(**arguments)
 
 

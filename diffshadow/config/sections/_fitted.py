@@ -145,7 +145,7 @@ def _field(holder: str, section: type[Section]) -> str:
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
     """The keys of `section` that can be fitted."""
     fields = section.model_fields.items()
-    return {key: mark for key, field in fields for mark in field.metadata if isinstance(mark, Fitted)}
+    return {key: mark for key, field in fields for mark in marked(field)[1] if isinstance(mark, Fitted)}
 
 
 def _holders(data: Any) -> dict[str, type[Section]]:

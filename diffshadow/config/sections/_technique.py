@@ -39,6 +39,10 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 """Shape of a soft compare's step."""
 
 
+# The side of a cascade is at most a thousand times that of another.
+_Share = Annotated[float, Field(ge=1e-3, le=1e3)]
+
+
 class MappedConfig(Section):
     """Shadow maps, set up by the sections shadow_map, bias, compare and filter."""
 
@@ -77,6 +81,16 @@ class CascadesConfig(MappedConfig):
         min_length=1,
         max_length=MOST_LAYERS,
         description="end of each slice along the camera's axis, in world units; instead of count and logarithmic",
+    )
+    shares: (
+        Annotated[tuple[_Share, ...], as_list, Form("a list of shares, relative to one another"), Fitted(searched=True)]
+        | None
+    ) = Field(
+        default=None,
+        min_length=1,
+        max_length=MOST_LAYERS,
+        description="how many texels each cascade has, relative to the others, of count times shadow_map.resolution; "
+        "default: as many",
     )
     depths: Literal["camera", "surface"] = Field(
         default="camera", description="what is sliced: from the camera's near to its far, or the depths that it sees"
@@ -119,6 +133,9 @@ class CascadesConfig(MappedConfig):
             if after <= before:
                 message = f"is {after:g}, after {before:g}"
                 yield ("distances", i + 1), fault(message, "increasing depths", "sort them, without repetitions")
+        if self.shares is not None and len(self.shares) != self.layers:
+            message = f"has {len(self.shares)} shares, for {self.layers} cascades"
+            yield ("shares",), fault(message, "as many", "give one for each cascade")
 
 
 class ShadowVolumesConfig(Section):

@@ -45,6 +45,8 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
             if given and (key == "silhouettes" or kind == "perspective_warp"):
                 message = f"is given, and technique.type is {kind}, whose maps cannot have it"
                 yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
+    if isinstance(config.technique, CascadesConfig) and config.technique.shares is not None:
+        yield from _unfit_for_shares(config)
     if isinstance(config.technique, EngineConfig):
         yield from _foreign_to_engine(config, config.technique)
     if not isinstance(config.technique, EngineConfig):
@@ -58,6 +60,17 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")
+
+
+def _unfit_for_shares(config: Parts) -> Iterator[Conflict]:
+    """Faults of maps that cascades of several sizes cannot have."""
+    (height, width), mend = config.shadow_map.resolution, "change it, or remove technique.shares"
+    if height != width:
+        message = f"is {[height, width]}, and technique.shares are given, for square maps"
+        yield ("shadow_map", "resolution"), fault(message, "two equal numbers", mend)
+    if config.shadow_map.silhouettes:
+        message = "is true, and technique.shares are given, for maps without silhouettes"
+        yield ("shadow_map", "silhouettes"), fault(message, "false", mend)
 
 
 def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Conflict]:
@@ -118,6 +131,9 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     if isinstance(config.technique, MappedConfig) and config.shadow_map.silhouettes is None:
         yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
+    if isinstance(config.technique, CascadesConfig) and config.technique.shares and config.has_silhouettes:
+        message = "is given in a fit of lights or meshes, which needs maps with silhouettes"
+        yield ("technique", "shares"), fault(message, "cascades of one size", "remove it")
     yield from _uneven_levels(config)
     for key, light in config.scene.each_light.items():
         if isinstance(light, DirectionalLightConfig) and light.frame == "casters":

@@ -1,10 +1,11 @@
 """Limits on the memory and time of a run that depend on several keys."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from ..sections._engines import EngineConfig
+from ..sections._fit import FitParameterConfig
 from ..sections._lights import LightConfig, PointLightConfig
-from ..sections._section import Conflict, fault
+from ..sections._section import MOST_TEXELS, Conflict, fault
 from ..sections._technique import MappedConfig, ProjectiveTextureConfig
 from ._parts import Parts
 
@@ -27,12 +28,14 @@ def cost_faults(config: Parts) -> Iterator[Conflict]:
     lights = tuple(config.scene.each_light.values())
     yield from _too_many_pixels(config)
     yield from _too_many_texels(config, lights)
+    yield from _too_large_a_share(config, lights, {})
     if config.reference.type == "traced":
         yield from _too_many_rays(config, lights)
 
 
 def fit_cost_faults(config: Parts) -> Iterator[Conflict]:
     """`cost_faults` that only a fit has."""
+    yield from _too_large_a_share(config, tuple(config.scene.each_light.values()), config.fit.parameters)
     pixels, count = _pixels(config) * len(config.scene.each_light), len(config.fit.parameters)
     if pixels * count > _MOST_DERIVATIVES:
         message = f"has {count} parameters, whose derivatives at {pixels:,} pixels are {pixels * count:,} numbers"
@@ -71,6 +74,27 @@ def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator
             path,
             fault(message, expected, "make it smaller, or use fewer lights or cascades; a point light has six maps"),
         )
+
+
+def _too_large_a_share(
+    config: Parts, lights: tuple[LightConfig, ...], bounds: Mapping[str, FitParameterConfig]
+) -> Iterator[Conflict]:
+    """Faults of layers as large as the largest cascade, with fitted shares at their `bounds`."""
+    greatest, (height, width) = config.max_share(bounds), config.shadow_map.resolution
+    if greatest is None or (bounds and greatest == config.max_share({})):
+        # `cost_faults` reports what does not depend on the bounds.
+        return
+    assert isinstance(config.technique, MappedConfig)
+    layers = config.technique.layers
+    side = int((height * width * layers * greatest) ** 0.5)
+    texels = side**2 * layers * len(lights)
+    if side <= MOST_TEXELS and texels <= _MOST_TEXELS:
+        return
+    message = f"lets a cascade have {greatest:.3g} of all texels: {side:,}², for which every map has memory"
+    most = min(MOST_TEXELS, int((_MOST_TEXELS / (layers * len(lights))) ** 0.5))
+    mend = f"lower it, or shadow_map.resolution = [{height}, {width}]"
+    path = ("technique", "shares") if not bounds else ("fit", "parameters")
+    yield path, fault(message, f"at most {most:,}²", mend)
 
 
 def _too_many_rays(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:

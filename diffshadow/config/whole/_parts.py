@@ -20,6 +20,7 @@ from ..sections._section import Section, fault
 from ..sections._shading import PhongConfig, ShadingConfig
 from ..sections._sweep import SweepConfig
 from ..sections._technique import (
+    CascadesConfig,
     CompareConfig,
     HardCompareConfig,
     ShadowMapConfig,
@@ -110,6 +111,19 @@ class Parts(Section):
             if key in bounds and now is not None and bounds[key].upper > now:
                 reach, name = reach + bounds[key].upper - now, key
         return reach, name
+
+    def max_share(self, bounds: Mapping[str, FitParameterConfig]) -> float | None:
+        """The greatest part of all texels that a cascade may have, in (0, 1]; none unless cascades have shares.
+
+        **Arguments:** as for `reach`.
+        """
+        shares = self.technique.shares if isinstance(self.technique, CascadesConfig) else None
+        if shares is None:
+            return None
+        ends = [bounds.get(f"technique.shares.{i}") for i in range(len(shares))]
+        low = [min(share, end.lower) if end else share for share, end in zip(shares, ends, strict=True)]
+        high = [max(share, end.upper) if end else share for share, end in zip(shares, ends, strict=True)]
+        return max(most / (most + sum(low) - least) for least, most in zip(low, high, strict=True))
 
     @property
     def output_folder(self) -> Path:
