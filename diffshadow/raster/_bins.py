@@ -22,6 +22,10 @@ from ._compact import Groups, group
 from ._fixed import first_centre, last_centre, signed_area, snap
 
 Cull = Literal["none", "back", "front"]
+Facing = int | Int[Array, ""]
+"""Which faces are drawn: 1 for front faces, -1 for back faces, 0 for both. It may be known only when a program runs."""
+FACING: dict[Cull, int] = {"none": 0, "back": 1, "front": -1}
+"""Of what is culled, what is drawn."""
 
 WINDOWS = (2, 4, 8, 16)
 """Sides, in pixels, of the windows of the size classes."""
@@ -112,13 +116,13 @@ class Classified(NamedTuple):
     of_class: Int[Array, " f"]
 
 
-def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Viewport, cull: Cull) -> Triangles:
+def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Facing) -> Triangles:
     """All triangles, grouped by class."""
-    x, y, z, _, of_class = classify(clip, faces, resolution, cull)
+    x, y, z, _, of_class = classify(clip, faces, resolution, facing)
     return Triangles(clip, x, y, z, faces, group(of_class, CLASSES))
 
 
-def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, cull: Cull) -> Classified:
+def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Facing) -> Classified:
     """The class of each triangle."""
     visible, clipped = _sides(clip, faces, resolution)
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
@@ -130,15 +134,17 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, cull: Cull)
     of_class = jnp.full_like(size, LARGE)
     for k, side in reversed(tuple(enumerate(WINDOWS))):
         of_class = jnp.where(size <= side, k, of_class)
-    of_class = jnp.where(visible & draws(xs, ys, box, cull), of_class, NOTHING)
+    of_class = jnp.where(visible & draws(xs, ys, box, facing), of_class, NOTHING)
     return Classified(x, y, z, box, lax.optimization_barrier(jnp.where(clipped, CLIPPED, of_class)))
 
 
-def draws(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, cull: Cull) -> Bool[Array, " n"]:
+def draws(
+    x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, facing: Facing
+) -> Bool[Array, " n"]:
     """Whether triangles whose three corners are at fixed-point `x` and `y` may draw something within their `box`."""
     area = signed_area(x, y)
-    facing = {"none": area != 0, "back": area > 0, "front": area < 0}[cull]
-    return facing & (box.left <= box.right) & (box.bottom <= box.top)
+    faces = jnp.where(facing == 0, area != 0, area * facing > 0)
+    return faces & (box.left <= box.right) & (box.bottom <= box.top)
 
 
 def _sides(clip: ClipVertices, faces: Faces, resolution: Viewport) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._misc import take
 from .._types import ClipVertices, Faces
 from ..geometry import Pages
-from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Cull, Triangles, classify
+from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Facing, Triangles, classify
 from ._compact import Groups, group
 from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, DrawPass, Write
@@ -72,17 +72,17 @@ class PagedDrawing:
         clip: ClipVertices,
         faces: Faces,
         pages: Pages,
-        cull: Cull,
+        facing: Facing,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
     ):
         self.clip, self.faces, self.pages = clip, faces, pages
-        self.cull: Cull = cull
+        self.facing = facing
         self.test, self.polygon_offset = test, polygon_offset
         self.table = pages.table()
         # Here, since buffers of faces are drawn in 64-bit mode.
         levels = jnp.arange(pages.levels, dtype=jnp.int32)
-        self.levels = lax.map(lambda level: _binned(clip, faces, pages, level, cull), levels)
+        self.levels = lax.map(lambda level: _binned(clip, faces, pages, level, facing), levels)
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
         side = self.pages.side + PADDING
@@ -113,7 +113,7 @@ class _LevelPass(DrawPass):
         size = self.pages.size(level.level)
         self.origins = self.pages.tile.origin
         self.level, self.table = level.level, whole.table
-        super().__init__(triangles, (size, size), whole.cull, whole.test, whole.polygon_offset)
+        super().__init__(triangles, (size, size), whole.facing, whole.test, whole.polygon_offset)
 
     @property
     def _counts(self) -> Int[Array, " c"]:
@@ -156,14 +156,14 @@ class _LevelPass(DrawPass):
         return layer * (self.pages.side + PADDING) + y, x
 
 
-def _binned(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], cull: Cull) -> Level:
+def _binned(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], facing: Facing) -> Level:
     """The triangles in the whole map of a level, and the pairs with its pages; none if it has no pages."""
-    bins = lambda: _binned_level(clip, faces, pages, level, cull)
+    bins = lambda: _binned_level(clip, faces, pages, level, facing)
     nothing = lambda: jax.tree.map(lambda array: jnp.zeros(array.shape, array.dtype), jax.eval_shape(bins))
     return lax.cond(jnp.any(_of_level(pages, level)), bins, nothing)
 
 
-def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], cull: Cull) -> Level:
+def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], facing: Facing) -> Level:
     mine = _of_level(pages, level)
     across, size = jnp.maximum(pages.across >> level, 1), pages.size(level)
     resident = jnp.sum(mine, dtype=jnp.int32)
@@ -183,7 +183,7 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
         )
         return Box(first(box.left), first(box.bottom), last(box.right), last(box.top))
 
-    x, y, z, box, of_class = classify(clip, faces, (size, size), cull)
+    x, y, z, box, of_class = classify(clip, faces, (size, size), facing)
     left, bottom, right, top = touched(box)
     first_x, first_y, last_x, last_y = (
         page // pages_to_cell for page in (left, bottom, right + pages_to_cell, top + pages_to_cell)

@@ -3,16 +3,17 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._misc import as_float, filled, shared_mesh_size
+from .._misc import as_float, as_int, filled, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
-from ._bins import Cull, bin_triangles
+from ._bins import FACING, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._page_pass import PagedDrawing
 from ._windows import DrawPass, least_depth, least_depth_and_face
@@ -113,31 +114,62 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     clip, faces = padded(lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces))
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    return _rasterize(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides)
+    given = clip, faces, polygon_offset, behind, pages, sides
+    if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
+        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, sides)
+
+    def view(clip: Array, behind: Array | None, side: Array | None) -> Fragments | Array:
+        viewport = resolution if side is None else (side, side)
+        draws = FACING[cull]
+        return _rasterize(clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages)
+
+    # One view after the other, since each has its own number of triangles to draw.
+    return lax.map(lambda each: view(*each), (clip, behind, sides)) if clip.ndim > 2 else view(clip, behind, None)
+
+
+# Smaller images are drawn into buffers of these sides.
+_SHARED_SIDES = (64, 128, 256)
+
+
+def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, sides) -> Any:
+    """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
+    whatever is culled."""
+    height, width = resolution
+    buffer = next(((side, side) for side in _SHARED_SIDES if max(resolution) <= side), resolution)
+    if behind is not None and buffer != resolution:
+        rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
+        behind = jnp.pad(behind, rest, constant_values=NO_FACE)
+
+    def view(clip: Array, behind: Array | None, viewport: Any) -> Fragments | Array:
+        viewport, draws = as_int(viewport), as_int(FACING[cull])
+        return _rasterize(clip, faces, viewport, buffer, draws, test, polygon_offset, behind, with_face, None)
+
+    if clip.ndim == 2:
+        drawn = view(clip, behind, resolution)
+    else:
+        of_view = lambda values, k: None if values is None else values[k]
+        viewports = [resolution] * len(clip) if sides is None else np.stack([sides, sides], axis=-1)
+        views = [view(clip[k], of_view(behind, k), viewports[k]) for k in range(len(clip))]
+        drawn = jax.tree.map(lambda *images: jnp.stack(images), *views)
+    return drawn if buffer == resolution else jax.tree.map(lambda image: image[..., :height, :width], drawn)
 
 
 @eqx.filter_jit
 def _rasterize(
-    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides
-) -> Fragments | Float[Array, "*b h w"]:
-    decoded = lambda depth: jnp.where(depth < jnp.inf, test.decode(depth), jnp.float32(test.clear))
-
-    def view(clip: Array, behind: Array | None, side: Array | None) -> Fragments | Array:
-        viewport = resolution if side is None else (side, side)
-        if pages is None:
-            triangles = bin_triangles(clip, faces, viewport, cull)
-            drawing = DrawPass(triangles, viewport, cull, test, polygon_offset, resolution)
-        else:
-            drawing = PagedDrawing(clip, faces, pages, cull, test, polygon_offset)
-        if not with_face:
-            return decoded(least_depth(drawing))
-        depth, face = least_depth_and_face(drawing, behind)
-        if side is not None:
-            # Windows of pixels may reach beyond the viewport.
-            row, column = (jnp.arange(size, dtype=jnp.int32) for size in resolution)
-            within = (row[:, None] < side) & (column < side)
-            depth, face = jnp.where(within, depth, jnp.inf), jnp.where(within, face, NO_FACE)
-        return Fragments(jnp.where(face < 0, NO_FACE, face), decoded(depth))
-
-    # One view after the other, since each has its own number of triangles to draw.
-    return lax.map(lambda each: view(*each), (clip, behind, sides)) if clip.ndim > 2 else view(clip, behind, None)
+    clip, faces, viewport, resolution, facing, test, polygon_offset, behind, with_face, pages
+) -> Fragments | Float[Array, "*l h w"]:
+    """One view in the lower left part of an image of `resolution`, or in pages."""
+    if pages is None:
+        height, width = viewport
+        triangles = bin_triangles(clip, faces, (height, width), facing)
+        drawing = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
+    else:
+        drawing = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
+    depth, face = least_depth_and_face(drawing, behind) if with_face else (least_depth(drawing), None)
+    if pages is None and not isinstance(height, int):
+        # Windows of pixels may reach beyond the viewport.
+        row, column = (jnp.arange(size, dtype=jnp.int32) for size in resolution)
+        depth = jnp.where((row[:, None] < height) & (column < width), depth, jnp.inf)
+    seen = depth < jnp.inf
+    depth = jnp.where(seen, test.decode(depth), jnp.float32(test.clear))
+    return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)

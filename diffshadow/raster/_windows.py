@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
 from .._types import Resolution, Viewport
-from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Cull, Triangles, draws, pixel_box, to_window
+from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
@@ -81,7 +81,7 @@ class DrawPass(Drawing):
 
     **Arguments:**
 
-    - `triangles`: see `bin_triangles`; `resolution`, `cull`: as given there.
+    - `triangles`: see `bin_triangles`; `resolution`, `facing`: as given there.
     - `buffer`: (height, width) of the image that buffers hold, whose lower left part is drawn; `resolution` if left
         out.
     """
@@ -90,14 +90,13 @@ class DrawPass(Drawing):
         self,
         triangles: Triangles,
         resolution: Viewport,
-        cull: Cull,
+        facing: Facing,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
         buffer: Resolution | None = None,
     ):
         self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
-        self.cull: Cull = cull
-        self.test, self.polygon_offset = test, polygon_offset
+        self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
         height, width = self.buffer
@@ -205,7 +204,7 @@ class DrawPass(Drawing):
     ) -> Array:
         """Writes triangles block by block."""
         fixed, box = corners.snapped(), self._box(corners, layer)
-        drawn = (source >= 0) & draws(*fixed, box, self.cull)
+        drawn = (source >= 0) & draws(*fixed, box, self.facing)
         origin_x, origin_y = self._origin(layer)
         left, bottom = box.left - origin_x, box.bottom - origin_y
         columns = jnp.maximum((box.right - box.left) // BLOCK + 1, 1)

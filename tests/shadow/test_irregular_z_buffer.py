@@ -55,7 +55,7 @@ def triangles(corners):
     return Mesh(np.reshape(corners, (-1, 3)), np.arange(3 * len(corners)).reshape(-1, 3))
 
 
-def soup(seed=3, count=120):
+def soup(seed=3, count=80):
     """Triangles of all sizes above the ground, which cross one another."""
     rng = np.random.default_rng(seed)
     middle = rng.uniform([-1.2, 0.1, -1.2], [1.2, 1.6, 1.2], (count, 1, 3))
@@ -67,10 +67,13 @@ def slivers():
     that there are more pairs than one round of the loop takes."""
     rng = np.random.default_rng(5)
     along, across = np.array([[0.86, 0, -0.51], [0.51, 0, 0.86]])
-    start, end = (
-        rng.uniform(-2.5, 2.5, (2, 250, 1, 1)) * across + [0, 1.5, 0] + np.array([-3, 3]).reshape(2, 1, 1, 1) * along
+    ends = (
+        rng.uniform(-2, 2, (2, 62, 1)) * across + [0, 1.5, 0] + np.array([-2.4, 2.4]).reshape(2, 1, 1) * along
     )
-    return triangles(np.concatenate([start, end, end + rng.normal(size=start.shape) * 0.02], axis=1))
+    # Four to each pair of ends, of which each is two vertices.
+    vertices = np.concatenate([ends, ends + rng.normal(size=ends.shape) * 0.02]).swapaxes(0, 1)
+    faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 0], [3, 0, 1]]) + 4 * np.arange(62)[:, None, None]
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 CASTERS = {

@@ -34,22 +34,12 @@ from diffshadow.shadow import (
     receiver,
 )
 
-# A map and an image of one size, and meshes filled up to one number of faces, share what is compiled. Nothing in an
-# image of this size is too large for a window.
+# A map and an image of one size share what is compiled. Nothing in an image of this size is too large for a window.
 SIZE = (32, 32)
 
 
-def of_size(mesh, vertices=700, faces=1300):
-    """The mesh with so many vertices and faces; those that are added have no area."""
-    more = vertices - len(mesh.vertices), faces - len(mesh.faces)
-    rows = [
-        np.concatenate([x, np.zeros((n, 3), x.dtype)]) for x, n in zip((mesh.vertices, mesh.faces), more, strict=True)
-    ]
-    return Mesh(*rows, np.zeros((faces, 3, 3)))
-
-
 def drawn_map(mesh, light, **options):
-    return draw_shadow_map(of_size(mesh), light, SIZE, **options)
+    return draw_shadow_map(mesh, light, SIZE, **options)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -194,7 +184,7 @@ def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side
     ball = library_mesh("sphere", radius=0.5, subdivisions=3)
     light = DirectionalLight((0.3, -1, -0.2), (0, 0.5, 0), (1.2, 1.2), -1, 1)
     camera = OrthographicCamera((-1.0, 2.5, 1.0), (0, 0.5, 0), height=1.2, near=0.1, far=6.0, resolution=SIZE)
-    surface = draw_surface(of_size(ball), camera)
+    surface = draw_surface(ball, camera)
     mapping = technique(Nearest())
     plain = drawn_map(ball, light)
     cosine = np.asarray(_received(plain, surface)[0].cosine)

@@ -190,10 +190,10 @@ def _paged_light(
         enough = fits(middle)
         return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
 
-    # Most often no step is needed.
-    bounds = jnp.int32(0), jnp.where(fits(jnp.int32(0)), 0, most).astype(jnp.int32)
-    _, step = lax.while_loop(lambda bounds: bounds[0] < bounds[1], halve, bounds)
     requested = jnp.sum(resident_at(jnp.int32(0)), dtype=jnp.int32)
+    # Most often no step is needed.
+    bounds = jnp.int32(0), jnp.where(requested <= capacity, 0, most).astype(jnp.int32)
+    _, step = lax.while_loop(lambda bounds: bounds[0] < bounds[1], halve, bounds)
     pages = Pages.of(resident_at(step), layout.page, layout.gutter, levels, capacity)
     raised = as_float(step) / _STEPS
     bias = own_bias + raised
