@@ -358,7 +358,7 @@ _GEOMETRY = (
     _fault(
         "cascaded light: selected by map without its margin",
         "geometry/lights/_cascaded.py",
-        "1 - self.margin - jnp.abs(at)",
+        "1 - self.margin[layer] - jnp.abs(at)",
         "1 - jnp.abs(at)",
         "test_cascades.py",
     ),
@@ -372,8 +372,8 @@ _GEOMETRY = (
     _fault(
         "view: vertices at steps from the window's border",
         "geometry/_view.py",
-        "jnp.round(from_axis * self.steps) + jnp.round(offset * self.steps)",
-        "(from_axis + offset) * self.steps",
+        "jnp.round(from_axis * steps) + jnp.round(offset * steps)",
+        "(from_axis + offset) * steps",
         "test_cascades.py",
     ),
     _fault(
