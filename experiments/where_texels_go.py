@@ -28,22 +28,25 @@ from diffshadow import metrics
 from diffshadow.config import load_config
 
 NAME = "where_texels_go"
-SPACING = "technique.logarithmic"
+SPACING, SHARES = "technique.logarithmic", "technique.shares."
+CASCADES = "{type: cascades, depths: surface, stabilize: false"
 FITTED = "bias.constant: {lower: 0, upper: 8}, bias.slope: {lower: 0, upper: 8}"
 
 
 class Technique(NamedTuple):
-    """A technique: its title, the section `technique`, and the number of its maps."""
+    """A technique: its title, the section `technique`, the number of its maps, and whether their shares are fitted."""
 
     title: str
     section: str
     maps: int = 1
+    shares: bool = False
 
     @property
     def parameters(self) -> str:
-        """What is fitted: the bias, and the spacing of several maps."""
-        spacing = f", {SPACING}: {{lower: 0, upper: 1}}" if self.maps > 1 else ""
-        return f"fit.parameters={{{FITTED}{spacing}}}"
+        """What is fitted: the bias, the spacing of several maps, and the shares of all but the last."""
+        spacing = [f"{SPACING}: {{lower: 0, upper: 1}}"] if self.maps > 1 else []
+        shares = [f"{SHARES}{i}: {{lower: 0.25, upper: 4}}" for i in range(self.maps - 1)] if self.shares else []
+        return f"fit.parameters={{{', '.join([FITTED, *spacing, *shares])}}}"
 
 
 TECHNIQUES = {
@@ -51,11 +54,10 @@ TECHNIQUES = {
     "warped": Technique("LiSPSM", "{type: perspective_warp, depths: surface}"),
     "pages": Technique("pages", "{type: resolution_matched, finest: 65536, level_bias: -8}"),
     **{
-        f"cascades{count}": Technique(
-            f"{count} cascades", f"{{type: cascades, count: {count}, depths: surface, stabilize: false}}", count
-        )
+        f"cascades{count}": Technique(f"{count} cascades", f"{CASCADES}, count: {count}}}", count)
         for count in (2, 3, 4)
     },
+    "shares4": Technique("4 with shares", f"{CASCADES}, count: 4, shares: [1, 1, 1, 1]}}", 4, True),
 }
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
@@ -102,7 +104,7 @@ def main(
     return {**summary, "rows": rows, "folder": str(folder)}
 
 
-def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, float | None]:
+def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, Any]:
     """The error of a technique with its best settings, those settings, and how large its texels are on the screen."""
     technique = TECHNIQUES[name]
     side = int(size / math.sqrt(technique.maps))
@@ -114,9 +116,18 @@ def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, float
     return {
         "rmse": common.rmse(made, found.technique),
         "spacing": found.fitted.get(SPACING),
-        **{key.replace(".", "_"): value for key, value in found.fitted.items() if key != SPACING},
+        "shares": parts(getattr(made.technique.layout, "shares", None)),
+        **{key.replace(".", "_"): value for key, value in found.fitted.items() if key.startswith("bias.")},
         "percentile_99": metrics.measure_aliasing(extents.extent, extents.mask).percentile_99,
     }
+
+
+def parts(shares: tuple[Any, ...] | None) -> str | None:
+    """Which part of all texels each cascade has, from the nearest to the farthest; none without shares."""
+    if shares is None:
+        return None
+    total = sum(map(float, shares))
+    return " ".join(f"{float(share) / total:.2f}" for share in shares)
 
 
 def show(console: Console, rows: list[dict[str, Any]]) -> None:
@@ -124,12 +135,13 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
     table = Table()
     for title in ("scene", "texels", "technique"):
         table.add_column(title, no_wrap=True)
-    for title in ("RMSE", "spacing", "bias", "slope", "99 %"):
+    for title in ("RMSE", "spacing", "bias", "slope", "99 %", "shares"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
         digits = {"rmse": 4, "spacing": 2, "bias_constant": 2, "bias_slope": 2, "percentile_99": 1}
         cells = ("" if row[key] is None else f"{row[key]:.{n}f}" for key, n in digits.items())
-        table.add_row(row["scene"], f"{math.isqrt(row['texels'])}²", TECHNIQUES[row["technique"]].title, *cells)
+        title = TECHNIQUES[row["technique"]].title
+        table.add_row(row["scene"], f"{math.isqrt(row['texels'])}²", title, *cells, row["shares"] or "")
     console.print(table)
 
 

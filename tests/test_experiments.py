@@ -84,15 +84,25 @@ def test_error_falls_with_resolution_as_a_seam_does():
 @pytest.mark.exhaustive
 def test_cascades_and_warps_put_texels_where_they_are_seen():
     script, config = importlib.import_module("where_texels_go"), ROOT / "configs" / "corridor.yaml"
-    found = script.main(config, sizes="256", only="plain,warped,cascades4", output=Path("runs"))
+    found = script.main(config, sizes="256", only="plain,warped,cascades4,shares4", output=Path("runs"))
     folder = Path("runs") / "corridor-where_texels_go"
     assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
-    plain, warped, cascades = (row["rmse"] for row in found["rows"])
+    plain, warped, cascades, shares = (row["rmse"] for row in found["rows"])
     assert warped < 0.8 * plain
     assert cascades < 0.6 * plain
-    assert [row["spacing"] is None for row in found["rows"]] == [True, True, False]
+    assert shares < 0.95 * cascades
+    assert [row["spacing"] is None for row in found["rows"]] == [True, True, False, False]
+    assert [row["shares"] is None for row in found["rows"]] == [True, True, True, False]
     extents = [row["percentile_99"] for row in found["rows"]]
     assert max(extents[1:]) < 0.5 * extents[0]
+
+
+@pytest.mark.exhaustive
+def test_pages_beat_cascades_and_warps_where_memory_suffices():
+    script, config = importlib.import_module("where_texels_go"), ROOT / "configs" / "corridor.yaml"
+    found = script.main(config, sizes="1024", only="warped,pages,cascades4", output=Path("runs"))
+    warped, pages, cascades = (row["rmse"] for row in found["rows"])
+    assert pages < 0.9 * min(warped, cascades)
 
 
 @pytest.mark.exhaustive

@@ -404,6 +404,41 @@ BROKEN = {
         "3: fit.parameters.technique.logarithmic: changes nothing, since technique.distances is given; expected a "
         "number that the layout uses; remove it, or technique.distances",
     ),
+    "shares of another number of cascades": (
+        "technique: {type: cascades, count: 4, shares: [2, 1, 1]}\n",
+        "2: technique.shares: has 3 shares, for 4 cascades; expected as many; give one for each cascade",
+    ),
+    "a cascade without a share": (
+        "technique: {type: cascades, count: 2, shares: [2, 0]}\n",
+        "2: technique.shares.1: is 0; expected a number at least 0.001 and at most 1000; give such a value",
+    ),
+    "shares of a map that is not square": (
+        "technique: {type: cascades, count: 2, shares: [2, 1]}\nshadow_map: {resolution: [64, 32]}\n",
+        "3: shadow_map.resolution: is [64, 32], and technique.shares are given, for square maps; expected two equal "
+        "numbers; change it, or remove technique.shares",
+    ),
+    "shares of a map with silhouettes": (
+        "technique: {type: cascades, count: 2, shares: [2, 1]}\nshadow_map: {silhouettes: true}\n",
+        "3: shadow_map.silhouettes: is true, and technique.shares are given, for maps without silhouettes; expected "
+        "false; change it, or remove technique.shares",
+    ),
+    "shares in a fit of the light": (
+        "technique: {type: cascades, count: 2, shares: [2, 1]}\n"
+        "fit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
+        "2: technique.shares: is given in a fit of lights or meshes, which needs maps with silhouettes; expected "
+        "cascades of one size; remove it",
+    ),
+    "a share too large for memory": (
+        "technique: {type: cascades, shares: [100, 1, 1, 1]}\nshadow_map: {resolution: [4096, 4096]}\n",
+        "2: technique.shares: lets a cascade have 0.971 of all texels: 8,071², for which every map has memory; "
+        "expected at most 4,096²; lower it, or shadow_map.resolution = [4096, 4096]",
+    ),
+    "a fitted share too large for memory": (
+        "technique: {type: cascades, shares: [1, 1, 1, 1]}\nshadow_map: {resolution: [4096, 4096]}\n"
+        "fit: {parameters: {technique.shares.0: {lower: 0.25, upper: 40}}}\n",
+        "4: fit.parameters: lets a cascade have 0.93 of all texels: 7,901², for which every map has memory; "
+        "expected at most 4,096²; lower it, or shadow_map.resolution = [4096, 4096]",
+    ),
     "focus of a map without": (
         "technique: {type: perspective_warp}\nfit: {parameters: {technique.focus: {lower: 0.1, upper: 1}}}\n",
         "3: fit.parameters.technique.focus: changes nothing, since technique.method is lispsm; expected a number that "

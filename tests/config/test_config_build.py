@@ -17,6 +17,7 @@ from diffshadow.config import (
     build_scene,
     build_shading,
     build_technique,
+    dump_resolved,
     fit_paths,
     load_config,
     parse_config,
@@ -507,6 +508,30 @@ def test_cascades_extend_as_far_as_the_filter_may_read():
     paths = {parameter.name: parameter.where for parameter in build_fit(fitted).parameters}
     assert paths["technique.blend"] == "layout.blend"
     assert [float(resolve(built, path)) for path in paths.values()] == [2.0, np.float32(0.2), 3.0]
+
+
+def test_shares_have_memory_for_all_values_of_a_fit():
+    text = TINY + "technique: {type: cascades, shares: [2, 1, 1, 0.5]}\n"
+    built = build_technique(parse_config(text), fitting=False).layout
+    assert [float(share) for share in built.shares] == [2, 1, 1, 0.5]
+    assert built.max_share == 2 / 4.5
+    parameters = "technique.shares.0: {lower: 0.5, upper: 4}, technique.shares.3: {lower: 0.25, upper: 8}"
+    fitted = parse_config(f"{text}fit: {{parameters: {{{parameters}}}}}\n", fitting=True)
+    built = build_technique(fitted)
+    # The last at its greatest, the first at its least.
+    assert built.layout.max_share == 8 / (0.5 + 1 + 1 + 8)
+    paths = {parameter.name: parameter.where for parameter in build_fit(fitted).parameters}
+    assert paths["technique.shares.3"] == "layout.shares.3"
+    assert [float(resolve(built, path)) for path in paths.values()] == [2, 0.5]
+    assert parse_config(dump_resolved(fitted), fitting=True) == fitted
+
+
+def test_ends_of_slices_can_be_fitted():
+    text = TINY + "technique: {type: cascades, distances: [2, 5]}\n"
+    fitted = parse_config(text + "fit: {parameters: {technique.distances.0: {lower: 1, upper: 4}}}\n", fitting=True)
+    (parameter,) = build_fit(fitted).parameters
+    assert parameter.where == "layout.distances.0"
+    assert float(resolve(build_technique(fitted), parameter.where)) == 2
 
 
 @pytest.mark.parametrize("kind", ["cascades", "perspective_warp", "resolution_matched"])

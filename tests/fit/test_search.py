@@ -106,6 +106,22 @@ def test_a_bias_is_fitted_by_gradient_between_the_searches(seen):
     assert not both.flat
 
 
+def test_shares_of_cascades_are_found(seen):
+    of = lambda *shares: Cascades(3, 0.8, shares=shares, max_share=0.75, margin=2.0)
+    made = problem(seen, of(0.5, 0.5, 1.0))
+    error = lambda layout: float(
+        made.laid_out(technique := dataclasses.replace(made.technique, layout=layout)).mean_square_error(technique)
+    )
+    shares = [Parameter(f"layout.shares.{i}", 0.5, 0.25, 2.0) for i in range(2)]
+    result = fit(made, shares, evaluations=15)
+    layout = result.technique.layout
+    assert isinstance(layout, Cascades)
+    assert error(layout) == pytest.approx(result.phases[-1].hard_loss)
+    assert error(layout) < 0.95 * min(error(of(1.0, 1.0, 1.0)), error(of(0.5, 0.5, 1.0)))
+    with pytest.raises(ValueError, match=r"max_share is 0.75; expected at most that"):
+        fit(made, [Parameter("layout.shares.0", 0.5, 0.25, 9.0)])
+
+
 def test_the_ends_of_slices_stay_in_order(seen):
     made = problem(seen, Cascades(distances=(1.0, 2.5, 50.0), margin=2.0))
     # These bounds allow a first slice that ends after the second.

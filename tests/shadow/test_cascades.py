@@ -136,22 +136,34 @@ def _contained(layout, eye, target, fov, direction, fractions):
         begins = jnp.concatenate([cascaded.begins[:1], cascaded.ends[:-1]])
         in_band = (cascaded.ends[layer] - depth) < layout.blend * (cascaded.ends - begins)[layer]
         beside = lambda layer: jnp.max(jnp.abs(cascaded.view().facing(layer).clip(points)[:, :2]), axis=-1)
-        least = 1 - 2 * layout.margin / TEXELS
-        return least - beside(layer), least - beside(following), in_band
+        least = 1 - 2 * layout.margin / layout.sides((TEXELS, TEXELS))[:, 0]
+        return least[layer] - beside(layer), least[following] - beside(following), in_band
 
     return jax.vmap(of_one)(eye, target, fov, direction, fractions)
 
 
-@pytest.mark.parametrize("stabilize", [True, False])
-@pytest.mark.parametrize("select", ["interval", "map"])
-def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, select):
+SHARES = (2.0, 4.0, 0.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("stabilize", "select", "shares"),
+    [
+        (True, "interval", None),
+        (True, "map", None),
+        (False, "interval", None),
+        (False, "map", None),
+        (True, "interval", SHARES),
+        (False, "map", SHARES),
+    ],
+)
+def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, select, shares):
     rng = np.random.default_rng(1)
     eye = rng.normal(size=(CAMERAS, 3)) * 20
     target, direction = eye + rng.normal(size=(CAMERAS, 3)), rng.normal(size=(CAMERAS, 3))
     fractions = rng.random((CAMERAS, POINTS, 3))
     # Corners of the view, too, at any depth.
     fractions[:, ::2, 1:] = rng.integers(0, 2, (CAMERAS, POINTS // 2, 2))
-    layout = Cascades(4, 0.8, stabilize=stabilize, select=select, blend=0.2, margin=6.0)
+    layout = Cascades(4, 0.8, shares=shares, stabilize=stabilize, select=select, blend=0.2, margin=6.0)
     fov = rng.uniform(20, 100, CAMERAS)
     inside, in_next, in_band = _contained(layout, eye, target, fov, direction, fractions)
     # Rounding: a window is a few hundred units wide, in float32.
@@ -178,6 +190,78 @@ def test_one_cascade_over_the_whole_scene_is_the_plain_map_bit_for_bit():
         np.testing.assert_array_equal(one.visibility(map_of_one, surface), visibility)
 
 
+# --- Shares ---
+
+
+def scattered(seed=0):
+    """Points on the plane, most of them near the posts, and some beside all maps."""
+    rng = np.random.default_rng(seed)
+    across = rng.normal(0, 2, SIZE) * np.where(rng.random(SIZE) < 0.2, 100, 1)
+    points = np.stack([across, np.zeros(SIZE), -(NEAR * (FAR / NEAR) ** rng.random(SIZE))], axis=-1)
+    return surface_at(points, (0, 1, 0))
+
+
+def three_cascades(shares=None, max_share=None, texels=TEXELS, stabilize=True):
+    layout = Cascades(3, 0.7, shares=shares, max_share=max_share, stabilize=stabilize, blend=0.2)
+    technique, mesh = mapping(layout, RandomDisk(2.0), texels=texels), posts()
+    return technique, technique.prepare(Scene(mesh, along_corridor(), sun(mesh, (0.4, -1.0, 0.3))))
+
+
+@pytest.mark.parametrize("stabilize", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
+def test_equal_shares_are_none_bit_for_bit(stabilize):
+    surface = scattered()
+    plain, state = three_cascades(stabilize=stabilize)
+    visibility = np.asarray(plain.visibility(state, surface))
+    assert 0.01 < (visibility < 0.9).mean() < 0.9
+    # Thirds are not exact, and must not cost a texel.
+    for max_share, side in ((None, TEXELS), (0.6, 85)):
+        equal, state_of_equal = three_cascades((0.3,) * 3, max_share, stabilize=stabilize)
+        assert np.asarray(state_of_equal.light.sides).tolist() == [TEXELS] * 3
+        depth = np.ones((3, side, side))
+        depth[:, :TEXELS, :TEXELS] = state.depth
+        np.testing.assert_array_equal(state_of_equal.depth, depth)
+        np.testing.assert_array_equal(equal.visibility(state_of_equal, surface), visibility)
+
+
+def test_cascades_with_shares_are_those_of_maps_of_their_size():
+    # 64² + 32² + 32² + 16² texels are four times 40².
+    sides, surface = (64, 32, 32, 16), scattered()
+    of = lambda texels, shares=None: mapping(
+        Cascades(4, 0.7, shares=shares, margin=4.0, blend=0.0), RandomDisk(2.0), texels=texels
+    )
+    mesh = posts()
+    scene = Scene(mesh, along_corridor(), sun(mesh, (0.4, -1.0, 0.3)))
+    shared = of(40, (16.0, 4.0, 4.0, 1.0))
+    state = shared.prepare(scene)
+    assert state.depth.shape == (4, 64, 64)
+    assert np.asarray(state.light.sides).tolist() == list(sides)
+    visibility, covered = shared.visibility(state, surface), shared.covered(state, surface)
+    extent = shared.aliasing(state, surface, scene.camera)
+    layers = np.asarray(state.light.layer(surface.position))
+    for side in (64, 32):
+        plain = of(side)
+        expected = plain.prepare(scene)
+        mine = np.isin(layers, np.flatnonzero(np.array(sides) == side))
+        for layer in np.flatnonzero(np.array(sides) == side):
+            np.testing.assert_array_equal(state.depth[layer, :side, :side], expected.depth[layer])
+            assert (np.asarray(state.depth[layer, side:]) == 1).all()
+            assert (np.asarray(state.depth[layer, :, side:]) == 1).all()
+        at, of_plain = receiver(state, surface), receiver(expected, surface)
+        for name in ("texel", "depth", "texel_size", "depth_per_texel", "rounding"):
+            np.testing.assert_array_equal(
+                np.asarray(getattr(at, name))[mine], np.asarray(getattr(of_plain, name))[mine]
+            )
+        inside = np.asarray(plain.covered(expected, surface))[mine]
+        assert 0.1 < inside.mean() < 0.9
+        np.testing.assert_array_equal(np.asarray(covered)[mine], inside)
+        np.testing.assert_array_equal(
+            np.asarray(visibility)[mine], np.asarray(plain.visibility(expected, surface))[mine]
+        )
+        extent_of_plain = plain.aliasing(expected, surface, scene.camera)
+        np.testing.assert_array_equal(np.asarray(extent.mask)[mine], np.asarray(extent_of_plain.mask)[mine])
+        np.testing.assert_allclose(np.asarray(extent.extent)[mine], np.asarray(extent_of_plain.extent)[mine], rtol=1e-4)
+
+
 # --- Stable texels ---
 
 
@@ -198,10 +282,11 @@ def moved_maps(layout, moves, turn=0.0):
 
 def overlap(first, second, layer):
     """What both maps show of the scene, if one is the other moved by whole texels; and by how many."""
-    moved = (np.asarray(second.light.offset[layer]) - np.asarray(first.light.offset[layer])) * TEXELS / 2
+    side = TEXELS if first.light.sides is None else int(first.light.sides[layer])
+    moved = (np.asarray(second.light.offset[layer]) - np.asarray(first.light.offset[layer])) * side / 2
     x, y = (int(k) for k in np.round(moved))
     np.testing.assert_allclose(moved, [x, y], atol=1e-4)
-    span = lambda k: (slice(max(-k, 0), TEXELS - max(k, 0)), slice(max(k, 0), TEXELS - max(-k, 0)))
+    span = lambda k: (slice(max(-k, 0), side - max(k, 0)), slice(max(k, 0), side - max(-k, 0)))
     (rows, rows_then), (columns, columns_then) = span(y), span(x)
     return np.asarray(first.depth[layer])[rows, columns], np.asarray(second.depth[layer])[rows_then, columns_then]
 
@@ -209,15 +294,18 @@ def overlap(first, second, layer):
 MOVES = [np.array(move) for move in ((0.003, 0.0, 0.001), (1.37, 0.2, -2.9), (-7.7, 1.1, 5.3))]
 
 
-def test_texels_stay_in_place_as_the_camera_moves():
-    first, *others = moved_maps(Cascades(3, 0.5), MOVES)
+@pytest.mark.parametrize("shares", [None, (4.0, 2.0, 1.0)])
+def test_texels_stay_in_place_as_the_camera_moves(shares):
+    first, *others = moved_maps(Cascades(3, 0.5, shares=shares), MOVES)
+    sides = [TEXELS] * 3 if shares is None else [83, 59, 41]
     for other in others:
         np.testing.assert_array_equal(other.light.scale, first.light.scale)
-        for layer in range(3):
+        for layer, side in enumerate(sides):
             before, after = overlap(first, other, layer)
-            assert before.size > 0.3 * TEXELS**2
+            assert before.size > 0.3 * side**2
             assert np.ptp(before) > 1e-3
-            np.testing.assert_array_equal(before, after)
+            # Triangles are the same. Where a texel's centre lies on one is rounded, unless sides are powers of two.
+            np.testing.assert_allclose(before, after, rtol=0, atol=0 if shares is None else 4e-7)
 
 
 def test_turning_the_camera_keeps_the_size_of_the_cascades():
@@ -266,23 +354,30 @@ WAYS = [("interval", True), ("map", False), ("interval", False), ("map", True)]
 USUAL = [("nearest", WAYS[0]), ("random_disk", WAYS[1])]
 """What is tried every time."""
 LIT_PLANES = [
-    pytest.param(name, *way, marks=[] if (name, way) in USUAL else EXHAUSTIVE) for name in FILTERS for way in WAYS
+    *(
+        pytest.param(name, *way, None, marks=[] if (name, way) in USUAL else EXHAUSTIVE)
+        for name in FILTERS
+        for way in WAYS
+    ),
+    pytest.param("random_disk", *WAYS[1], SHARES),
+    pytest.param("variance", *WAYS[0], SHARES, marks=EXHAUSTIVE),
 ]
 
 
-@pytest.mark.parametrize(("name", "select", "stabilize"), LIT_PLANES)
-def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize):
-    layout = Cascades(4, 0.8, select=select, stabilize=stabilize, blend=0.2, margin=RADIUS + 2)
+@pytest.mark.parametrize(("name", "select", "stabilize", "shares"), LIT_PLANES)
+def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize, shares):
+    layout = Cascades(4, 0.8, shares=shares, select=select, stabilize=stabilize, blend=0.2, margin=RADIUS + 2)
     visibility, mask = lit_plane(FILTERS[name], layout)
     assert mask.mean() > 0.3
     assert visibility[mask].min() > (0.99 if name == "variance" else 1 - 1e-6)
 
 
-@pytest.mark.parametrize("blend", [0.0, 0.3])
-def test_everything_under_a_lid_is_dark(blend):
+@pytest.mark.parametrize(("blend", "shares"), [(0.0, None), (0.3, None), (0.3, SHARES)])
+def test_everything_under_a_lid_is_dark(blend, shares):
     ground, lid = quad((0, 0, -55), (60, 0, 0), (0, 0, -60)), quad((0, 60, -55), (300, 0, 0), (0, 0, -300))
     mesh, camera = merge([ground, lid]), along_corridor((96, 96))
-    technique = mapping(Cascades(4, 0.8, blend=blend), RandomDisk(RADIUS), Bias(0.5, plane=ReceiverPlane()))
+    layout = Cascades(4, 0.8, shares=shares, blend=blend)
+    technique = mapping(layout, RandomDisk(RADIUS), Bias(0.5, plane=ReceiverPlane()))
     surface = draw_surface(mesh, camera)
     state = technique.prepare(Scene(mesh, camera, DirectionalLight.around((0.1, -1.0, 0.3), mesh.vertices)), surface)
     assert np.asarray(technique.covered(state, surface))[np.asarray(surface.mask)].all()
@@ -430,6 +525,19 @@ def test_cascades_lower_the_aliasing():
         (lambda: Cascades(distances=(5.0,), shadow_distance=3.0), "remove the others"),
         (lambda: Cascades(blend=0.3, max_blend=0.2), "blend is .*; expected 0 to 0.2"),
         (lambda: Cascades(margin=-1.0), "margin is -1.0; expected 0 or more"),
+        (lambda: Cascades(3, shares=(1.0, 2.0)), "2 shares, and their count is 3; .* one for each"),
+        (lambda: Cascades(2, shares=(1.0, 0.0)), r"shares are \[1.0, 0.0\]; expected numbers greater than 0"),
+        (lambda: Cascades(2, shares=(1.0, 3.0), max_share=0.6), "greatest 0.75 of all texels, and max_share is 0.6"),
+        (lambda: Cascades(2, shares=(1.0, 1.0), max_share=0.0), "max_share is 0.0; expected more than 0"),
+        (lambda: Cascades(2, shares=(1.0, 1.0)).layer_resolution((64, 32)), r"\(64, 32\) .* expected square maps"),
+        (lambda: Cascades(2, shares=(3.0, 1.0)).layer_resolution((8192, 8192)), "10033²; expected at most 8192²"),
+        (lambda: fitted(Cascades(4, shares=(99.0, 1.0, 1.0, 1.0))), r"maps of \(12, 12\) texels.* more than 17"),
+        (
+            lambda: mapping(Cascades(2, shares=(3.0, 1.0)), silhouettes=True).prepare(
+                Scene(floor_and_card(), side_camera(SIZE), sun(floor_and_card()))
+            ),
+            "cascades of several sizes, and edges were given",
+        ),
         (lambda: fitted(Cascades(shadow_distance=200.0)), "shadow_distance is 200; .* to its far, 100"),
         (lambda: fitted(Cascades(distances=(1.0, 200.0))), "distances are 1, 200; .* to its far, 100"),
         (lambda: fitted(Cascades(margin=40.0)), "margin of 40 texels .* expected more than 81"),

@@ -576,6 +576,11 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
             "{technique.logarithmic: {lower: 0, upper: 1}, bias.slope: {lower: 0, upper: 4}}",
             marks=pytest.mark.exhaustive,
         ),
+        pytest.param(
+            ("technique={type: cascades, count: 2, shares: [1, 2]}", "fit.evaluations=4"),
+            "{technique.shares.0: {lower: 0.5, upper: 4}}",
+            marks=pytest.mark.exhaustive,
+        ),
         (("bias={plane: {type: receiver_plane}}",), "{bias.plane.fudge: {lower: 0, upper: 4}}"),
     ],
 )

@@ -145,13 +145,20 @@ def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap
     title, label = f"Shadow map, near {near:.3g}, far {far:.3g}", "distance along the light's axis [world units]"
     limits = {"cmap": style.DISTANCE, "vmin": near, "vmax": far}
     if isinstance(shadow_map.light, geometry.CascadedLight):
-        names = [f"up to {float(end):.3g} deep" for end in shadow_map.light.ends]
-        write_map(path, "Cascades", distance, label, names, **limits)
+        write_map(path, "Cascades", distance, label, cascade_names(shadow_map.light), **limits)
     elif isinstance(shadow_map.light, geometry.PagedLight):
         count = int(shadow_map.light.pages.count)
         write_map(path, f"{count} pages, from fine to coarse", atlas(distance, count), label, **limits)
     else:
         write_map(path, title, distance, label, **limits)
+
+
+def cascade_names(light: geometry.CascadedLight) -> list[str]:
+    """What each cascade shows, and its side in texels if these differ."""
+    names = [f"up to {float(end):.3g} deep" for end in light.ends]
+    if light.sides is None:
+        return names
+    return [f"{name}, {int(side)}²" for name, side in zip(names, light.sides, strict=True)]
 
 
 def atlas(layers: Float[HostArray, "l h w"], count: int) -> Float[HostArray, "H W"]:

@@ -99,8 +99,8 @@ def _write_cascades(
     height, width = image.shape[:2]
     figure, axes = figures.single(image[..., 0])
     style.picture(axes, np.where(shown[..., None], image * (0.35 + 0.65 * tint), image), extent=(0, width, 0, height))
-    for i, end in enumerate(light.ends):
-        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i + 1}: up to {float(end):.3g} deep")
+    for i, name in enumerate(figures.cascade_names(light)):
+        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i + 1}: {name}")
     style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     style.title(axes, "Cascades", "depths along the camera's axis, in world units")
     style.save(figure, path)
