@@ -14,6 +14,8 @@ PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
 # pyright's launcher otherwise remarks on releases newer than the pinned one.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# Python keeps its bytecode in __pycache__, even where the shell forbids it: every process would compile it again.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup fit gallery test test-rest test-all fuzz faults lint types constraints clean

@@ -19,7 +19,7 @@ PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "d
 _MOST_BYTES = 1 << 30
 _MAPPINGS = Path("/proc/self/maps")
 # Linux allows a process 65,530, and each compiled program takes several.
-_MOST_MAPPINGS = 20_000
+_MOST_MAPPINGS = 32_000
 
 # Tracing makes millions of objects that live: looking through them as often as Python does costs 7 % of the time.
 gc.set_threshold(200_000, 20, 100)
@@ -38,6 +38,11 @@ def pytest_configure(config):
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def pytest_collection_finish():
+    """Modules and tests live to the end: the garbage collector need not look through them again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -138,9 +138,7 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
     return Classified(x, y, z, box, lax.optimization_barrier(jnp.where(clipped, CLIPPED, of_class)))
 
 
-def draws(
-    x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, facing: Facing
-) -> Bool[Array, " n"]:
+def draws(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, facing: Facing) -> Bool[Array, " n"]:
     """Whether triangles whose three corners are at fixed-point `x` and `y` may draw something within their `box`."""
     area = signed_area(x, y)
     faces = jnp.where(facing == 0, area != 0, area * facing > 0)

@@ -67,9 +67,7 @@ def slivers():
     that there are more pairs than one round of the loop takes."""
     rng = np.random.default_rng(5)
     along, across = np.array([[0.86, 0, -0.51], [0.51, 0, 0.86]])
-    ends = (
-        rng.uniform(-2, 2, (2, 62, 1)) * across + [0, 1.5, 0] + np.array([-2.4, 2.4]).reshape(2, 1, 1) * along
-    )
+    ends = rng.uniform(-2, 2, (2, 62, 1)) * across + [0, 1.5, 0] + np.array([-2.4, 2.4]).reshape(2, 1, 1) * along
     # Four to each pair of ends, of which each is two vertices.
     vertices = np.concatenate([ends, ends + rng.normal(size=ends.shape) * 0.02]).swapaxes(0, 1)
     faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 0], [3, 0, 1]]) + 4 * np.arange(62)[:, None, None]
