@@ -26,7 +26,7 @@ from diffshadow.shadow import Bilinear, draw_shadow_map
 MESH = floor_and_card()
 CAMERAS = {
     "pinhole": side_camera(),
-    "orthographic": OrthographicCamera((2, 3, 3), (0, 0, 0), height=4.0, near=-1.0, far=9.0, resolution=(64, 48)),
+    "orthographic": OrthographicCamera((2, 3, 3), (0, 0, 0), height=4.0, near=-1.0, far=9.0, resolution=(64, 64)),
 }
 TECHNIQUE = technique(Bilinear(), slope=1.0)
 NAMES = {"camera": MatrixCamera, "light": MatrixLight}
@@ -90,7 +90,7 @@ def test_light_of_anothers_matrices_casts_the_same_shadow(kind):
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_light_off_the_centre_has_its_part_of_the_map(kind):
     """Of a frustum that is as high, and three quarters as wide with as many fewer texels."""
-    light, surface = LIGHTS[kind](MESH), draw_surface(MESH, floor_camera())
+    light, surface = LIGHTS[kind](MESH), draw_surface(MESH, floor_camera(resolution=(64, 64)))
     world_to_eye, eye_to_clip = matrices(view_of(light))
     right, top = 1 / eye_to_clip[0, 0], 1 / eye_to_clip[1, 1]
     make = orthographic if light.is_directional else perspective

@@ -307,6 +307,7 @@ def both_ways(number):
     case, parameter = CASES[number], jnp.array(CASES[number].parameter)
     face = rasterize(clip_of(case, parameter)[0], MESH.faces, RESOLUTION).face
     weights = np.random.default_rng(1).normal(size=(*RESOLUTION, 5)).astype(np.float32)
+
     # Both in one program, so that what they share is compiled once.
     @jax.jit
     def both(face, p):
