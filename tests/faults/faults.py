@@ -1720,8 +1720,8 @@ _FIT = (
     _fault(
         "several views: the first is drawn for all",
         "raster/_rasterize.py",
-        "lax.map(lambda each: view(*each), (clip, behind))",
-        "lax.map(lambda each: view(clip[0], each[1]), (clip, behind))",
+        "lax.map(lambda each: view(*each), (clip, behind, sides))",
+        "lax.map(lambda each: view(clip[0], *each[1:]), (clip, behind, sides))",
         "test_point_light.py",
     ),
     _fault(
