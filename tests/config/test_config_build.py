@@ -24,6 +24,7 @@ from diffshadow.config import (
 from diffshadow.config.sections._fitted import FILTERS
 from diffshadow.config.sections._marks import Limits, marked
 from diffshadow.fit import resolve
+from diffshadow.geometry import face_normals
 from diffshadow.shadow import ThreeJs
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -45,6 +46,7 @@ def test_mesh_is_sized_dropped_scaled_turned_and_moved():
     moved = build("scene.meshes.0.translate=[1, 2, 3]", "scene.meshes.0.rotate=[90, 0, 90]", text=text)
     # A unit cube on the ground; about x, up becomes +z; about z, +y becomes -x, and +z stays.
     assert np.allclose(moved.mesh.bounds, [[0.5, 1.5, 3], [1.5, 2.5, 4]], atol=1e-6)
+    assert np.allclose(moved.mesh.corner_normals, face_normals(moved.mesh)[:, None], atol=1e-6)
 
 
 def test_albedo_is_that_of_the_mesh():
