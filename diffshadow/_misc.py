@@ -25,7 +25,9 @@ def _as(x: Any, dtype: Any) -> Array:
     # NumPy converts without compiling a program for the shape.
     known = lambda part: isinstance(part, np.ndarray | np.generic | float | int)
     on_host = known(x) or (isinstance(x, list | tuple) and all(map(known, x)))
-    return jnp.asarray(np.asarray(x, dtype) if on_host else x, dtype=dtype)
+    # Numbers beyond the range become infinite, as elsewhere in JAX.
+    with np.errstate(over="ignore"):
+        return jnp.asarray(np.asarray(x, dtype) if on_host else x, dtype=dtype)
 
 
 def concrete(x: Any) -> np.ndarray | None:

@@ -142,7 +142,7 @@ def test_poses_that_cannot_be_are_told_with_their_key(override, said):
     ("mesh", "said"),
     [
         ("{path: builtin:box, scale: 1e12}", "scene.meshes.0: reaches 1e+12 world units from the origin"),
-        ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches inf world units from the origin"),
+        ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches 1e+45 world units from the origin"),
         ("{path: builtin:torus, options: {name: 3}}", "scene.meshes.0.options.name: is not an option of torus"),
         ("{path: builtin:torus, options: {segments: 4294967296}}", "scene.meshes.0.options.segments: is 4294967296"),
     ],

@@ -43,14 +43,7 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
     if config.drop_to_ground:
         mesh = geometry.drop_to_ground(mesh)
     mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    placed = _placed(mesh, config.scale, config.rotate, config.translate)
-    reach = float(np.abs(placed.vertices).max())
-    if not reach <= FARTHEST:
-        raise ValueError(
-            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
-            "smaller scale"
-        )
-    return placed
+    return _placed(mesh, config.scale, config.rotate, config.translate)
 
 
 class Stage(NamedTuple):
@@ -79,6 +72,8 @@ def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple
     """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
 
     It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
+
+    **Raises** `ValueError` if it reaches too far.
     """
     turn = np.eye(3)
     for axis, angle in enumerate(np.radians(rotate)):
@@ -87,6 +82,12 @@ def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple
         # The axes that follow this one, in the order of a rotation about it.
         turn = np.roll(about_z, axis + 1, axis=(0, 1)) @ turn
     vertices = np.asarray(mesh.vertices, np.float64) @ turn.T * scale + np.asarray(translate)
+    reach = float(np.abs(vertices).max())
+    if not reach <= FARTHEST:
+        raise ValueError(
+            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
+            "smaller scale"
+        )
     normals = np.asarray(mesh.corner_normals, np.float64) @ turn.T
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     return geometry.Mesh(vertices, mesh.faces, normals / np.where(length > 0, length, 1), mesh.albedo)
