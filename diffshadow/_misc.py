@@ -13,12 +13,21 @@ from jaxtyping import Array, Float, Int
 
 def as_float(x: Any) -> Array:
     """`x` as an array of JAX's default float: float32, or float64 under `jax.enable_x64`."""
-    return jnp.asarray(x, dtype=jnp.result_type(float))
+    return _as(x, jnp.result_type(float))
 
 
 def as_int(x: Any) -> Array:
     """`x` as an int32 array."""
-    return jnp.asarray(x, dtype=jnp.int32)
+    return _as(x, jnp.int32)
+
+
+def _as(x: Any, dtype: Any) -> Array:
+    # NumPy converts without compiling a program for the shape.
+    known = lambda part: isinstance(part, np.ndarray | np.generic | float | int)
+    on_host = known(x) or (isinstance(x, list | tuple) and all(map(known, x)))
+    # Numbers beyond the range become infinite, as elsewhere in JAX.
+    with np.errstate(over="ignore"):
+        return jnp.asarray(np.asarray(x, dtype) if on_host else x, dtype=dtype)
 
 
 def concrete(x: Any) -> np.ndarray | None:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from .._misc import as_float
+from .._misc import as_float, concrete
 
 # A fit starts at least this far inside its bounds, as a fraction of their distance: on a bound itself the change of
 # variables has no slope.
@@ -164,4 +164,7 @@ def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]
     for name in names:
         resolve(module, name)
     where = lambda module: [jax.tree.leaves(_follow(module, name))[0] for name in names]
-    return eqx.tree_at(where, module, [values[k] for k in range(len(names))])
+    # Of known values, in NumPy: an index would be compiled.
+    known = concrete(values)
+    each = values if known is None else known
+    return eqx.tree_at(where, module, [jnp.asarray(each[k]) for k in range(len(names))])

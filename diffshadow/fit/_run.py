@@ -137,9 +137,9 @@ class Run:
         # Without coarse phases, all starts run all of them.
         shared, rest = (first, last) if first and len(spread) > 1 else ([*first, *last], [])
         paths = []
-        for number, initial in enumerate(spread):
+        for number, initial in enumerate(np.asarray(spread)):
             self.reporter.start = number
-            paths.append(self._along(shared, self._start(initial)))
+            paths.append(self._along(shared, self._start(jnp.asarray(initial))))
         tried = [Start(p.values[0], p.values[int(np.argmin(p.losses))], min(p.losses)) for p in paths]
         best = int(np.argmin([start.loss for start in tried]))
         self.reporter.start = best
@@ -151,7 +151,8 @@ class Run:
         phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
         if phase is None or solution is None:
             return None
-        span = np.asarray(self.parameters.upper - self.parameters.lower)[np.asarray(phase.active)]
+        lower, upper = np.asarray(self.parameters.lower), np.asarray(self.parameters.upper)
+        span = (upper - lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
         differences = [image for images in solution.differences for image in np.asarray(images)]
         slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]

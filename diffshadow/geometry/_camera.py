@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._misc import as_float, concrete
+from .._misc import array_module, as_float, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
 from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import look_at, orthographic, perspective
@@ -176,8 +176,10 @@ def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation:
     Azimuth 0 lies on `+z` of the target, 90 on `+x`; elevation 90 lies straight above (`+y`).
     """
     a, e = math.radians(azimuth), math.radians(elevation)
-    towards = jnp.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)])
-    return as_float(target) + distance * towards
+    towards = [math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)]
+    xp, dtype = array_module(target, distance), jnp.result_type(float)
+    target, distance, towards = (xp.asarray(each, dtype) for each in (target, distance, towards))
+    return as_float(target + distance * towards)
 
 
 def check_resolution(name: str, resolution: Resolution) -> None:

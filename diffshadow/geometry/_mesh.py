@@ -41,7 +41,8 @@ class Mesh(eqx.Module):
             else:
                 corner_normals = jnp.zeros((*self.faces.shape, 3))
         self.corner_normals = as_float(corner_normals)
-        self.albedo = jnp.broadcast_to(as_float(albedo), self.faces.shape)
+        xp = array_module(albedo, self.faces)
+        self.albedo = as_float(xp.broadcast_to(xp.asarray(albedo), self.faces.shape))
 
     def __check_init__(self):
         faces, vertices = concrete(self.faces), concrete(self.vertices)

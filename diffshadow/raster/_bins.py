@@ -82,13 +82,13 @@ class Triangles(eqx.Module):
         return Corners(*([take(values, vertex) for vertex in vertices] for values in (self.x, self.y, self.z)))
 
 
-def to_window(clip: Float[Array, "n 4"], resolution: Viewport) -> tuple[Array, Array, Array]:
-    """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (n,); `w = 0` maps to the middle."""
+def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> tuple[Array, Array, Array]:
+    """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (*n,); `w = 0` maps to the middle."""
     height, width = resolution
-    w = clip[:, 3]
+    w = clip[3]
     # By the reciprocal, and scaled before it is shifted, as graphics hardware does.
     inverse = jnp.where(w == 0, 0, 1 / jnp.where(w == 0, 1, w))
-    scaled = lambda k, half: clip[:, k] * inverse * half + half
+    scaled = lambda k, half: clip[k] * inverse * half + half
     return scaled(0, width * 0.5), scaled(1, height * 0.5), scaled(2, 0.5)
 
 
@@ -126,7 +126,7 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
     """The class of each triangle."""
     visible, clipped = _sides(clip, faces, resolution)
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
-    x, y, z = lax.optimization_barrier(to_window(clip, resolution))
+    x, y, z = lax.optimization_barrier(to_window(clip.T, resolution))
     fixed_x, fixed_y = lax.optimization_barrier((snap(x), snap(y)))
     xs, ys = ([take(values, faces[:, k]) for k in range(3)] for values in (fixed_x, fixed_y))
     box = pixel_box(xs, ys, resolution)

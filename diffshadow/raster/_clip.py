@@ -9,9 +9,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot
 from .._types import Viewport
 from ._fixed import GUARD_BAND
 
@@ -39,14 +38,14 @@ def needs_clipping(clip: Float[Array, "*n 4"], resolution: Viewport) -> Bool[Arr
     return ~((w > 0) & (z >= -w) & (jnp.abs(x) <= gx * w) & (jnp.abs(y) <= gy * w))
 
 
-def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Viewport) -> Float[Array, "n fan 3 4"]:
+def clip_triangles(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Float[Array, "4 3 fan n"]:
     """The parts of triangles beyond the near plane and within the guard band.
 
     **Arguments:**
 
-    - `corners`: (n, 3, 4), clip coordinates.
+    - `corners`: (4, 3, n), clip coordinates.
 
-    **Returns:** (n, 7, 3, 4), a fan of triangles for each; unused triangles have no area.
+    **Returns:** (4, 3, 7, n), a fan of triangles for each; unused triangles have no area.
     """
     gx, gy = guard_ratio(resolution)
     # Inside is plane · (x, y, z, w) >= 0. The last plane keeps w above 0 even if the near plane does not.
@@ -54,44 +53,43 @@ def clip_triangles(corners: Float[Array, "n 3 4"], resolution: Viewport) -> Floa
         [[0, 0, 1, 1], [-1, 0, 0, gx], [1, 0, 0, gx], [0, -1, 0, gy], [0, 1, 0, gy], [0, 0, 0, 1]], corners.dtype
     )
     offsets = jnp.array([0, 0, 0, 0, 0, _LEAST_W], corners.dtype)
-    return jax.vmap(lambda triangle: _clip_one(triangle, planes, offsets))(corners)
-
-
-def _clip_one(triangle: Float[Array, "3 4"], planes: Float[Array, "p 4"], offsets: Float[Array, " p"]) -> Array:
-    scale = jnp.max(jnp.abs(triangle[:, 3]))
-    start = jnp.zeros((_CORNERS, 4), triangle.dtype).at[:3].set(triangle), jnp.int32(3)
+    scale = jnp.max(jnp.abs(corners[3]), axis=0)
+    start = jnp.pad(corners, ((0, 0), (0, PLANES), (0, 0))), jnp.full(scale.shape, 3, jnp.int32)
     # A loop, since its six iterations unrolled would take seconds to compile.
     clip = lambda polygon, plane: (_clip_against(*polygon, *plane), None)
-    (polygon, count), _ = jax.lax.scan(clip, start, (planes, offsets * scale))
-    fan = jnp.arange(1, FAN + 1)
-    used = fan + 1 < count
-    first = jnp.broadcast_to(polygon[0], (FAN, 4))
-    second = jnp.where(used[:, None], polygon[fan], first)
-    third = jnp.where(used[:, None], polygon[fan + 1], first)
+    (polygon, count), _ = jax.lax.scan(clip, start, (planes, offsets[:, None] * scale))
+    fan = jnp.arange(1, FAN + 1, dtype=jnp.int32)[:, None]
+    first, used = polygon[:, :1], fan + 1 < count
+    second, third = (jnp.where(used, polygon[:, k : k + FAN], first) for k in (1, 2))
+    fans = jnp.stack([jnp.broadcast_to(first, second.shape), second, third], axis=1)
     # An empty polygon becomes a point in the centre of the view, which covers nothing.
-    nothing = jnp.array([0.0, 0.0, 0.0, 1.0], triangle.dtype)
-    return jnp.where(count >= 3, jnp.stack([first, second, third], axis=1), nothing)
+    return jnp.where(count >= 3, fans, jnp.array([0, 0, 0, 1], corners.dtype)[:, None, None, None])
 
 
-def _clip_against(polygon: Float[Array, "m 4"], count: Array, plane: Float[Array, "4"], offset: Array):
-    slots = polygon.shape[0]
-    slot = jnp.arange(slots)
-    following = polygon[jnp.where(slot + 1 < count, slot + 1, 0)]
-    distance = dot(polygon, plane) - offset
-    distance_following = dot(following, plane) - offset
+def _clip_against(
+    polygon: Float[Array, "4 m n"], count: Int[Array, " n"], plane: Float[Array, "4"], offset: Float[Array, " n"]
+) -> tuple[Float[Array, "4 m n"], Int[Array, " n"]]:
+    """The parts of polygons of `count` corners each on the inner side of a plane."""
+    slots = polygon.shape[1]
+    slot = jnp.arange(slots, dtype=jnp.int32)[:, None]
+    used, next_ = slot < count, lambda values: jnp.where(slot + 1 < count, jnp.roll(values, -1, -2), values[..., :1, :])
+    following = next_(polygon)
+    distance = polygon[1] * plane[1] + polygon[2] * plane[2] + polygon[3] * plane[3] + polygon[0] * plane[0] - offset
+    distance_following = next_(distance)
     inside, inside_following = distance >= 0, distance_following >= 0
     crosses = inside != inside_following
     # From the inner corner outwards, so that two triangles that share an edge compute the same point.
-    inner = jnp.where(inside[:, None], polygon, following)
-    outer = jnp.where(inside[:, None], following, polygon)
+    inner, outer = jnp.where(inside, polygon, following), jnp.where(inside, following, polygon)
     d_inner = jnp.where(inside, distance, distance_following)
     d_outer = jnp.where(inside, distance_following, distance)
     t = d_inner / jnp.where(crosses, d_inner - d_outer, 1)
-    crossing = inner + t[:, None] * (outer - inner)
+    crossing = inner + t * (outer - inner)
 
-    used = slot < count
-    emitted = jnp.stack([used & inside, used & crosses], axis=1).reshape(-1)
-    corners = jnp.stack([polygon, crossing], axis=1).reshape(-1, 4)
-    place = jnp.where(emitted, jnp.cumsum(emitted) - 1, slots)
-    clipped = jnp.zeros_like(polygon).at[place].set(corners, mode="drop")
-    return clipped, jnp.sum(emitted).astype(jnp.int32)
+    # A corner that is inside comes before the crossing after it. Either goes to the slot that is its rank.
+    keeps, cuts = used & inside, used & crosses
+    both = jnp.where(keeps, 1, 0) + jnp.where(cuts, 1, 0)
+    before = jnp.sum(jnp.where(slot[:, None] < slot, both[:, None], 0), axis=0, dtype=jnp.int32)
+    goes = lambda emitted, rank: emitted[:, None] & (rank[:, None] == slot)
+    put = lambda goes, values: jnp.sum(jnp.where(goes, values[:, :, None], 0), axis=1)
+    kept, cut = goes(keeps, before), goes(cuts, before + jnp.where(keeps, 1, 0))
+    return put(kept, polygon) + put(cut, crossing), jnp.sum(both, axis=0, dtype=jnp.int32)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot, safe_divide
+from .._misc import safe_divide
 from .._types import Viewport
 from ._bins import Corners
 from ._depth_test import DepthTest
@@ -106,7 +106,7 @@ def plane_of_corners(corners: Corners) -> DepthPlane:
     return DepthPlane(z0 - (slope_x * (x0 - 0.5) + slope_y * (y0 - 0.5)), slope_x, slope_y)
 
 
-def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Viewport) -> DepthPlane:
+def plane_of_clip(corners: Float[Array, "4 3 n"], resolution: Viewport) -> DepthPlane:
     """The planes of triangles in clip coordinates, which may reach behind the eye.
 
     The parts that clipping leaves of a triangle may be slivers thousands of pixels long, whose own planes would be lost
@@ -114,15 +114,15 @@ def plane_of_clip(corners: Float[Array, "n 3 4"], resolution: Viewport) -> Depth
     z: the depth at a point (x, y) of the view is z M⁻¹ (x, y, 1).
     """
     # A corner may have any scale. Without it, products of three large numbers could overflow.
-    size = jnp.max(jnp.abs(corners), axis=-1, keepdims=True)
-    x, y, z, w = jnp.moveaxis(corners / jnp.where(size > 0, size, 1), -1, 0)
+    size = jnp.max(jnp.abs(corners), axis=0)
+    x, y, z, w = corners / jnp.where(size > 0, size, 1)
     pairs = ((1, 2), (2, 0), (0, 1))
     adjugate = [
-        jnp.stack([first[:, i] * second[:, j] - first[:, j] * second[:, i] for i, j in pairs], axis=-1)
-        for first, second in ((y, w), (w, x), (x, y))
+        [first[i] * second[j] - first[j] * second[i] for i, j in pairs] for first, second in ((y, w), (w, x), (x, y))
     ]
-    determinant = dot(adjugate[2], w)
-    along_x, along_y, middle = (safe_divide(dot(column, z), determinant) / 2 for column in adjugate)
+    sum_over_corners = lambda a, b: a[1] * b[1] + a[2] * b[2] + a[0] * b[0]
+    determinant = sum_over_corners(adjugate[2], w)
+    along_x, along_y, middle = (safe_divide(sum_over_corners(column, z), determinant) / 2 for column in adjugate)
     height, width = resolution
     slope_x, slope_y = along_x * (2.0 / width), along_y * (2.0 / height)
     return DepthPlane(middle + 0.5 + slope_x * (0.5 - width * 0.5) + slope_y * (0.5 - height * 0.5), slope_x, slope_y)

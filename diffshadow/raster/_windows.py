@@ -180,13 +180,12 @@ class DrawPass(Drawing):
         def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
             face, used, layer = self._chunk(CLIPPED, number - large, at_once)
             vertices = [take(self.triangles.faces[:, k], face) for k in range(3)]
-            corners = jnp.stack([take(self.triangles.clip, vertex) for vertex in vertices], axis=1)
-            parts = clip_triangles(corners, self.resolution)
-            window = to_window(parts.reshape(-1, 4), self.resolution)
-            each = lambda values: jnp.repeat(values, FAN)
+            corners = jnp.stack([take(self.triangles.clip, vertex).T for vertex in vertices], axis=1)
+            parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
+            each = lambda values: jnp.tile(values, FAN)
             plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
-            parts = Corners(*([*values.reshape(-1, 3).T] for values in window))
-            return parts, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
+            window = Corners(*([*values] for values in to_window(parts, self.resolution)))
+            return window, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
 
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))

@@ -118,13 +118,13 @@ def draw_shadow_map(
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
     edges = None if edges is None else edges.padded(mesh.faces.shape[0])
-    clip, unwarped = _drawn_vertices(mesh, light)
+    clip, unwarped, tile = _drawn_vertices(mesh, light)
     if unwarped is not None and (edges is not None or polygon_offset is not None):
         raise ValueError(
             f"the shadow map is warped, and {'polygon_offset' if edges is None else 'edges'} was given; expected "
             "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
         )
-    tile, pages = light.view().tile, light.pages if isinstance(light, PagedLight) else None
+    pages = light.pages if isinstance(light, PagedLight) else None
     if tile is not None and edges is not None:
         what = "cascades of several sizes" if pages is None else "pages"
         raise ValueError(
@@ -254,11 +254,13 @@ def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
 
 
 @eqx.filter_jit
-def _drawn_vertices(mesh: Mesh, light: AbstractLight) -> tuple[Float[Array, "*l v 4"], Float[Array, "*l v 4"] | None]:
-    """`clip_vertices`, and the same without the warp of the light's view; none for a view without."""
+def _drawn_vertices(
+    mesh: Mesh, light: AbstractLight
+) -> tuple[Float[Array, "*l v 4"], Float[Array, "*l v 4"] | None, Tile | None]:
+    """`clip_vertices`, the same without the warp of the light's view, and the view's tile; none for a view without."""
     view = light.view()
     unwarped = None if view.warp is None else view.unwarped.clip_vertices(mesh.vertices)
-    return view.clip_vertices(mesh.vertices), unwarped
+    return view.clip_vertices(mesh.vertices), unwarped, view.tile
 
 
 @eqx.filter_jit

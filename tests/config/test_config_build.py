@@ -25,6 +25,7 @@ from diffshadow.config import (
 from diffshadow.config.sections._fitted import FILTERS
 from diffshadow.config.sections._marks import Limits, marked
 from diffshadow.fit import resolve
+from diffshadow.geometry import face_normals
 from diffshadow.shadow import ThreeJs
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -46,6 +47,7 @@ def test_mesh_is_sized_dropped_scaled_turned_and_moved():
     moved = build("scene.meshes.0.translate=[1, 2, 3]", "scene.meshes.0.rotate=[90, 0, 90]", text=text)
     # A unit cube on the ground; about x, up becomes +z; about z, +y becomes -x, and +z stays.
     assert np.allclose(moved.mesh.bounds, [[0.5, 1.5, 3], [1.5, 2.5, 4]], atol=1e-6)
+    assert np.allclose(moved.mesh.corner_normals, face_normals(moved.mesh)[:, None], atol=1e-6)
 
 
 def test_albedo_is_that_of_the_mesh():
@@ -141,7 +143,7 @@ def test_poses_that_cannot_be_are_told_with_their_key(override, said):
     ("mesh", "said"),
     [
         ("{path: builtin:box, scale: 1e12}", "scene.meshes.0: reaches 1e+12 world units from the origin"),
-        ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches inf world units from the origin"),
+        ("{path: big.obj, scale: 1e15}", "scene.meshes.0: reaches 1e+45 world units from the origin"),
         ("{path: builtin:torus, options: {name: 3}}", "scene.meshes.0.options.name: is not an option of torus"),
         ("{path: builtin:torus, options: {segments: 4294967296}}", "scene.meshes.0.options.segments: is 4294967296"),
     ],

@@ -488,6 +488,13 @@ _RASTER = (
         "test_raster.py",
     ),
     _fault(
+        "clipping: a crossing in the place of the corner before it",
+        "raster/_clip.py",
+        "before + jnp.where(keeps, 1, 0)",
+        "before",
+        "test_raster.py",
+    ),
+    _fault(
         "clipping: the share is of the outer corner",
         "raster/_clip.py",
         "t = d_inner / jnp.where",
@@ -1656,8 +1663,8 @@ _FIT = (
     _fault(
         "joint fit: every image has the same share",
         "fit/problems/_joint.py",
-        "return counts / jnp.maximum(jnp.sum(counts), 1)",
-        "return jnp.ones_like(counts) / len(counts)",
+        "return each / jnp.maximum(jnp.sum(each), 1)",
+        "return jnp.ones_like(each) / len(each)",
         "test_fit.py",
         "test_views.py",
     ),
@@ -2009,8 +2016,8 @@ _FIT = (
     _fault(
         "worst view: the factor of a sample is forgotten",
         "fit/problems/_technique.py",
-        "self.mask, self.weight * self.factor)",
-        "self.mask, self.weight)",
+        "self.mask, self.weight, self.factor)",
+        "self.mask, self.weight, jnp.ones(()))",
         "test_views.py",
     ),
     _fault(
@@ -2567,15 +2574,22 @@ _CONFIG = (
     _fault(
         "built mesh: turned about z first",
         "config/building/_scene.py",
-        "@ z @ y @ x @",
-        "@ x @ y @ z @",
+        "np.roll(about_z, axis + 1, axis=(0, 1)) @ turn",
+        "turn @ np.roll(about_z, axis + 1, axis=(0, 1))",
+        "test_config_build.py",
+    ),
+    _fault(
+        "built mesh: its normals turned the other way",
+        "config/building/_scene.py",
+        "np.asarray(mesh.corner_normals, np.float64) @ turn.T",
+        "np.asarray(mesh.corner_normals, np.float64) @ turn",
         "test_config_build.py",
     ),
     _fault(
         "built light: shines from the other side",
         "config/building/_scene.py",
-        "direction = -geometry.orbit_eye",
-        "direction = geometry.orbit_eye",
+        "-np.asarray(geometry.orbit_eye",
+        "np.asarray(geometry.orbit_eye",
         "test_config_build.py",
     ),
     _fault(

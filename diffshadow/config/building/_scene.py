@@ -2,14 +2,12 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, io
-from ..._types import HostArray, Scalar, Vec3
+from ..._types import HostArray, Vec3
 from ..sections._lights import (
     DirectionalLightConfig,
     LightConfig,
@@ -20,6 +18,8 @@ from ..sections._lights import (
 )
 from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
 from ..sections._section import FARTHEST
+
+Triple = tuple[float, float, float]
 
 # Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01
@@ -43,15 +43,7 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
     if config.drop_to_ground:
         mesh = geometry.drop_to_ground(mesh)
     mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    placed = _placed(mesh.padded(), *map(jnp.asarray, (config.scale, config.rotate, config.translate)))
-    placed = jax.tree.map(lambda filled, own: jnp.asarray(np.asarray(filled)[: len(own)]), placed, mesh)
-    reach = float(np.abs(placed.vertices).max())
-    if not reach <= FARTHEST:
-        raise ValueError(
-            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
-            "smaller scale"
-        )
-    return placed
+    return _placed(mesh, config.scale, config.rotate, config.translate)
 
 
 class Stage(NamedTuple):
@@ -76,29 +68,45 @@ def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh)
     return Stage(used(whole), used(casters), middle, radius)
 
 
-# Compiled, since dispatching dozens of single operations would take longer than everything else.
-@eqx.filter_jit
-def _placed(mesh: geometry.Mesh, scale: Scalar, rotate: Vec3, translate: Vec3) -> geometry.Mesh:
-    """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated."""
-    # Some devices multiply matrices in lower precision by default.
-    with jax.default_matmul_precision("highest"):
-        x, y, z = (geometry.rotation(axis, jnp.deg2rad(turn)) for axis, turn in zip(jnp.eye(3), rotate, strict=True))
-        return mesh.transformed(geometry.translation(translate) @ z @ y @ x @ geometry.scaling(scale))
+def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple) -> geometry.Mesh:
+    """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
+
+    It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
+
+    **Raises** `ValueError` if it reaches too far.
+    """
+    turn = np.eye(3)
+    for axis, angle in enumerate(np.radians(rotate)):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        about_z = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+        # The axes that follow this one, in the order of a rotation about it.
+        turn = np.roll(about_z, axis + 1, axis=(0, 1)) @ turn
+    vertices = np.asarray(mesh.vertices, np.float64) @ turn.T * scale + np.asarray(translate)
+    reach = float(np.abs(vertices).max())
+    if not reach <= FARTHEST:
+        raise ValueError(
+            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
+            "smaller scale"
+        )
+    normals = np.asarray(mesh.corner_normals, np.float64) @ turn.T
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return geometry.Mesh(vertices, mesh.faces, normals / np.where(length > 0, length, 1), mesh.albedo)
 
 
 def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: Stage) -> geometry.AbstractCamera:
-    target = jnp.asarray(stage.middle if config.target is None else config.target)
+    single = lambda point: np.asarray(point, np.float32)
+    target = single(stage.middle if config.target is None else config.target)
     if config.eye is not None:
-        eye = jnp.asarray(config.eye)
+        eye = single(config.eye)
     else:
         assert config.orbit is not None
-        eye = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
+        eye = single(stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance))
     if bool((eye == target).all()):
         raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
-    up = jnp.asarray(config.up)
+    up = single(config.up)
     # The scene's extent across the view, and along it.
-    view = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)
-    across, upwards, backward = (stage.points @ view[:3, :3].T + view[:3, 3]).T
+    rows = np.asarray(geometry.frame(target - eye, up), np.float64)
+    across, upwards, backward = ((stage.points - eye) @ rows.T).T
     near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
     near = near if config.near is None else config.near
     far = far if config.far is None else config.far
@@ -176,7 +184,8 @@ def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.Direc
     else:
         assert config.azimuth is not None
         assert config.elevation is not None
-        direction = -geometry.orbit_eye(jnp.zeros(3), 1.0, config.azimuth, config.elevation)
+        centre = jnp.asarray(np.zeros(3, np.float32))
+        direction = jnp.asarray(-np.asarray(geometry.orbit_eye(centre, 1.0, config.azimuth, config.elevation)))
     if config.shadow_camera is not None:
         return _seen_by(config.shadow_camera, direction, config.angular_radius, stage)
     points, around = jnp.asarray(stage.points), geometry.DirectionalLight.around

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._misc import array_module
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
@@ -95,16 +96,15 @@ class Joint(eqx.Module):
     @property
     def shares(self) -> Errors:
         """The share of each problem in all pixels that count, (v,)."""
-        counts = jnp.concatenate([jnp.atleast_1d(jnp.asarray(p.count, jnp.float32)) for p in self.problems])
-        return counts / jnp.maximum(jnp.sum(counts), 1)
+        return _shares([p.count for p in self.problems])
 
     def losses(self, subject: Any) -> Losses:
         """The loss, and the errors that it is made of."""
         overflows: list[Overflow] = []
         differences = self.differences(subject, overflows)
         compared, errors = squares(self.compared(differences)), squares(differences)
-        loss = lambda errors: jnp.sum(self.loss.weights(errors, self.shares) * errors)
-        return Losses(loss(compared), loss(errors), errors, any_of(overflows))
+        of_compared, whole = _weighed(self.loss, [compared, errors], self.shares)
+        return Losses(of_compared, whole, errors, any_of(overflows))
 
     def mean_square_error(self, subject: Any) -> Scalar:
         """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
@@ -200,6 +200,18 @@ def _scaled(loss: Loss, difference: Float[Array, "n h w"], count: Array) -> Floa
 
 
 @eqx.filter_jit
+def _shares(counts: list[Array]) -> Float[Array, " v"]:
+    each = jnp.concatenate([jnp.atleast_1d(jnp.asarray(count, jnp.float32)) for count in counts])
+    return each / jnp.maximum(jnp.sum(each), 1)
+
+
+@eqx.filter_jit
+def _weighed(loss: Loss, errors: list[Errors], shares: Errors) -> list[Scalar]:
+    """The loss of each of several `errors` (v,)."""
+    return [jnp.sum(loss.weights(each, shares) * each) for each in errors]
+
+
+@eqx.filter_jit
 def _sums(images: Float[Array, "n h w"], others: Float[Array, "n h w"]) -> Float[Array, " n"]:
     return jnp.sum(images * others, axis=(1, 2))
 
@@ -222,7 +234,8 @@ def multiplied(images: Images, factors: Errors) -> Images:
 
 def any_of(overflows: Sequence[Overflow]) -> Overflow:
     """Whether silhouettes are missing from any map."""
-    return jnp.any(jnp.asarray(overflows, bool))
+    xp = array_module(*overflows)
+    return jnp.asarray(xp.any(xp.asarray(overflows, bool)))
 
 
 def check_problem(joint: Joint, parameters: Parameters) -> None:

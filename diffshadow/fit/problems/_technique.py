@@ -77,7 +77,7 @@ class TechniqueProblem(AbstractProblem):
         Nothing is drawn that could overflow.
         """
         visibility = subject.visibility(self.shadow_map, self.surface)
-        return _weighted(visibility, self.reference, self.mask, self.weight * self.factor)
+        return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """All of a difference."""
@@ -166,5 +166,7 @@ class TechniqueProblem(AbstractProblem):
 
 
 @eqx.filter_jit
-def _weighted(visibility: Visibility, reference: Visibility, mask: Mask, weight: Array) -> Float[Array, "h w"]:
-    return jnp.sqrt(weight) * jnp.where(mask, visibility - reference, 0)
+def _weighted(
+    visibility: Visibility, reference: Visibility, mask: Mask, weight: Array, factor: Scalar
+) -> Float[Array, "h w"]:
+    return jnp.sqrt(weight * factor) * jnp.where(mask, visibility - reference, 0)

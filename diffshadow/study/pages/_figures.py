@@ -5,14 +5,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ... import geometry, shadow
-from ..._types import HostArray
+from ..._types import HostArray, Scalar
 from .. import style
 from ..files._stored import LightImages, StoredRun
 
@@ -137,11 +138,18 @@ def write_from_light(folder: Path, end: str, from_light: Any) -> None:
             write_texture(folder / f"texture{end}.png", from_light)
 
 
+@eqx.filter_jit
+def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
+    """The map's depths as distances along the light's axis, and those of its near and far plane, in world units."""
+    view = shadow_map.view
+    return view.eye_depth(shadow_map.depth), view.near, view.far
+
+
 def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap) -> None:
     """Writes the shadow map as distances along the light's axis; empty texels are blank."""
-    view, depth = shadow_map.view, np.asarray(shadow_map.depth)
-    distance = np.where(depth < 1, np.asarray(view.eye_depth(shadow_map.depth)), np.nan)
-    near, far = float(view.near), float(view.far)
+    distance, near, far = _distances(shadow_map)
+    distance = np.where(np.asarray(shadow_map.depth) < 1, np.asarray(distance), np.nan)
+    near, far = float(near), float(far)
     title, label = f"Shadow map, near {near:.3g}, far {far:.3g}", "distance along the light's axis [world units]"
     limits = {"cmap": style.DISTANCE, "vmin": near, "vmax": far}
     if isinstance(shadow_map.light, geometry.CascadedLight):
