@@ -60,7 +60,7 @@ def rasterize(
     polygon_offset: Any = None,
     behind: Int[Array, "*l h w"] | None = None,
     pages: Pages | None = None,
-    sides: Int[Array, " b"] | None = None,
+    viewports: Int[Array, "b 2"] | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -80,12 +80,12 @@ def rasterize(
         second-nearest layer is drawn.
     - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are
         (l, h, w). `clip` is one view, that of the virtual map, and `resolution` that of a layer.
-    - `sides`: (b,), in pixels, for several views: each is drawn into the lower left square of its image of this side,
-        and pixels beyond see nothing. Each at most the lesser of height and width.
+    - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
+        drawn into. Pixels beyond see nothing.
 
     **Raises** `ValueError` for a resolution or depth test out of range.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, sides)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports)
 
 
 def rasterize_depth(
@@ -101,7 +101,7 @@ def rasterize_depth(
     return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, sides) -> Any:
+def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports) -> Any:
     test = test or DepthTest()
     test.check()
     if not all(1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
@@ -114,24 +114,24 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     clip, faces = padded(lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces))
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    given = clip, faces, polygon_offset, behind, pages, sides
+    given = clip, faces, polygon_offset, behind, pages, viewports
     if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
-        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, sides)
+        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports)
 
-    def view(clip: Array, behind: Array | None, side: Array | None) -> Fragments | Array:
-        viewport = resolution if side is None else (side, side)
+    def view(clip: Array, behind: Array | None, viewport: Array | None) -> Fragments | Array:
+        viewport = resolution if viewport is None else viewport
         draws = FACING[cull]
         return _rasterize(clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages)
 
     # One view after the other, since each has its own number of triangles to draw.
-    return lax.map(lambda each: view(*each), (clip, behind, sides)) if clip.ndim > 2 else view(clip, behind, None)
+    return lax.map(lambda each: view(*each), (clip, behind, viewports)) if clip.ndim > 2 else view(clip, behind, None)
 
 
 # Smaller images are drawn into buffers of these sides.
 _SHARED_SIDES = (64, 128, 256)
 
 
-def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, sides) -> Any:
+def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports) -> Any:
     """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
     whatever is culled."""
     height, width = resolution
@@ -148,8 +148,8 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
         drawn = view(clip, behind, resolution)
     else:
         of_view = lambda values, k: None if values is None else values[k]
-        viewports = [resolution] * len(clip) if sides is None else np.stack([sides, sides], axis=-1)
-        views = [view(clip[k], of_view(behind, k), viewports[k]) for k in range(len(clip))]
+        each = [resolution] * len(clip) if viewports is None else np.asarray(viewports)
+        views = [view(clip[k], of_view(behind, k), each[k]) for k in range(len(clip))]
         drawn = jax.tree.map(lambda *images: jnp.stack(images), *views)
     return drawn if buffer == resolution else jax.tree.map(lambda image: image[..., :height, :width], drawn)
 

@@ -130,7 +130,7 @@ def draw_shadow_map(
         raise ValueError(
             f"the shadow map has {what}, and edges were given; expected no edges: leave them out, or use another layout"
         )
-    sides = None if tile is None or pages is not None else tile.size
+    viewports = None if tile is None or pages is not None else jnp.stack([tile.size, tile.size], axis=-1)
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -144,7 +144,7 @@ def draw_shadow_map(
             polygon_offset=polygon_offset,
             behind=behind,
             pages=pages,
-            sides=sides,
+            viewports=viewports,
         )
         if unwarped is not None:
             return seen.face, _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)

@@ -476,8 +476,8 @@ _RASTER = (
     _fault(
         "culling: front for back",
         "raster/_bins.py",
-        '"back": area > 0, "front": area < 0',
-        '"back": area < 0, "front": area > 0',
+        "area * facing > 0",
+        "area * facing < 0",
         "test_raster.py",
     ),
     _fault(
@@ -1349,7 +1349,7 @@ _SHADOW = (
     _fault(
         "shares: texels beyond a cascade are drawn",
         "raster/_rasterize.py",
-        "(row[:, None] < side) & (column < side)",
+        "(row[:, None] < height) & (column < width)",
         "(row[:, None] >= 0) & (column >= 0)",
         "test_cascades.py",
     ),
@@ -1727,8 +1727,8 @@ _FIT = (
     _fault(
         "several views: the first is drawn for all",
         "raster/_rasterize.py",
-        "lax.map(lambda each: view(*each), (clip, behind, sides))",
-        "lax.map(lambda each: view(clip[0], *each[1:]), (clip, behind, sides))",
+        "view(clip[k], of_view(behind, k), each[k])",
+        "view(clip[0], of_view(behind, k), each[k])",
         "test_point_light.py",
     ),
     _fault(
