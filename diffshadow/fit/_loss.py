@@ -19,6 +19,8 @@ Errors = Float[Array, " v"]
 
 # The powers of the mean that stands for the maximum, in the first phase of a fit and in the last.
 _FIRST_POWER, _LAST_POWER = 4.0, 64.0
+# Of the search for a threshold: its reach, as a logarithm, and its steps.
+_REACH, _HALVINGS = 7.0, 44
 
 
 class Loss(eqx.Module):
@@ -31,8 +33,12 @@ class Loss(eqx.Module):
         `fraction` of pixels when images are sorted by E (conditional value at risk, Rockafellar & Uryasev 2000).
     - `fraction`: for `"cvar"`.
     - `false_shadow`, `false_light`: factors of the squares where an image is too dark, and where it is too light.
-    - `power`: for `"worst"`: the greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), with sₖ the share of all pixels
-        that image k has. None for the maximum itself.
+    - `power`: p, with which the loss is smooth; None for the loss itself. With sₖ the share of all pixels that image k
+        has, the greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), and the mean over the worst fraction α by
+
+            min over t of  t + t / (p α) Σ sₖ log(1 + exp(p (Eₖ / t - 1))),
+
+        in which the logarithm stands for Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
     **Raises** `ValueError` if `over` is unknown, `fraction` is not in (0, 1], or a factor is negative or both are 0.
     """
@@ -59,7 +65,7 @@ class Loss(eqx.Module):
 
     def in_phase(self, part: float) -> "Loss":
         """For a phase at `part` of the way from the first, 0, to the last, 1: with the power that it takes."""
-        if self.over != "worst":
+        if self.over == "mean":
             return self
         power = as_float(_FIRST_POWER * (_LAST_POWER / _FIRST_POWER) ** part)
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light, power)
@@ -93,6 +99,8 @@ class Loss(eqx.Module):
             if self.power is None:
                 return jax.nn.one_hot(jnp.argmax(errors), errors.shape[0], dtype=errors.dtype)
             return shares * self._relative(errors, shares) ** (self.power - 1)
+        if self.power is not None:
+            return shares * jax.nn.sigmoid(self._excess(errors, shares)[0]) / self.fraction
         order = jnp.argsort(-errors)
         sorted_shares = shares[order]
         before = jnp.cumsum(sorted_shares) - sorted_shares
@@ -102,20 +110,45 @@ class Loss(eqx.Module):
     def bends(self, errors: Errors, shares: Errors, gradients: Float[Array, "v p"]) -> Float[Array, "v p"] | None:
         """Rows B: BᵀB is what the change of the weights adds to the Gauss-Newton matrix.
 
-        For the mean of power p it is, to first order in E,
+        Since losses are homogeneous, it is to first order in E
 
-            ½ ∂²L/∂E² ∇E ∇E = (p - 1) L / 2 · Σₖ πₖ (gₖ - ḡ)(gₖ - ḡ)ᵀ,   gₖ = ∇Eₖ / Eₖ,   πₖ = wₖ Eₖ / L,   ḡ = Σ πₖ gₖ.
+            ½ ∂²L/∂E² ∇E ∇E = ½ Σₖ cₖ (gₖ - ḡ)(gₖ - ḡ)ᵀ,   gₖ = ∇Eₖ / Eₖ,   ḡ = Σ cₖ gₖ / Σ cₖ,
+
+        with cₖ = (p - 1) wₖ Eₖ for the mean of power p, and cₖ = p sₖ σ'(zₖ) Eₖ² / (α t) for the worst fraction α,
+        where σ is the logistic function and zₖ = p (Eₖ / t - 1).
 
         **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or none if there is no such term.
         """
-        if self.over != "worst" or self.power is None:
+        if self.power is None:
             return None
-        weights = self.weights(errors, shares)
-        total = jnp.sum(weights * errors)
-        parts = weights * errors / jnp.maximum(total, _TINY)
+        if self.over == "worst":
+            curvature = (self.power - 1) * self.weights(errors, shares) * errors
+        else:
+            excess, threshold = self._excess(errors, shares)
+            bend = jax.nn.sigmoid(excess) * jax.nn.sigmoid(-excess)
+            curvature = self.power * shares * bend * errors**2 / (self.fraction * jnp.maximum(threshold, _TINY))
         relative = gradients / jnp.maximum(errors, _TINY)[:, None]
+        parts = curvature / jnp.maximum(jnp.sum(curvature), _TINY)
         mean = jnp.matmul(parts, relative, precision="highest")
-        return jnp.sqrt((self.power - 1) * total * parts / 2)[:, None] * (relative - mean)
+        return jnp.sqrt(curvature / 2)[:, None] * (relative - mean)
+
+    def _excess(self, errors: Errors, shares: Errors) -> tuple[Errors, Scalar]:
+        """zₖ = p (Eₖ / t - 1), and the t at which the smooth mean over the worst fraction is least."""
+        power, most = self.power, jnp.maximum(jnp.max(errors), _TINY)
+        assert power is not None
+
+        def halved(_: Array, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+            low, high = ends
+            middle = (low + high) / 2
+            above = power * (errors / (most * jnp.exp(middle)) - 1)
+            slope = jax.nn.softplus(above) - (above + power) * jax.nn.sigmoid(above)
+            falls = power * self.fraction + jnp.sum(shares * slope) < 0
+            return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
+
+        # Of the logarithm of t over the greatest error.
+        ends = as_float(-_REACH), as_float(_REACH)
+        threshold = most * jnp.exp(jax.lax.fori_loop(0, _HALVINGS, halved, ends)[1])
+        return power * (errors / threshold - 1), threshold
 
     def _relative(self, errors: Errors, shares: Errors) -> Errors:
         """The errors over their mean of this power."""

@@ -19,7 +19,7 @@ from ._precision import Precision, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
-from .problems import Joint, Samples
+from .problems import Atlases, Joint, Samples
 from .solvers import Solver
 
 # How often a phase may be given memory for more silhouettes.
@@ -129,6 +129,7 @@ class Run:
         self._programs: dict[Any, dict[Any, Any]] = {}
         self._judged_errors: dict[Any, Errors] = {}
         self._samples: Samples = {}
+        self._atlases: Atlases = {}
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
@@ -186,7 +187,7 @@ class Run:
         # Relative residuals, so that the solver's tolerances mean the same whatever the size of the errors.
         scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
-        solution = self._solution(number, free, scale)
+        solution = self._solution(number, free, as_float(path.values[-1]), scale)
         if np.isfinite(solution.value).all():
             free = _replaced(free, active, solution.value)
         self.slopes[active] = np.maximum(self.slopes[active], np.asarray(solution.slope))
@@ -286,7 +287,7 @@ class Run:
         if not joint.moves:
             whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
             joint = whole if whole.count <= phase.pixels else self._sample(whole, phase.pixels, values)
-        joint = joint.each(lambda p: p.padded()).stacked()
+        joint = joint.each(lambda p: p.padded()).stacked(self._atlases)
         return joint, parameters, as_float(free), self.solver, token, as_float(scale)
 
     def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
@@ -296,7 +297,7 @@ class Run:
         order = [] if errors is None else np.argsort(-np.asarray(errors), kind="stable").tolist()
         worst = order[: -(-len(order) // 4)]
         sample = whole.sampled(pixels, worst, self._samples)
-        return sample if errors is None else sample.corrected(errors)
+        return sample if errors is None else sample.corrected(errors, self._atlases)
 
     def judged_at(self, values: Float[Array, " p"]) -> Joint:
         """The judge with `values` (p,), and maps laid out for them."""
@@ -325,11 +326,12 @@ class Run:
             self.judge = enlarged(self.judge, self.parameters, values[None])
         raise RuntimeError(_NEVER_ENOUGH)
 
-    def _solution(self, number: int, free: Float[Array, " p"], scale: float) -> Solution:
-        """What the program of a phase returns, repeated with memory for more silhouettes until none is missing."""
+    def _solution(self, number: int, free: Float[Array, " p"], values: Float[Array, " p"], scale: float) -> Solution:
+        """What the program of a phase returns from the `free` values of `values`, repeated with memory for more
+        silhouettes until none is missing."""
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
-            values, active = self.parameters.to_bounded(free), np.asarray(phase.active)
+            active = np.asarray(phase.active)
             at = self.parameters[phase.active]
             arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
             found = self._program(phase, arguments)(*arguments)

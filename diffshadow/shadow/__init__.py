@@ -61,6 +61,7 @@ from .filters import RandomDisk as RandomDisk
 from .filters import Separable as Separable
 from .filters import Tent as Tent
 from .filters import VarianceShadowMap as VarianceShadowMap
+from .kernels import Atlas as Atlas
 from .kernels import mean_of_taps as mean_of_taps
 from .layouts import AbstractLayout as AbstractLayout
 from .layouts import Cascades as Cascades

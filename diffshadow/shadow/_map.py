@@ -37,12 +37,14 @@ class ShadowMap(eqx.Module):
     - `light`: the light it was drawn from.
     - `depth_format`: how depths are stored.
     - `silhouettes`: the casters' outlines within texels; none if the map was drawn without edges.
+    - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
     """
 
     depth: Float[Array, "*l h w"]
     light: AbstractLight
     depth_format: DepthFormat = eqx.field(static=True, default="float32")
     silhouettes: SilhouetteMap | None = None
+    padded: Any = None
 
     @property
     def view(self) -> View:

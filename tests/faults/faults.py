@@ -1959,8 +1959,43 @@ _FIT = (
     _fault(
         "worst view: twice the change of its weights",
         "fit/_loss.py",
-        "total * parts / 2)",
-        "total * parts)",
+        "jnp.sqrt(curvature / 2)",
+        "jnp.sqrt(curvature)",
+        "test_views.py",
+    ),
+    _fault(
+        "worst views: the threshold without the fraction",
+        "fit/_loss.py",
+        "power * self.fraction + jnp.sum",
+        "power + jnp.sum",
+        "test_views.py",
+    ),
+    _fault(
+        "worst views: the change of weights without the threshold",
+        "fit/_loss.py",
+        "(self.fraction * jnp.maximum(threshold, _TINY))",
+        "self.fraction",
+        "test_views.py",
+    ),
+    _fault(
+        "atlas: every map is the first",
+        "shadow/kernels/_padded_map.py",
+        "row = row + self.first",
+        "row = row + 0 * self.first",
+        "test_views.py",
+    ),
+    _fault(
+        "atlas: wide filters read beyond its margins",
+        "shadow/kernels/_padded_map.py",
+        "ready is not None and ready.margin >= margin",
+        "ready is not None",
+        "test_views.py",
+    ),
+    _fault(
+        "worst view: errors of samples in the order of stacks",
+        "fit/problems/_joint.py",
+        "own[stacked_order(hard.problems)] =",
+        "own[:] =",
         "test_views.py",
     ),
     _fault(
@@ -1980,7 +2015,7 @@ _FIT = (
     _fault(
         "worst view: errors of samples as they are",
         "fit/_run.py",
-        "return sample if errors is None else sample.corrected(errors)",
+        "return sample if errors is None else sample.corrected(errors, self._atlases)",
         "return sample",
         "test_views.py",
     ),
@@ -2009,7 +2044,7 @@ _FIT = (
     _fault(
         "stack: images in the order in which sizes first occur",
         "fit/problems/_stack.py",
-        "key=lambda group: -group[0].reference.size",
+        "key=lambda group: -problems[group[0]].reference.size",
         "key=lambda group: 0",
         "test_views.py",
     ),

@@ -6,12 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import covered, floor_and_card, problem, shadows, sun, technique
+from scipy.optimize import minimize_scalar
 
 from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
 from diffshadow.fit.problems._stack import Stack
-from diffshadow.shadow import RandomDisk, SoftCompare, draw_shadow_map, stratified
+from diffshadow.shadow import RandomDisk, SoftCompare, Tent, draw_shadow_map, stratified
 
 BIAS = Parameter("bias.constant", 1.6, 0.0, 6.0)
 RADIUS = Parameter("filter.radius", 2.0, 0.0, 8.0)
@@ -23,6 +24,7 @@ LOSSES = {
     "worst": Loss("worst").in_phase(0.5),
     "maximum": Loss("worst"),
     "cvar": Loss("cvar", fraction=0.35),
+    "smooth cvar": Loss("cvar", fraction=0.35).in_phase(0.25),
 }
 
 # Five images of 20 pixels in all.
@@ -71,6 +73,11 @@ def closed_form(loss, errors):
         return float(errors.max())
     if loss.over == "worst":
         return float((shares @ errors ** float(loss.power)) ** (1 / float(loss.power)))
+    if loss.power is not None:
+        power, fraction = float(loss.power), float(loss.fraction)
+        excess = lambda t: shares @ np.logaddexp(0, power * (errors / t - 1))
+        smooth = lambda t: t * (1 + excess(t) / power / fraction)
+        return float(minimize_scalar(smooth, bounds=(0.001, 1.0), options={"xatol": 1e-10}).fun)
     worst = np.sort(np.repeat(errors, COUNTS))[::-1]
     return float(worst[: round(float(loss.fraction) * 20)].mean())
 
@@ -86,8 +93,9 @@ def test_weights_are_the_gradient_of_the_loss_and_make_it_of_the_errors(loss):
     np.testing.assert_allclose(loss.weights(jnp.asarray(7 * ERRORS, jnp.float32), SHARES), weights, rtol=1e-4)
 
 
-def test_change_of_the_weights_adds_half_the_second_derivative_of_the_power_mean():
-    loss = LOSSES["worst"]
+@pytest.mark.parametrize("name", ["worst", "smooth cvar"])
+def test_change_of_the_weights_adds_half_the_second_derivative_of_smooth_losses(name):
+    loss = LOSSES[name]
     gradients = np.random.default_rng(0).normal(size=(5, 2)) * ERRORS[:, None]
     step, one = 1e-4 * ERRORS.mean(), np.eye(5)
     at = lambda a, b: closed_form(loss, ERRORS + step * (a + b))
@@ -95,8 +103,11 @@ def test_change_of_the_weights_adds_half_the_second_derivative_of_the_power_mean
     bends = np.asarray(loss.bends(jnp.asarray(ERRORS, jnp.float32), SHARES, jnp.asarray(gradients, jnp.float32)))
     expected = gradients.T @ hessian @ gradients / 2
     np.testing.assert_allclose(bends.T @ bends, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+
+
+def test_losses_that_are_not_smooth_bend_nothing():
     for name in ("mean", "maximum", "cvar"):
-        assert LOSSES[name].bends(jnp.asarray(ERRORS, jnp.float32), SHARES, jnp.asarray(gradients, jnp.float32)) is None
+        assert LOSSES[name].bends(jnp.asarray(ERRORS, jnp.float32), SHARES, jnp.zeros((5, 2))) is None
 
 
 def test_views_without_an_error_or_a_pixel_make_no_trouble():
@@ -108,11 +119,11 @@ def test_views_without_an_error_or_a_pixel_make_no_trouble():
         assert float(weights.sum()) == pytest.approx(1, abs=0.6)
 
 
-def test_power_grows_from_phase_to_phase_for_the_worst_alone():
-    assert [float(Loss("worst").in_phase(part).power) for part in (0.0, 0.5, 1.0)] == pytest.approx([4, 16, 64])
-    assert Loss("worst").in_phase(0.3).exact().power is None
-    for over in ("mean", "cvar"):
-        assert Loss(over).in_phase(0.5).power is None
+def test_power_grows_from_phase_to_phase_unless_the_loss_is_the_mean():
+    for over in ("worst", "cvar"):
+        assert [float(Loss(over).in_phase(part).power) for part in (0.0, 0.5, 1.0)] == pytest.approx([4, 16, 64])
+        assert Loss(over).in_phase(0.3).exact().power is None
+    assert Loss("mean").in_phase(0.5).power is None
 
 
 def test_differences_are_weighted_by_their_sign():
@@ -188,6 +199,19 @@ def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
     )
 
 
+def test_maps_of_a_stack_are_read_from_one_atlas(views):
+    """By taps, which read the atlas itself, and by a wide square of texels, which needs wider margins."""
+    atlases, problems = {}, [views[1], *views]
+    joint = Joint.of(problems).stacked(atlases)
+    assert joint.problems[0].numbers.tolist() == [0, 1, 0]
+    assert Joint.of(problems[::-1]).stacked(dict(atlases)).problems[0].atlas is joint.problems[0].atlas
+    for filter in (RandomDisk(3.0, stratified((2, 2))), Tent(9.0)):
+        mapping = technique(filter, 0.8)
+        for one, other in zip(problems, joint.differences(mapping)[0], strict=True):
+            apart = Joint.of(one).differences(mapping)[0][0]
+            np.testing.assert_allclose(apart, other, atol=1e-6)
+
+
 def test_problems_of_several_structures_are_a_stack_and_problems(views):
     spot = problem(disk(), "spot", image=48, texels=48, target=disk(3.0, 0.8))
     # Of the stack's kind, but smaller. Large images come first.
@@ -238,8 +262,8 @@ mean_square_error = eqx.filter_jit(lambda problem, subject: problem.mean_square_
 def test_a_sample_stands_for_the_whole(views):
     whole, mapping = views[1], disk(3.0, 0.8)
     count = int(whole.mask.sum())
-    samples = [whole.sampled(320, seed) for seed in range(40)]
-    assert {each.reference.shape for each in samples} == {(16, 32)}
+    samples = [whole.sampled(1024, seed) for seed in range(40)]
+    assert {each.reference.shape for each in samples} == {(16, 64)}
     assert [float(each.count) for each in samples] == pytest.approx([count] * 40, rel=1e-6)
     errors = np.array([float(mean_square_error(each, mapping)) for each in samples])
     expected = float(whole.mean_square_error(mapping))
@@ -249,7 +273,7 @@ def test_a_sample_stands_for_the_whole(views):
 
 def test_pixels_of_a_sample_keep_their_taps(views):
     whole, mapping = views[1], disk(3.0, 0.8)
-    sample, mask = whole.sampled(320, 0), np.asarray(whole.mask)
+    sample, mask = whole.sampled(1024, 0), np.asarray(whole.mask)
     taken = np.asarray(sample.mask)
     assert taken.sum() > 200
     # No two pixels see the same place.
@@ -265,12 +289,12 @@ def test_a_sample_of_more_than_count_is_all_of_them(views):
     few = np.zeros((64, 64), bool)
     few[30:37, 20:47] = np.asarray(views[0].mask)[30:37, 20:47]
     whole, mapping = eqx.tree_at(lambda p: p.mask, views[0], jnp.asarray(few)), disk(3.0, 0.8)
-    sample = whole.sampled(320, 0)
+    sample = whole.sampled(1024, 0)
     assert (np.asarray(sample.weight)[np.asarray(sample.mask)] == 1).all()
     assert int(sample.mask.sum()) == float(sample.count) == few.sum()
     error = float(mean_square_error(whole, mapping))
     assert float(mean_square_error(sample, mapping)) == pytest.approx(error, rel=1e-5)
-    none = eqx.tree_at(lambda p: p.mask, views[0], jnp.zeros((64, 64), bool)).sampled(320, 0)
+    none = eqx.tree_at(lambda p: p.mask, views[0], jnp.zeros((64, 64), bool)).sampled(1024, 0)
     assert float(none.count) == 0
     assert float(mean_square_error(none, mapping)) == 0
 
@@ -283,9 +307,9 @@ def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
     for most in (pixels, pixels - 1):
         fit(views, [RADIUS], solver=Solver(max_steps=1), anneal=Anneal(1.0, 1.0, 1), pixels=most)
     assert counts == [pixels - 1]
-    assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 32)
+    assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 16)
     sampled = joint.sampled(640)
-    assert [each.reference.shape for each in sampled.problems] == [(16, 32)] * 2
+    assert [each.reference.shape for each in sampled.problems] == [(16, 16)] * 2
     # Views keep their shares.
     np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
 
@@ -294,11 +318,11 @@ def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
 def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over, monkeypatch):
     starts, corrected = [], Joint.corrected
     monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
-    fitted(views, pixels=640, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
+    fitted(views, pixels=1600, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
     assert len(starts) >= 4  # two phases, and other points of the front
-    assert len({float(sample.loss.false_light) for sample, _, _ in starts}) > 1
+    assert len({float(sample.loss.false_light) for sample, *_ in starts}) > 1
     hard_errors = lambda joint: np.asarray(joint.hard().losses(joint.hard().subject).errors)
-    for sample, errors, made in starts:
+    for sample, errors, *_, made in starts:
         assert np.argmax([each.reference.size for each in sample.problems]) == np.argmax(errors)
         whole = Joint(sample.subject, tuple(views), sample.loss)
         np.testing.assert_allclose(errors, hard_errors(whole), rtol=1e-4)
@@ -309,11 +333,12 @@ def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over
 def test_the_worst_views_have_three_quarters_of_the_pixels(views):
     joint, taken = Joint.of([*views, *views]), {}
     sizes = lambda count, worst: [p.reference.size for p in joint.sampled(count, worst, taken).problems]
-    assert sizes(4096, [2]) == [512, 512, 3072, 512]
+    # A sample has 1, 4 or a multiple of 8 pixels of each place in a tile.
+    assert sizes(8192, [2]) == [1024, 1024, 6144, 1024]
     assert len(taken) == 3  # views 0 and 2 are one, and so are 1 and 3
-    assert sizes(4096, [2, 1]) == [512, 1536, 1536, 512]
-    assert sizes(4096, []) == sizes(4096, range(4)) == [1024] * 4
-    assert joint.sampled(4096, [2], taken).problems[2] is joint.sampled(4096, [2], taken).problems[2]
+    assert sizes(8192, [2, 1]) == [1024, 2048, 2048, 1024]
+    assert sizes(8192, []) == sizes(8192, range(4)) == [2048] * 4
+    assert joint.sampled(8192, [2], taken).problems[2] is joint.sampled(8192, [2], taken).problems[2]
 
 
 def test_the_worst_views_may_have_maps_of_any_size(views, monkeypatch):
@@ -324,7 +349,7 @@ def test_the_worst_views_may_have_maps_of_any_size(views, monkeypatch):
         return of_joint(joint, count, [len(calls) % 2], samples)
 
     monkeypatch.setattr(Joint, "sampled", in_turns)
-    found = fitted([views[0], small], pixels=640, loss=Loss("worst"))
+    found = fitted([views[0], small], pixels=1600, loss=Loss("worst"))
     assert len(calls) == len(found.phases) == 2
     assert found.fitted["filter.radius"] > 2.2
 
@@ -339,7 +364,7 @@ def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):
 
 
 def test_a_fit_to_a_sample_ends_near_that_to_all(views):
-    whole, part = fitted(views), fitted(views, pixels=640)
+    whole, part = fitted(views), fitted(views, pixels=1600)
     assert part.fitted["filter.radius"] == pytest.approx(whole.fitted["filter.radius"], abs=0.3)
     # The judge sees all pixels.
     at = with_values(disk(), ("filter.radius",), jnp.array([part.fitted["filter.radius"]]))

@@ -13,6 +13,7 @@ from ._joint import squares as squares
 from ._levels import levels_of as levels_of
 from ._pose import PoseProblem as PoseProblem
 from ._pose import cone_fraction as cone_fraction
+from ._stack import Atlases as Atlases
 from ._stack import of_one_structure as of_one_structure
 from ._stack import together as together
 from ._technique import TechniqueProblem as TechniqueProblem

@@ -13,13 +13,15 @@ from ..._misc import array_module
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
-from .._parameters import Parameters, resolve
+from .._parameters import Parameters, parameter_names, resolve
 from ._abstract import AbstractProblem
-from ._stack import Stack, stacked
+from ._stack import Atlases, Stack, stacked, stacked_order
 
 Samples = dict[tuple[int, int], tuple[Any, Any]]
 """Problems and their samples, by the problem's id and the number of pixels."""
 
+# The part of a sample that is of the worst problems.
+_OF_WORST = 0.75
 # Bounds of what corrects a sample's error.
 _LEAST_ERROR, _MOST_FACTOR = 1e-10, 4.0
 
@@ -133,8 +135,8 @@ class Joint(eqx.Module):
         total, samples = len(self.problems), {} if samples is None else samples
         shares = np.full(total, 1 / total)
         if 0 < len(worst) < total:
-            shares[:] = 0.25 / (total - len(worst))
-            shares[list(worst)] = 0.75 / len(worst)
+            shares[:] = (1 - _OF_WORST) / (total - len(worst))
+            shares[list(worst)] = _OF_WORST / len(worst)
         taken = []
         for seed, (problem, share) in enumerate(zip(self.problems, shares, strict=True)):
             key = id(problem), max(int(count * share), 1)
@@ -144,21 +146,27 @@ class Joint(eqx.Module):
             taken.append(samples[key][1])
         return Joint(self.subject, tuple(taken), self.loss)
 
-    def corrected(self, errors: Errors) -> "Joint":
+    def corrected(self, errors: Errors, atlases: Atlases | None = None) -> "Joint":
         """A sample whose errors at its subject, under the hard compare, are the `errors` (v,) of whole images there.
 
         A ratio estimate (Cochran, Sampling Techniques, chapter 6): the errors of a sample and of the whole image have
         nearly the same ratio close by.
+
+        **Arguments:** `atlases` as for `stacked`.
         """
-        hard = self.hard()
-        ratios = np.asarray(errors) / np.maximum(np.asarray(hard.losses(hard.subject).errors), _LEAST_ERROR)
+        hard, own = self.hard().each(lambda p: p.padded()), np.empty(len(self.problems))
+        own[stacked_order(hard.problems)] = _errors(hard.stacked(atlases))
+        ratios = np.asarray(errors) / np.maximum(own, _LEAST_ERROR)
         factors = np.clip(ratios, 1 / _MOST_FACTOR, _MOST_FACTOR)
         corrected = [dataclasses.replace(p, factor=c) for p, c in zip(self.problems, factors, strict=True)]
         return Joint(self.subject, tuple(corrected), self.loss)
 
-    def stacked(self) -> "Joint":
-        """With fits of a technique that are of one structure as stacks."""
-        return Joint(self.subject, stacked(self.problems), self.loss)
+    def stacked(self, atlases: Atlases | None = None) -> "Joint":
+        """With fits of a technique that are of one structure as stacks.
+
+        **Arguments:** `atlases`: those made so far, which are used again.
+        """
+        return Joint(self.subject, stacked(self.problems, {} if atlases is None else atlases), self.loss)
 
     @property
     def technique(self) -> FittableTechnique:
@@ -172,7 +180,9 @@ class Joint(eqx.Module):
 
     def with_compare(self, compare: AbstractCompare) -> "Joint":
         """With `compare` as the technique's."""
-        return eqx.tree_at(lambda joint: joint.technique.compare, self, compare)
+        # Of the subject alone, which is much smaller than the problems.
+        where = lambda subject: self.problems[0].technique_of(subject).compare
+        return Joint(eqx.tree_at(where, self.subject, compare), self.problems, self.loss)
 
     def hard(self) -> "Joint":
         """With the hard compare, and the loss itself."""
@@ -186,6 +196,8 @@ class Joint(eqx.Module):
 
     def laid_out(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With maps laid out as `values` (p,) say."""
+        if not any(map(self.technique.lays_out, parameter_names(self.technique))):
+            return self
         subject = parameters.put(self.subject, values)
         return self.each(lambda problem: problem.laid_out(subject))
 
@@ -209,6 +221,11 @@ def _shares(counts: list[Array]) -> Float[Array, " v"]:
 def _weighed(loss: Loss, errors: list[Errors], shares: Errors) -> list[Scalar]:
     """The loss of each of several `errors` (v,)."""
     return [jnp.sum(loss.weights(each, shares) * each) for each in errors]
+
+
+@eqx.filter_jit
+def _errors(joint: Joint) -> Errors:
+    return squares(joint.differences(joint.subject))
 
 
 @eqx.filter_jit

@@ -1,34 +1,66 @@
 """Problems of one structure as one, so that programs do not grow with their number."""
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
+from ..._misc import as_int
+from ...shadow import Atlas, ShadowMap
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
 
-# The most images that are evaluated at once.
-_AT_ONCE = 4
+# The most pixels of images that are evaluated at once.
+_AT_ONCE = 1 << 14
+# The most texels of an atlas, whose indices are 32-bit numbers, and the most atlases that are kept: a fit of a layout
+# draws its maps again and again.
+_MOST_TEXELS, _MOST_ATLASES = (1 << 31) - 1, 4
+
+
+Atlases = dict[tuple[int, ...], tuple[Atlas, Any]]
+"""Atlases and their maps, by the maps' ids."""
 
 
 class Stack(eqx.Module):
     """Fits of a technique to several images, evaluated a few at a time by one program.
 
     - `problems`: one problem whose arrays have a leading axis for the images.
+    - `atlas`, `numbers`: where their maps are, (n,), if these can be in an atlas. The problems then hold no depths.
     """
 
     problems: TechniqueProblem
+    atlas: Atlas | None = None
+    numbers: Int[Array, " n"] | None = None
+
+    @classmethod
+    def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
+        """Of problems of one structure, whose maps have these `numbers` in the atlas."""
+        if atlas is None:
+            return cls(together(problems))
+        bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
+        return cls(together(bare), atlas, as_int(numbers))
 
     def difference(self, subject: Any) -> Float[Array, "n h w"]:
         """Those of all problems."""
-        images = self.problems.reference.shape[0]
-        # A few at once keep all cores busy, and none is left over, which would be a second program.
-        at_once = max(k for k in range(1, _AT_ONCE + 1) if images % k == 0)
-        return jax.lax.map(lambda problem: problem.difference(subject), self.problems, batch_size=at_once)
+        images, *sides = self.problems.reference.shape
+        # Several small ones keep all cores busy, and none is left over, which would be a second program.
+        most = max(_AT_ONCE // math.prod(sides), 1)
+        at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
+
+        def difference(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Float[Array, "h w"]:
+            problem, number = given
+            if self.atlas is not None and number is not None:
+                shadow_map: Any = problem.shadow_map
+                problem = dataclasses.replace(problem, shadow_map=self.atlas.reading(shadow_map, number))
+            return problem.difference(subject)
+
+        return jax.lax.map(difference, (self.problems, self.numbers), batch_size=at_once)
 
     @property
     def moves(self) -> bool:
@@ -41,23 +73,61 @@ class Stack(eqx.Module):
         return jax.vmap(lambda problem: problem.count)(self.problems)
 
 
-def stacked(problems: Sequence[AbstractProblem]) -> tuple[AbstractProblem | Stack, ...]:
-    """Fits of a technique that are of one structure as a `Stack`; all other problems as they are."""
+def stacked(problems: Sequence[AbstractProblem], atlases: Atlases) -> tuple[AbstractProblem | Stack, ...]:
+    """Fits of a technique that are of one structure as a `Stack`; all other problems as they are.
+
+    **Arguments:** `atlases`: those made so far, which are used again.
+    """
     alone = tuple(problem for problem in problems if not isinstance(problem, TechniqueProblem))
-    groups = of_one_structure([problem for problem in problems if isinstance(problem, TechniqueProblem)])
-    return (*(group[0] if len(group) == 1 else Stack(together(group)) for group in groups), *alone)
+    own = [problem for problem in problems if isinstance(problem, TechniqueProblem)]
+    groups = of_one_structure(own)
+    return (*(group[0] if len(group) == 1 else _stack(group, own, atlases) for group in groups), *alone)
+
+
+def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
+    """The indices of fits of a technique in the order in which `stacked` has them."""
+    return [number for group in _numbers_of_one_structure(problems) for number in group]
+
+
+def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases) -> Stack:
+    """The stack of a group, which shares an atlas with all problems whose maps have its size."""
+    like = group[0].shadow_map
+    if not isinstance(like, ShadowMap) or like.silhouettes is not None:
+        return Stack(together(group))
+    maps: dict[int, Any] = {id(p.shadow_map): p.shadow_map for p in among if _fits(p.shadow_map, like)}
+    if Atlas.size(len(maps), like.depth.shape) > _MOST_TEXELS:
+        return Stack(together(group))
+    numbers = {key: number for number, key in enumerate(maps)}
+    if tuple(maps) not in atlases:
+        # With the maps, so that their ids stay their own.
+        atlases[tuple(maps)] = Atlas.of([*maps.values()]), maps
+        while len(atlases) > _MOST_ATLASES:
+            atlases.pop(next(iter(atlases)))
+    atlas, _ = atlases[tuple(maps)]
+    return Stack.of(group, atlas, [numbers[id(problem.shadow_map)] for problem in group])
+
+
+def _fits(shadow_map: Any, like: ShadowMap) -> bool:
+    """Whether a map may be in one atlas with another."""
+    is_plain = isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
+    return is_plain and shadow_map.depth.shape == like.depth.shape
 
 
 def of_one_structure(problems: Sequence[TechniqueProblem]) -> list[list[TechniqueProblem]]:
     """The problems in groups whose arrays have equal shapes, those of large images first."""
-    groups: dict[Any, list[TechniqueProblem]] = {}
-    for problem in problems:
+    return [[problems[number] for number in group] for group in _numbers_of_one_structure(problems)]
+
+
+def _numbers_of_one_structure(problems: Sequence[Any]) -> list[list[int]]:
+    groups: dict[Any, list[int]] = {}
+    for number, problem in enumerate(problems):
         leaves, structure = jax.tree.flatten(problem)
-        groups.setdefault((structure, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(problem)
+        groups.setdefault((structure, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(number)
     # In one order, whichever problem comes first: programs depend on it.
-    return sorted(groups.values(), key=lambda group: -group[0].reference.size)
+    return sorted(groups.values(), key=lambda group: -problems[group[0]].reference.size)
 
 
 def together(problems: Sequence[TechniqueProblem]) -> TechniqueProblem:
     """One problem whose arrays have a leading axis for the images."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
+    # In NumPy, which dispatches nothing for each of the many small arrays.
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *problems)

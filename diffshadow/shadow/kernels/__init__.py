@@ -8,6 +8,7 @@ To write a filter, use one of these:
 - `sum_over` sums over any other `AbstractKernel`, on a map padded by `pad`.
 """
 
+from ._atlas import Atlas as Atlas
 from ._kernel import AbstractKernel as AbstractKernel
 from ._kernel import AbstractRow as AbstractRow
 from ._kernel import AbstractSizedRow as AbstractSizedRow

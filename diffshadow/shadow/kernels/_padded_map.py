@@ -23,6 +23,7 @@ class PaddedMap(eqx.Module):
 
     - `margin`: texels on each side.
     - `silhouettes`: the casters' outlines within texels, or none.
+    - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
     """
 
     depth: Float[Array, " n"]
@@ -30,6 +31,7 @@ class PaddedMap(eqx.Module):
     width: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
     silhouettes: PaddedSilhouettes | None = None
+    first: Int[Array, ""] | None = None
 
     @property
     def stride(self) -> int:
@@ -44,6 +46,8 @@ class PaddedMap(eqx.Module):
         row = _count_from(-self.margin, y, self.height)
         if layer is not None:
             row = row + layer * (self.height + 2 * self.margin)
+        if self.first is not None:
+            row = row + self.first
         # Barrier: otherwise XLA computes indices where it reads texels, one by one instead of in SIMD vectors.
         return lax.optimization_barrier(row * self.stride + _count_from(-self.margin, x, self.width))
 
@@ -77,7 +81,10 @@ def _count_from(first: int, x: Float[Array, "*n"], last: int) -> Int[Array, "*n"
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
-    """Pads a map with empty texels; `margin` is how many texels a look-up reads along a side."""
+    """Pads a map with empty texels, unless it is padded; `margin` is how many texels a look-up reads along a side."""
+    ready = shadow_map.padded
+    if ready is not None and ready.margin >= margin:
+        return ready
     height, width = shadow_map.resolution
     hides = lambda depth: jnp.where(depth < 1, depth, _NOTHING)
 

@@ -1,0 +1,56 @@
+"""Several shadow maps in one array, as in the shadow atlases of engines."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..._misc import as_int
+from .._map import ShadowMap
+from ._padded_map import PaddedMap, pad
+
+# Texels on each side of a map. Filters that read wider squares pad the map themselves.
+_MARGIN = 16
+
+
+class Atlas(eqx.Module):
+    """Maps of one size, one after another, padded for look-ups.
+
+    A program that reads many maps in turn, or one map often, would otherwise copy and pad each before it reads a few of
+    its texels.
+
+    - `texels`: (n,), the depths of all maps and their layers.
+    - `shape`: that of each map's depths, (h, w) or (l, h, w).
+    """
+
+    texels: Float[Array, " n"]
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
+        """Of maps without silhouettes whose depths have one shape."""
+        return cls(jnp.concatenate([_texels(each) for each in maps]), maps[0].depth.shape)
+
+    @staticmethod
+    def size(maps: int, shape: tuple[int, ...]) -> int:
+        """How many texels so many maps of this shape take."""
+        return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
+
+    def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
+        """`shadow_map`, whose own depths are ignored, with those of the map of this number."""
+        *layers, height, width = self.shape
+        stride = width + 2 * _MARGIN
+        rows = self.size(1, self.shape) // stride
+        first = as_int(number) * rows
+        own = lax.dynamic_slice(self.texels.reshape(-1, stride), (first, as_int(0)), (rows, stride))
+        own = own.reshape(*layers, height + 2 * _MARGIN, stride)[..., _MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
+        padded = PaddedMap(self.texels, height, width, _MARGIN, first=first)
+        return ShadowMap(jnp.minimum(own, 1), shadow_map.light, shadow_map.depth_format, padded=padded)
+
+
+@eqx.filter_jit
+def _texels(shadow_map: ShadowMap) -> Float[Array, " n"]:
+    return pad(shadow_map, _MARGIN).depth
