@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from engine_states import scene_of, surface_of
 from golden_engines import engine_golden
+from scenes import jacfwd_and_value
 
 from diffshadow.shadow import BabylonJs, SoftCompare, ThreeJs
 
@@ -86,14 +88,24 @@ def test_derivatives_agree_with_central_differences(engine, technique, light, na
     surface = dataclasses.replace(surface, face=jnp.asarray(faces[:-1])[jnp.maximum(surface.face, 0)])
     weights = np.random.default_rng(0).uniform(0.5, 1.5, surface.mask.shape)
     with jax.enable_x64(True):
-        start, state, surface = as_float64((technique, state, surface))
-        for name in names:
-            of = lambda value, name=name: jnp.sum(
-                weights * dataclasses.replace(start, **{name: value}).visibility(state, surface)
-            )
-            value = getattr(start, name)
-            step = 1e-6 * max(abs(float(value)), 1e-2)
-            numerical = (of(value + step) - of(value - step)) / (2 * step)
-            _, derivative = jax.jvp(of, (value,), (jnp.ones_like(value),))
+        given = as_float64((technique, state, surface))
+        values = np.array([float(getattr(technique, name)) for name in names])
+        at = lambda values: brightness(*given, weights, tuple(names), jnp.asarray(values))
+        derivatives, _ = at(values)
+        for name, derivative, step in zip(
+            names, derivatives, np.diag(1e-6 * np.maximum(abs(values), 1e-2)), strict=True
+        ):
+            numerical = (at(values + step)[1] - at(values - step)[1]) / (2 * step.sum())
             assert abs(float(numerical)) > 1e-3, name
             np.testing.assert_allclose(float(derivative), float(numerical), rtol=0.01, err_msg=name)
+
+
+@eqx.filter_jit
+def brightness(technique, state, surface, weights, names, values):
+    """The derivatives of weighted visibility by the numbers at `names`, and its sum; one program for both."""
+
+    def total(values):
+        changed = dataclasses.replace(technique, **dict(zip(names, values, strict=True)))
+        return jnp.sum(weights * changed.visibility(state, surface))
+
+    return jacfwd_and_value(total)(values)
