@@ -3,11 +3,11 @@
     python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/room.yaml
     python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
 
-Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with 4 cascades of unequal numbers of texels,
-with a map that is warped towards the camera (light space perspective shadow maps), and with pages of a virtual map, all
-with the same number of texels. Cascades and the warp cover the depths that the camera sees, not the empty space before
-them. Every technique has its best settings: the spacing of its cascades and their shares are found by a bounded search,
-since the error has no derivative with respect to them, and the bias is fitted by gradient.
+Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with 4 cascades of several sizes, with a map
+that is warped towards the camera (light space perspective shadow maps), and with pages of a virtual map, all with the
+same number of texels. Cascades and the warp cover the depths that the camera sees, not the empty space before them.
+Every technique has its best settings: the spacing of its cascades and their shares are found by a bounded search, since
+the error has no derivative with respect to them, and the bias is fitted by gradient.
 
 The figure has texels along x and the root mean square error of visibility along y, both logarithmic. The grey area is
 below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen.
