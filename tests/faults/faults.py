@@ -2915,6 +2915,20 @@ _STUDY = (
         "test_advise.py",
     ),
     _fault(
+        "advise: a bias may rank behind its special cases",
+        "study/advice/_advise.py",
+        "fitted = [_at_best(each, fitted) for each in fitted]",
+        "fitted = list(fitted)",
+        "test_advise.py",
+    ),
+    _fault(
+        "advise: special cases beyond the bounds",
+        "study/advice/_special_cases.py",
+        "or not bounds.lower <= value <= bounds.upper",
+        "",
+        "test_advise.py",
+    ),
+    _fault(
         "fit: errors before and after it are swapped",
         "study/runs/_fit.py",
         '{"before": self.errors_before, "after": self.errors_after}',

@@ -171,7 +171,7 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
         ({"within": [0.0]}, "a fraction of the error is 0.0"),
         ({"prefer": [("bias.slope", "lower")]}, "bias.slope is preferred and not fitted"),
         ({"front": 2}, "a front of 2 points"),
-        ({"pixels": 0}, "pixels is 0"),
+        ({"pixels": 0}, "pixels is 0; expected 1 or more"),
     ],
 )
 def test_impossible_choices_are_refused(settings, message, found):

@@ -151,11 +151,6 @@ def test_impossible_losses_are_refused(settings, message):
         Loss(**settings)
 
 
-def test_no_pixels_to_evaluate_are_refused(views):
-    with pytest.raises(ValueError, match="pixels is 0; expected 1 or more"):
-        fitted(views, pixels=0)
-
-
 @eqx.filter_jit
 def differences_and_slopes(joint, parameters, fraction):
     return _with_slopes(joint, parameters, fraction)[:2]

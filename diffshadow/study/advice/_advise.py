@@ -19,6 +19,7 @@ from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
 from ._measure import Enough, Times, bias_for, measure_times, single_bias, steps_of
 from ._report import RECOMMENDED, report_advice
+from ._special_cases import as_special_case
 from ._verdict import Findings, verdict
 
 SUFFIX = "-advise"
@@ -55,6 +56,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
             for i, row in enumerate(tables.results.to_pylist())
             if row["status"] == OK
         ]
+        fitted = [_at_best(each, fitted) for each in fitted]
         if not fitted:
             raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
         with counting(console, "timing", steps_of([each.config for each in fitted])) as progress:
@@ -79,6 +81,21 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
 def print_advise_plan(console: Console, advice: Advice) -> None:
     """Prints which fits `run_advise` would do. Writes no files."""
     print_plan(console, advice.sweep, suffix=SUFFIX)
+
+
+def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
+    """`one`, or what it is at the values of a special case that was fitted better: a fit may end in a local minimum."""
+    loss = one.config.fit.loss
+    if loss.over != "mean" or loss.false_shadow != loss.false_light:
+        # Fits were not made for the least RMSE.
+        return one
+    error, best = "after.rmse", one
+    for other in others:
+        if other.row[error] < best.row[error] and (values := as_special_case(one.config, other.config)) is not None:
+            row = {name: value for name, value in other.row.items() if not name.startswith(FITTED)}
+            row |= {"id": one.row["id"], **{f"{FITTED}{name}": value for name, value in values.items()}}
+            best = _Fitted(one.number, row, with_fitted(one.config, values))
+    return best
 
 
 def _values(row: Mapping[str, Any]) -> dict[str, float]:

@@ -1,0 +1,36 @@
+"""Techniques that are special cases of others."""
+
+from collections.abc import Mapping
+from functools import reduce
+from typing import Any
+
+from ...config import Config, with_fitted
+
+# What says nothing of the technique.
+_ASIDE = {"name", "output", "sweep", "advise", "fit"}
+
+
+def as_special_case(config: Config, other: Config) -> dict[str, float] | None:
+    """The values of the fitted numbers of `config` at which its technique is that of `other`, which fits fewer of them.
+
+    A bias of a constant and a slope, for example, is the constant bias where the slope is 0.
+
+    **Returns** none if there are no such values within the bounds.
+    """
+    if not other.fit.parameters.keys() < config.fit.parameters.keys():
+        return None
+    data, values = _technique(other), {}
+    for name, bounds in config.fit.parameters.items():
+        value = reduce(_entry, name.split("."), data)
+        if not isinstance(value, int | float) or not bounds.lower <= value <= bounds.upper:
+            return None
+        values[name] = float(value)
+    return values if _technique(with_fitted(config, values)) == data else None
+
+
+def _technique(config: Config) -> Any:
+    return config.model_dump(mode="json", warnings=False, exclude=_ASIDE)
+
+
+def _entry(data: Any, key: str) -> Any:
+    return data.get(key) if isinstance(data, Mapping) else None
