@@ -56,6 +56,12 @@ def views():
     return [first, eqx.tree_at(lambda p: p.mask, second, jnp.asarray(part))]
 
 
+@pytest.fixture(scope="module")
+def small():
+    """A view of the others' kind with a smaller image and a smaller map."""
+    return problem(disk(), image=48, texels=48, target=disk(3.0, 0.8))
+
+
 def fitted(problems, *parameters, **settings):
     return fit(problems, parameters or [RADIUS], solver=SOLVER, anneal=SHORT, **settings)
 
@@ -194,23 +200,21 @@ def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
     )
 
 
-def test_maps_of_a_stack_are_read_from_one_atlas(views):
-    """By taps, which read the atlas itself, and by a wide square of texels, which needs wider margins."""
+def test_maps_of_a_stack_are_in_one_atlas(views):
     atlases, problems = {}, [views[1], *views]
-    joint = Joint.of(problems).stacked(atlases)
-    assert joint.problems[0].numbers.tolist() == [0, 1, 0]
-    assert Joint.of(problems[::-1]).stacked(dict(atlases)).problems[0].atlas is joint.problems[0].atlas
-    for filter in (RandomDisk(3.0, stratified((2, 2))), Tent(9.0)):
-        mapping = technique(filter, 0.8)
-        for one, other in zip(problems, joint.differences(mapping)[0], strict=True):
-            apart = Joint.of(one).differences(mapping)[0][0]
-            np.testing.assert_allclose(apart, other, atol=1e-6)
+    stack = Joint.of(problems).stacked(atlases).problems[0]
+    assert stack.numbers.tolist() == [0, 1, 0]
+    assert Joint.of(problems).stacked(atlases).problems[0].atlas is stack.atlas
+    # A square of texels that is wider than the atlas' margins allow.
+    wide, stack = technique(Tent(9.0, 9.0), 0.8), Joint.of(views).stacked()
+    for one, other in zip(views, stack.differences(wide)[0], strict=True):
+        np.testing.assert_allclose(Joint.of(one).differences(wide)[0][0], other, atol=1e-6)
 
 
-def test_problems_of_several_structures_are_a_stack_and_problems(views):
+def test_problems_of_several_structures_are_a_stack_and_problems(views, small):
     spot = problem(disk(), "spot", image=48, texels=48, target=disk(3.0, 0.8))
-    # Of the stack's kind, but smaller. Large images come first.
-    small, mapping = problem(disk(), image=48, texels=48, target=disk(3.0, 0.8)), disk(2.0, 0.4)
+    mapping = disk(2.0, 0.4)
+    # Large images come first.
     joint = Joint.of([spot, views[0], small, views[1]]).stacked()
     assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem, TechniqueProblem]
     pixels = np.array([float(each.mask.sum()) for each in (*views, spot, small)])
@@ -298,10 +302,13 @@ def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
     joint, pixels = Joint.of(views), sum(int(each.mask.sum()) for each in views)
     assert joint.count == pixels
     counts, of_joint = [], Joint.sampled
-    monkeypatch.setattr(Joint, "sampled", lambda *given: counts.append(given[1]) or of_joint(*given))
+    # Whatever is asked for, a sample of the size for which other tests compile a program.
+    sample = lambda joint, count, *more: counts.append(count) or of_joint(joint, 1600, *more)
+    monkeypatch.setattr(Joint, "sampled", sample)
     for most in (pixels, pixels - 1):
-        fit(views, [RADIUS], solver=Solver(max_steps=1), anneal=Anneal(1.0, 1.0, 1), pixels=most)
-    assert counts == [pixels - 1]
+        fitted(views, pixels=most)
+    assert counts == [pixels - 1] * SHORT.phases
+    monkeypatch.undo()
     assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 16)
     sampled = joint.sampled(640)
     assert [each.reference.shape for each in sampled.problems] == [(16, 16)] * 2
@@ -309,7 +316,7 @@ def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
     np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
 
 
-@pytest.mark.parametrize("over", ["worst", "cvar"])
+@pytest.mark.parametrize("over", ["worst", pytest.param("cvar", marks=pytest.mark.exhaustive)])
 def test_samples_for_the_worst_views_have_the_errors_of_whole_images(views, over, monkeypatch):
     starts, corrected = [], Joint.corrected
     monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
@@ -336,8 +343,8 @@ def test_the_worst_views_have_three_quarters_of_the_pixels(views):
     assert joint.sampled(8192, [2], taken).problems[2] is joint.sampled(8192, [2], taken).problems[2]
 
 
-def test_the_worst_views_may_have_maps_of_any_size(views, monkeypatch):
-    small, of_joint, calls = problem(disk(), texels=48, target=disk(3.0, 0.8)), Joint.sampled, []
+def test_the_worst_views_may_have_maps_of_any_size(views, small, monkeypatch):
+    of_joint, calls = Joint.sampled, []
 
     def in_turns(joint, count, worst, samples):
         calls.append(worst)
