@@ -20,11 +20,12 @@ def as_special_case(config: Config, other: Config) -> dict[str, float] | None:
     if not other.fit.parameters.keys() < config.fit.parameters.keys():
         return None
     data, values = _technique(other), {}
-    for name, bounds in config.fit.parameters.items():
+    for name in config.fit.parameters:
         value = reduce(_entry, name.split("."), data)
-        if not isinstance(value, int | float) or not bounds.lower <= value <= bounds.upper:
+        if not isinstance(value, int | float):
             return None
         values[name] = float(value)
+    # Values beyond the bounds are moved to them, which makes another technique.
     return values if _technique(with_fitted(config, values)) == data else None
 
 
