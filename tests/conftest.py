@@ -19,7 +19,7 @@ PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "d
 _MOST_BYTES = 1 << 30
 _MAPPINGS = Path("/proc/self/maps")
 # Linux allows a process 65,530, and each compiled program takes several.
-_MOST_MAPPINGS = 32_000
+_MOST_MAPPINGS = 25_000
 
 # Tracing makes millions of objects that live: looking through them as often as Python does costs 7 % of the time.
 gc.set_threshold(200_000, 20, 100)
