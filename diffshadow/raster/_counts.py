@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import filled
 from .._types import ClipVertices, DepthMap, Faces
-from ._bins import bin_triangles
+from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._rasterize import padded
@@ -62,8 +62,8 @@ def count_fragments(
 def _count_fragments(clip, faces, weights, depth, when) -> Int[Array, "h w"]:
     height, width = depth.shape
     clip, faces = _flattened(lax.stop_gradient(clip).astype(depth.dtype), faces, weights)
-    triangles = bin_triangles(clip, faces, (height, width), "none")
-    drawing = DrawPass(triangles, (height, width), "none", _CLAMPED)
+    triangles = bin_triangles(clip, faces, (height, width), FACING["none"])
+    drawing = DrawPass(triangles, (height, width), FACING["none"], _CLAMPED)
     buffer = jnp.zeros((height + PADDING, width + PADDING), jnp.int32)
     padded = jnp.pad(lax.stop_gradient(depth), ((0, PADDING), (0, PADDING)))
 

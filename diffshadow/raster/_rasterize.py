@@ -159,8 +159,8 @@ def _rasterize(
     clip, faces, viewport, resolution, facing, test, polygon_offset, behind, with_face, pages
 ) -> Fragments | Float[Array, "*l h w"]:
     """One view in the lower left part of an image of `resolution`, or in pages."""
+    height, width = viewport
     if pages is None:
-        height, width = viewport
         triangles = bin_triangles(clip, faces, (height, width), facing)
         drawing = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
     else:
