@@ -25,7 +25,7 @@ Cull = Literal["none", "back", "front"]
 Facing = int | Int[Array, ""]
 """Which faces are drawn: 1 for front faces, -1 for back faces, 0 for both. It may be known only when a program runs."""
 FACING: dict[Cull, int] = {"none": 0, "back": 1, "front": -1}
-"""Of what is culled, what is drawn."""
+"""The faces that are drawn, by what is culled."""
 
 WINDOWS = (2, 4, 8, 16)
 """Sides, in pixels, of the windows of the size classes."""

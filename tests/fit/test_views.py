@@ -302,7 +302,7 @@ def test_views_are_sampled_only_where_more_pixels_count(views, monkeypatch):
     joint, pixels = Joint.of(views), sum(int(each.mask.sum()) for each in views)
     assert joint.count == pixels
     counts, of_joint = [], Joint.sampled
-    # Whatever is asked for, a sample of the size for which other tests compile a program.
+    # Every sample has the size that other tests use, so that they share a program.
     sample = lambda joint, count, *more: counts.append(count) or of_joint(joint, 1600, *more)
     monkeypatch.setattr(Joint, "sampled", sample)
     for most in (pixels, pixels - 1):
