@@ -2,7 +2,7 @@
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,11 @@ SLANTED = (0.5, -1.0, -0.3)
 """The way the sun shines in these scenes."""
 LAMP = (-1.2, 3.0, 0.9)
 """Where the spot light stands in these scenes."""
+
+
+def marked(cases: Iterable[Any], exhaustive: Collection[Any]) -> list[Any]:
+    """The cases of a test, of which those in `exhaustive` are left to the exhaustive tests."""
+    return [pytest.param(case, marks=pytest.mark.exhaustive) if case in exhaustive else case for case in cases]
 
 
 def quad(center: Any, right: Any, up: Any) -> Mesh:

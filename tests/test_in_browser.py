@@ -17,7 +17,7 @@ from diffshadow.study import import_scene
 
 ROOT = Path(__file__).parent.parent
 
-pytestmark = [pytest.mark.browser, pytest.mark.exhaustive]
+pytestmark = [pytest.mark.browser, pytest.mark.optimized, pytest.mark.exhaustive]
 
 TINY = """
 scene:

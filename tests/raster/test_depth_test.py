@@ -6,6 +6,8 @@ import pytest
 
 from diffshadow.raster import DepthTest
 
+pytestmark = pytest.mark.optimized
+
 STEPS = {"unorm16": 2**16 - 1, "unorm24": 2**24 - 1}
 
 

@@ -12,6 +12,8 @@ from triangle_soups import from_window, soup
 from diffshadow.geometry import PinholeCamera, library_mesh
 from diffshadow.raster import NO_FACE, DepthTest, rasterize, rasterize_depth
 
+pytestmark = pytest.mark.optimized
+
 RESOLUTION = (32, 48)
 COUNT = 24
 FACES = np.arange(3 * COUNT, dtype=np.int32).reshape(-1, 3)

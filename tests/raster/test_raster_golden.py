@@ -9,6 +9,8 @@ from golden_cases import GoldenCase, golden_case, golden_names
 
 from diffshadow.raster import DepthTest, Fragments, rasterize
 
+pytestmark = pytest.mark.optimized
+
 CASES = [golden_case(name) for name in golden_names()]
 FORMATS = ("float32", "unorm24")
 STEP = 1 / ((1 << 24) - 1)

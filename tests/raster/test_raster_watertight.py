@@ -12,6 +12,8 @@ from triangle_soups import from_window
 from diffshadow.geometry import PinholeCamera, library_mesh
 from diffshadow.raster import rasterize
 
+pytestmark = pytest.mark.optimized
+
 RESOLUTION = (32, 48)
 COLUMNS, ROWS = 7, 5
 

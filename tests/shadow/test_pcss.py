@@ -206,7 +206,10 @@ def test_sizes_of_lights():
         half_width_of.__wrapped__(unknown, None)
 
 
-@pytest.mark.parametrize("compare", [HARD, SoftCompare(0.7)], ids=["hard", "soft"])
+@pytest.mark.parametrize(
+    "compare",
+    [pytest.param(HARD, id="hard"), pytest.param(SoftCompare(0.7), id="soft", marks=pytest.mark.exhaustive)],
+)
 def test_one_radius_for_all_is_the_random_disk(compare):
     rng = np.random.default_rng(5)
     shadow_map, lookup = random_map(rng), random_lookups(rng)

@@ -44,6 +44,8 @@ from diffshadow.shadow import (
     receiver,
 )
 
+pytestmark = pytest.mark.optimized
+
 SAME = 1e-4
 """Visibilities that differ by no more are equal."""
 SHARE = 0.999

@@ -33,6 +33,8 @@ from diffshadow.raster import count_fragments, rasterize
 from diffshadow.reference import trace_visibility_exact
 from diffshadow.shadow import ShadowVolumes, VolumeScene
 
+pytestmark = pytest.mark.optimized
+
 REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 RESOLUTION = (48, 64)
 # Alike for all scenes, so that little is compiled.

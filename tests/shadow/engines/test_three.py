@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from engine_states import agreement, read_back, receives, scene_of, surface_of
 from golden_engines import engine_golden, engine_goldens
+from scenes import marked
 
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import ThreeJs
 from diffshadow.shadow.engines import _three
+
+pytestmark = pytest.mark.optimized
 
 CASES = engine_goldens("three")
 ENOUGH = 0.9997
@@ -61,7 +64,19 @@ def from_own_map(golden, technique):
     return technique.visibility(state, surface_of(golden))
 
 
-@pytest.mark.parametrize("name", CASES)
+# Each of these takes a program of its own, for settings that others have too.
+REPEATED = (
+    "directional_pcf_default_frustum",
+    "directional_pcf_frustum_reversed",
+    "directional_pcf_oblong",
+    "directional_vsm_default_sides",
+    "directional_vsm_frustum_reversed",
+    "directional_vsm_normal_bias",
+    "directional_vsm_uncast",
+)
+
+
+@pytest.mark.parametrize("name", marked(CASES, REPEATED))
 def test_the_engines_map_gives_the_engines_picture(name):
     golden = engine_golden("three", name)
     assert agreement(golden, from_read_back(golden, preset(golden))) >= TIES.get(name, ENOUGH)
@@ -71,12 +86,13 @@ OWN_MAPS = ("directional_basic_bias", "directional_pcf_radius_4", "point_basic_b
 """Those whose maps are drawn in every run of the tests."""
 
 
-@pytest.mark.parametrize("name", [n if n in OWN_MAPS else pytest.param(n, marks=pytest.mark.exhaustive) for n in CASES])
+@pytest.mark.parametrize("name", marked(CASES, set(CASES) - set(OWN_MAPS)))
 def test_the_own_map_gives_the_engines_picture(name):
     golden = engine_golden("three", name)
     assert agreement(golden, from_own_map(golden, preset(golden))) >= 0.999
 
 
+@pytest.mark.exhaustive
 def test_the_own_camera_gives_the_engines_picture():
     golden = engine_golden("three", "directional_pcf_both_intensity")
     technique, scene = preset(golden), scene_of(golden)
