@@ -37,9 +37,11 @@ class Mesh(eqx.Module):
         self.faces = as_int(faces)
         if corner_normals is None:
             if self.faces.shape[0] and self.vertices.shape[0]:
-                corner_normals = jnp.broadcast_to(face_normals(self)[:, None], (*self.faces.shape, 3))
+                normals = face_normals(self)
+                xp = array_module(normals)
+                corner_normals = xp.broadcast_to(xp.asarray(normals)[:, None], (*self.faces.shape, 3))
             else:
-                corner_normals = jnp.zeros((*self.faces.shape, 3))
+                corner_normals = np.zeros((*self.faces.shape, 3))
         self.corner_normals = as_float(corner_normals)
         xp = array_module(albedo, self.faces)
         self.albedo = as_float(xp.broadcast_to(xp.asarray(albedo), self.faces.shape))
@@ -95,7 +97,17 @@ class Mesh(eqx.Module):
 
 def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
     """Unit geometric normal of each face, (f, 3), outwards by the right-hand rule; 0 for a face without area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    vertices, faces = mesh.vertices, mesh.faces
+    if array_module(vertices, faces) is jnp:
+        return _face_normals(vertices, faces)
+    # Filled up, so that meshes of like size share a program.
+    size, count = shared_mesh_size(faces.shape[0], vertices.shape[0])
+    return jnp.asarray(np.asarray(_face_normals(filled(vertices, count), filled(faces, size)))[: faces.shape[0]])
+
+
+@jax.jit
+def _face_normals(vertices: Vertices, faces: Faces) -> Float[Array, "f 3"]:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
     return normalize(jnp.cross(b - a, c - a))
 
 

@@ -69,7 +69,7 @@ def assert_explained(face, exact, what):
 
 # Clipping leaves a sliver of thousands of pixels by a tenth of one.
 @example(seed=12543)
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 @given(seed=seeds)
 def test_soups_of_every_kind_see_the_nearest_face(seed):
     for k in range(SOUPS_AN_EXAMPLE):
@@ -82,7 +82,7 @@ def test_soups_of_every_kind_see_the_nearest_face(seed):
 
 
 @pytest.mark.parametrize("cull", ["back", pytest.param("front", marks=pytest.mark.exhaustive)])
-@settings(deadline=None, max_examples=8)
+@settings(deadline=None, max_examples=4)
 @given(seed=seeds)
 def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
     for k in range(SOUPS_AN_EXAMPLE):
@@ -102,13 +102,13 @@ def test_soups_at_other_resolutions_see_the_nearest_face(resolution):
 
 def test_rounding_decides_few_pixels_of_soups():
     covered = different = 0
-    for k in range(400):
+    for k in range(100):
         clip, _ = soup(np.random.default_rng([3, k]), COUNT, RESOLUTION)
         face, _ = draw(clip)
         exact = rasterize_exact(clip, FACES, RESOLUTION)
         covered += np.sum(exact.face >= 0)
         different += np.sum(face != exact.face)
-    assert covered > 100_000
+    assert covered > 25_000
     assert different < 5e-4 * covered, f"{different} of {covered} pixels differ"
 
 
@@ -264,7 +264,7 @@ VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float
 
 @pytest.mark.parametrize(
     "resolution",
-    [(1, 8192), *(pytest.param(more, marks=pytest.mark.exhaustive) for more in [(1, 1), (8192, 1), (33, 47)])],
+    [(33, 47), *(pytest.param(more, marks=pytest.mark.exhaustive) for more in [(1, 1), (8192, 1), (1, 8192)])],
 )
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
     face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution)

@@ -65,16 +65,15 @@ def rounding(case: GoldenCase) -> np.ndarray:
     return ULPS * (1 + slopes * max(height, width) * (1 + thinness)) * steepness
 
 
-def patient(case: GoldenCase, depth_format: str) -> tuple[pytest.MarkDecorator, ...]:
-    """The mark of what is not tried every time. Equal depths pass in fixed point alone."""
-    equal = case.resolution == (72, 96) and case.depth_function == "<=" and depth_format == "unorm24"
-    return () if is_usual(case) or equal else (pytest.mark.exhaustive,)
-
-
 @pytest.mark.parametrize(
     ("case", "depth_format"),
     [
-        pytest.param(case, depth_format, marks=patient(case, depth_format), id=f"{case.name}-{depth_format}")
+        pytest.param(
+            case,
+            depth_format,
+            marks=() if is_usual(case) else pytest.mark.exhaustive,
+            id=f"{case.name}-{depth_format}",
+        )
         for case in CASES
         for depth_format in FORMATS
     ],

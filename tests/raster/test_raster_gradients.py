@@ -77,7 +77,7 @@ def positions_by_bands(face, mesh, pixels):
     return jax.jvp(positions, (jnp.ones(()),), (jnp.ones(()),))
 
 
-@pytest.mark.parametrize("pixels", [3 * 32, 32, 1])
+@pytest.mark.parametrize("pixels", [3 * 32, 1, pytest.param(32, marks=pytest.mark.exhaustive)])
 def test_bands_of_rows_make_the_whole_image(pixels):
     face = rasterize(CAMERA.view().clip(MESH.vertices), MESH.faces, RESOLUTION).face
     whole, banded = positions_by_bands(face, MESH, face.size), positions_by_bands(face, MESH, pixels)
@@ -258,8 +258,11 @@ CASES = [
         (0.0, 0.0, 0.0, 1.2, 2.6, 1.9),
         lambda p: (SpotLight(p[3:], (-0.9, -2.4, -1.7), 40.0, 0.8, 8.0).view(), _moved(p[:3])),
     ),
-    Case("eye", (1.9, 1.6, 2.2), lambda p: (_camera(eye=p), MESH.vertices)),
-    Case("target", (0.3, 0.3, 0.1), lambda p: (_camera(target=p), MESH.vertices)),
+    Case(
+        "eye and target",
+        (1.9, 1.6, 2.2, 0.3, 0.3, 0.1),
+        lambda p: (_camera(eye=p[:3], target=p[3:]), MESH.vertices),
+    ),
     Case("light's direction", (-0.5, -1.0, -0.6), lambda p: (_directional(p), MESH.vertices)),
 ]
 FOR_ALL = [
@@ -395,6 +398,7 @@ def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
     np.testing.assert_allclose(np.asarray(surface.albedo)[seen], 0.8, rtol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_surface_carries_gradients_of_its_vertices():
     @jax.jit
     @jax.grad

@@ -25,7 +25,7 @@ from diffshadow.shadow import (
     to_glsl,
 )
 
-SIDE = 128
+SIDE = 64
 VERTEX = """
 #version 330
 in vec2 corner;

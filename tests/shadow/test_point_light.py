@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import quad, shadows, surface_at, technique
+from scenes import marked, quad, shadows, surface_at, technique
 from scipy import ndimage
 
 from diffshadow.geometry import Mesh, PinholeCamera, PointLight, Scene, SpotLight, library_mesh, merge
@@ -129,9 +129,7 @@ KERNELS = {
 }
 
 
-@pytest.mark.parametrize(
-    "kernel", [pytest.param(k, marks=pytest.mark.exhaustive if k == "random disk" else ()) for k in KERNELS]
-)
+@pytest.mark.parametrize("kernel", marked(KERNELS, ("percentage closer", "random disk")))
 def test_no_light_leaks_between_faces_while_taps_stay_within_the_guard(kernel):
     # The light is boxed in, so that every tap on a face is dark and every tap beyond its border is lit.
     box, light = cube(0.5), PointLight((0.1, -0.05, 0.2), 0.05, 8, guard=0.2)

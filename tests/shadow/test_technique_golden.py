@@ -81,14 +81,11 @@ def is_usual(light, factor):
 
 
 def is_usual_column(light, factor):
-    """Whether a column is: from maps with nothing culled, which are drawn by two programs."""
+    """Whether a column is: from float maps with nothing culled, which one program draws."""
     if light == "overhead":
         return factor.technique == "nearest"
-    return "cull" not in factor.map and is_usual(light, factor) and factor.map.startswith(DRAWN[light])
+    return "cull" not in factor.map and is_usual(light, factor) and factor.map.startswith("float32")
 
-
-DRAWN = {"directional": "float32", "spot": "unorm24"}
-"""Formats whose maps the usual run draws."""
 
 BOX = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(25, 1, 1, 2)
 CORNERS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]).reshape(4, 1, 1, 2)

@@ -2,10 +2,11 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete, dot, normalize
+from ..._misc import array_module, as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._camera import check_near_far, check_pose
 from .._transforms import frame, look_at, perspective, transform_points
@@ -51,20 +52,17 @@ class Frustum(NamedTuple):
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
         """
-        target = (points.min(axis=0) + points.max(axis=0)) / 2 if target is None else as_float(target)
+        target = _centre(points) if target is None else as_float(target)
         check_pose(name, position, target)
-        eye = transform_points(look_at(position, target - position, up), points)[..., :3]
-        distance = -eye[..., 2]
-        low, high = _reach(distance)
-        if outer_angle is None:
-            if not bool(_is_clear(low, high)):
-                raise ValueError(
-                    f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
-                    "position outside, or an outer_angle in degrees: move the light or give the angle"
-                )
-            tangent = jnp.max(jnp.abs(eye[..., :2]) / _sides(aspect) / distance[..., None]) * (1 + 2 * MARGIN)
-            outer_angle = float(jnp.rad2deg(jnp.arctan(tangent)))
-        return cls(target - position, outer_angle, *near_far(low, high))
+        tight, is_clear = _tight(position, target, up, points, as_float(aspect))
+        if outer_angle is not None:
+            return tight._replace(outer_angle=outer_angle)
+        if not bool(is_clear):
+            raise ValueError(
+                f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
+                "position outside, or an outer_angle in degrees: move the light or give the angle"
+            )
+        return tight._replace(outer_angle=float(tight.outer_angle))
 
     @classmethod
     def framing(
@@ -78,7 +76,7 @@ class Frustum(NamedTuple):
         """As `around`, also under a trace, and along `direction` if given. Points beside or behind the light stay
         outside the frustum."""
         if direction is None:
-            direction = (points.min(axis=0) + points.max(axis=0)) / 2 - position
+            direction = _centre(points) - position
         eye = transform_points(look_at(position, direction, up), points)[..., :3]
         distance = -eye[..., 2]
         ahead = distance > 0
@@ -94,6 +92,26 @@ class Frustum(NamedTuple):
 def distances_along(position: Vec3, direction: Vec3, points: Float[Array, "n 3"]) -> tuple[Scalar, Scalar]:
     """Near and far of a light at `position` that shines along `direction` on `points` (n, 3)."""
     return near_far(*_reach(dot(points - position, normalize(direction))))
+
+
+def _centre(points: Float[Array, "n 3"]) -> Vec3:
+    """The centre of their box."""
+    xp = array_module(points)
+    points = xp.asarray(points)
+    return as_float((points.min(axis=0) + points.max(axis=0)) / 2)
+
+
+@jax.jit
+def _tight(
+    position: Vec3, target: Vec3, up: Vec3, points: Float[Array, "n 3"], aspect: Scalar
+) -> tuple[Frustum, Array]:
+    """The tight frustum from `position` towards `target`, and whether all points lie before the light."""
+    direction = target - position
+    eye = transform_points(look_at(position, direction, up), points)[..., :3]
+    distance = -eye[..., 2]
+    low, high = _reach(distance)
+    tangent = jnp.max(jnp.abs(eye[..., :2]) / _sides(aspect) / distance[..., None]) * (1 + 2 * MARGIN)
+    return Frustum(direction, jnp.rad2deg(jnp.arctan(tangent)), *near_far(low, high)), _is_clear(low, high)
 
 
 def _sides(aspect: Scalar | float) -> Float[Array, "2"]:
