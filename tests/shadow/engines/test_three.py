@@ -109,7 +109,7 @@ def test_a_mesh_that_receives_nothing_is_lit_and_does_not_count():
     golden = engine_golden("three", "directional_basic_mixed")
     assert not golden.settings["meshes"][3]["receives"]
     technique, scene = preset(golden), scene_of(golden)
-    surface = draw_surface(scene.mesh, scene.camera)
+    surface = draw_surface(scene.mesh, dataclasses.replace(scene.camera, resolution=(64, 64)))
     number = np.repeat(np.arange(4), [len(mesh["faces"]) for mesh in golden.settings["meshes"]])
     torus = np.asarray(surface.mask) & (number[np.asarray(surface.face)] == 3)
     of = lambda scene: (technique, technique.prepare(scene))
