@@ -37,7 +37,9 @@ class Mesh(eqx.Module):
         self.faces = as_int(faces)
         if corner_normals is None:
             if self.faces.shape[0] and self.vertices.shape[0]:
-                corner_normals = jnp.broadcast_to(face_normals(self)[:, None], (*self.faces.shape, 3))
+                normals = _normals_of(self.vertices, self.faces)
+                xp = array_module(normals)
+                corner_normals = xp.broadcast_to(normals[:, None], (*self.faces.shape, 3))
             else:
                 corner_normals = jnp.zeros((*self.faces.shape, 3))
         self.corner_normals = as_float(corner_normals)
@@ -95,8 +97,22 @@ class Mesh(eqx.Module):
 
 def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
     """Unit geometric normal of each face, (f, 3), outwards by the right-hand rule; 0 for a face without area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return _normals(mesh.vertices, mesh.faces)
+
+
+def _normals(vertices: Vertices, faces: Faces) -> Float[Array, "f 3"]:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
     return normalize(jnp.cross(b - a, c - a))
+
+
+def _normals_of(vertices: Vertices, faces: Faces) -> Any:
+    """`face_normals`. Outside of a trace, arrays are filled up first, so that meshes of like size share what is
+    compiled."""
+    if isinstance(vertices, Tracer) or isinstance(faces, Tracer):
+        return _normals(vertices, faces)
+    count, size = shared_mesh_size(faces.shape[0], vertices.shape[0])
+    normals = _normals(jnp.asarray(filled(vertices, size)), jnp.asarray(filled(faces, count)))
+    return array_module(normals).asarray(normals)[: faces.shape[0]]
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
