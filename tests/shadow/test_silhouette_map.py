@@ -406,6 +406,13 @@ def test_half_planes_move_as_edges_do():
     assert np.abs(differences[2]).max() > 10
 
 
+def _without_silhouettes(shadow_map):
+    """The map as if it had none, for the same programs."""
+    slot = shadow_map.silhouettes.slot
+    empty = dataclasses.replace(shadow_map.silhouettes, slot=jnp.asarray(np.full(slot.shape, -1, np.int32)))
+    return dataclasses.replace(shadow_map, silhouettes=empty)
+
+
 FILTERS = {
     "nearest": Nearest(),
     "bilinear": Bilinear(),
