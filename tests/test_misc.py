@@ -1,4 +1,5 @@
-"""Derivatives where plain formulas have none, of a norm and a quotient at 0; and the option that XLA reads."""
+"""Derivatives where plain formulas have none, of a norm and a quotient at 0; powers of two; and the option that XLA
+reads."""
 
 import os
 import subprocess
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import diffshadow
-from diffshadow._misc import safe_divide, safe_norm
+from diffshadow._misc import round_up_to_power_of_two, safe_divide, safe_norm
 
 
 def test_a_norm_has_no_slope_at_zero_and_its_own_elsewhere():
@@ -25,6 +26,11 @@ def test_a_quotient_by_zero_is_the_other_value_and_has_no_slope():
     value, slope = jax.vmap(jax.value_and_grad(quotient))(jnp.array([[3.0, 0.0], [3.0, 2.0]]))
     np.testing.assert_allclose(value, [7, 1.5])
     np.testing.assert_allclose(slope, [[0, 0], [0.5, -0.75]])
+
+
+def test_numbers_are_rounded_up_to_powers_of_two():
+    rounded = [round_up_to_power_of_two(n) for n in (0, 1, 2, 3, 4, 5, 1023, 1024, 1025)]
+    assert rounded == [0, 1, 2, 4, 4, 8, 1024, 1024, 2048]
 
 
 FRESH = """

@@ -53,7 +53,7 @@ _MISC = (
         "_misc.py",
         "1 << (n - 1).bit_length()",
         "1 << (n.bit_length() - 1)",
-        "test_silhouette_map.py",
+        "test_misc.py",
     ),
     _fault(
         "gradient of a rounded value: its own instead of the smooth one's",
