@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import Programs, staying_in
 from stored_runs import TINY
 
 from diffshadow import fit, io, metrics, study
@@ -129,7 +129,7 @@ def test_result_follows_its_schema(finished):
     assert solver["seconds_compiling"] > 0
     assert solver["seconds_running"] > 0
     assert len(solver["phases"]) == 2
-    assert solver["steps"] == sum(phase["steps"] for phase in solver["phases"]) <= 6
+    assert solver["steps"] == sum(phase["steps"] for phase in solver["phases"]) <= 120
     assert all(phase["values"].keys() == result["fitted"].keys() for phase in solver["phases"])
     assert {"loading", "drawing", "tracing reference", "compiling", "fitting"} <= result["seconds"].keys()
     packages = {"diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy", "python", "platform", "device"}
@@ -150,7 +150,7 @@ def test_fit_improves_by_its_own_arrays(finished):
         for name, error in (("before", before), ("after", after)):
             difference = (arrays[name].astype(np.float64) - arrays["reference"])[mask]
             assert np.sqrt(np.mean(difference**2)) == pytest.approx(error, rel=1e-6)
-        assert arrays["shadow_map_depth"].shape == (128, 128)
+        assert arrays["shadow_map_depth"].shape == (64, 64)
         steps = len(arrays["history_loss"])
         assert steps >= 2
         assert {arrays[f"history_{name}"].shape for name in ("phase", "step", "width", "loss")} == {(steps,)}
@@ -210,8 +210,10 @@ def test_resolved_config_loads_to_the_same_settings(finished, monkeypatch):
     assert load_config(folder / "config.yaml", []) == load_config(home / "tiny.yaml", [])
 
 
-def test_second_run_traces_nothing_and_finds_the_same(monkeypatch):
-    first, _ = run()
+def test_second_run_traces_nothing_and_finds_the_same(finished, monkeypatch, tmp_path):
+    _, _, home = finished
+    shutil.copytree(home, tmp_path, dirs_exist_ok=True)
+    first = Path("runs/tiny")
     before = result_of(first)
     (first / "mine.txt").write_text("a note")
     (first / "loss.png").write_text("stale")
@@ -243,7 +245,7 @@ def test_run_that_dies_while_writing_leaves_the_earlier_one(error, monkeypatch, 
 
     monkeypatch.setattr("diffshadow.study.pages._figures.write_figures", dies)
     with pytest.raises(error):
-        run("fit.anneal.phases=1", "fit.solver.max_steps=1")
+        run()
     assert [entry.name for entry in (tmp_path / "runs").iterdir()] == ["tiny"]
     assert [entry.name for entry in earlier.iterdir()] == ["result.json"]
 
@@ -332,8 +334,11 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):
     assert "was given, not traced" in said
 
 
-def test_flat_gradient_is_told_with_its_cause():
-    folder, said = run("filter.lookup=nearest", "fit.solver.max_steps=1", "fit.anneal.phases=1")
+@pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_flat_gradient_is_told_with_its_cause(really, monkeypatch):
+    if not really:
+        monkeypatch.setattr("diffshadow.fit._run.compiled", Programs(step=(0.3, 0.0), slope=(1.0, 0.0)))
+    folder, said = run("filter.lookup=nearest", "fit.anneal.phases=1")
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
     assert "warning: filter.radius was not fitted: its gradient is zero throughout, since nearest look-ups" in said
     assert "filter.radius was not fitted" in (folder / "report.html").read_text()
@@ -458,7 +463,7 @@ def test_render_of_several_lights_tells_them_apart():
     assert metrics["pixels"] == sum(light["pixels"] for light in metrics["lights"])
     with np.load(folder / "arrays.npz") as arrays:
         assert arrays["visibility"].shape == arrays["mask"].shape == (2, 64, 64)
-        assert arrays["shadow_map_depth_1"].shape == (6, 128, 128)
+        assert arrays["shadow_map_depth_1"].shape == (6, 64, 64)
         difference = (arrays["visibility"].astype(np.float64) - arrays["reference"])[arrays["mask"]]
     # The errors of all lights together are those over all their pixels.
     assert metrics["errors"]["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-6)
@@ -581,7 +586,11 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
             "{technique.shares.0: {lower: 0.5, upper: 4}}",
             marks=pytest.mark.exhaustive,
         ),
-        (("bias={plane: {type: receiver_plane}}",), "{bias.plane.fudge: {lower: 0, upper: 4}}"),
+        pytest.param(
+            ("bias={plane: {type: receiver_plane}}",),
+            "{bias.plane.fudge: {lower: 0, upper: 4}}",
+            marks=pytest.mark.exhaustive,
+        ),
     ],
 )
 def test_parameters_of_any_technique_can_be_fitted(technique, parameters):
@@ -595,7 +604,6 @@ def test_fits_of_an_engine_leave_its_code():
     made, said = run(
         "technique={type: three.js, shadow_side: double, radius: 2}",
         "fit.parameters={technique.bias: {lower: -0.05, upper: 0}, technique.radius: {lower: 0, upper: 4}}",
-        "fit.solver.max_steps=3",
     )
     result = result_of(made)
     code = (made / "engine.js").read_text()
@@ -609,16 +617,15 @@ def test_fits_of_an_engine_leave_its_code():
     assert (made / "shadow_map.png").exists()
 
 
-def test_progress_is_shown_to_a_terminal_only():
+def test_progress_is_shown_to_a_terminal_only(finished):
     out = text_io.StringIO()
     watched = Console(file=out, width=100, force_terminal=True, force_interactive=True, color_system=None)
     study.run_render(tiny(), console=watched)
     assert "tracing reference" in out.getvalue()
-    to, quiet = console()
-    study.run_render(tiny(), console=to)
-    assert "tracing reference" not in quiet.getvalue()
+    assert "tracing reference" not in finished[1]
 
 
+@pytest.mark.exhaustive
 def test_validating_loads_no_matplotlib():
     check = "import atexit, sys; atexit.register(lambda: print('matplotlib' in sys.modules, file=sys.stderr))"
     program = f"{check}\nimport diffshadow.study\nfrom diffshadow.cli import main\nmain(['validate', 'tiny.yaml'])"
