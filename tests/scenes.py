@@ -291,12 +291,11 @@ class Programs:
     """Stands for the compiled programs of phases of two numbers: each moves their free values by `step`, and takes only
     what it was made for.
 
-    - `slope`: what each says of the residuals' slopes.
     - `made`: the shapes of the arguments of each.
     """
 
-    def __init__(self, step: Any, slope: Any = (1.0, 1.0)):
-        self.step, self.slope = np.float32(step), np.float32(slope)
+    def __init__(self, step: float):
+        self.step = np.float32(step)
         self.made: list[Any] = []
 
     def __call__(self, _: Any, arguments: Any) -> Callable[..., Solution]:
@@ -308,6 +307,6 @@ class Programs:
             joint, free = given[0], np.asarray(given[2])
             images = tuple(np.zeros((len(p.numbers) if isinstance(p, Stack) else 1, 4, 4)) for p in joint.problems)
             slopes, end = tuple(np.zeros((2, *each.shape)) for each in images), jnp.asarray(free + self.step)
-            return Solution(end, np.zeros(2), self.slope, images, slopes, 0, RESULTS.successful)
+            return Solution(end, np.zeros(2), np.ones(2), images, slopes, 0, RESULTS.successful)
 
         return program

@@ -1,6 +1,7 @@
 """Runs from a configuration to a folder: what is written, what is said, and what a failure leaves behind."""
 
 import ast
+import dataclasses
 import importlib.util
 import io as text_io
 import json
@@ -11,11 +12,12 @@ import sys
 import types
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import Programs, staying_in
+from scenes import staying_in
 from stored_runs import TINY
 
 from diffshadow import fit, io, metrics, study
@@ -336,9 +338,16 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, tmp_path):
 
 @pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
 def test_flat_gradient_is_told_with_its_cause(really, monkeypatch):
+    def flat(problems, *arguments, **settings):
+        # By the program of other tests.
+        bilinear = dataclasses.replace(problems[0].technique.filter, lookup="bilinear")
+        problems = [eqx.tree_at(lambda p: p.technique.filter, each, bilinear) for each in problems]
+        return found(problems, *arguments, **settings)._replace(flat=["filter.radius"])
+
+    found = fit.fit
     if not really:
-        monkeypatch.setattr("diffshadow.fit._run.compiled", Programs(step=(0.3, 0.0), slope=(1.0, 0.0)))
-    folder, said = run("filter.lookup=nearest", "fit.anneal.phases=1")
+        monkeypatch.setattr(fit, "fit", flat)
+    folder, said = run("filter.lookup=nearest")
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
     assert "warning: filter.radius was not fitted: its gradient is zero throughout, since nearest look-ups" in said
     assert "filter.radius was not fitted" in (folder / "report.html").read_text()
@@ -604,6 +613,7 @@ def test_fits_of_an_engine_leave_its_code():
     made, said = run(
         "technique={type: three.js, shadow_side: double, radius: 2}",
         "fit.parameters={technique.bias: {lower: -0.05, upper: 0}, technique.radius: {lower: 0, upper: 4}}",
+        "fit.solver.max_steps=3",
     )
     result = result_of(made)
     code = (made / "engine.js").read_text()

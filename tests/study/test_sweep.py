@@ -416,7 +416,14 @@ def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypat
     module = importlib.import_module(f"diffshadow.study.runs._{kind}")
     drawn, draw = [], module.visibility_of
     monkeypatch.setattr(module, "visibility_of", lambda *args: drawn.append(draw(*args)) or drawn[-1])
-    brief = ("fit={solver: {max_steps: 1}, anneal: {phases: 1}}", "filter.lookup=bilinear")
+    # By the programs of the tests of fits.
+    solver = "{max_steps: 60, rtol: 1e-4, atol: 1e-7}"
+    parameters = "{bias.constant: {lower: 0, upper: 8}, filter.radius: {lower: 0, upper: 8}}"
+    brief = (
+        f"fit={{parameters: {parameters}, solver: {solver}, anneal: {{phases: 1}}}}",
+        "filter={samples: 4}",
+        "scene.camera.resolution=[64, 64]",
+    )
     sweep = sweep_of(f"{{run: {kind}, figures: true, grid: {{filter.radius: [1]}}}}", *brief)
     folder, _ = run(sweep)
     assert table(folder)["status"] == ["ok"]
