@@ -262,7 +262,7 @@ def twice(mesh: Mesh) -> Mesh:
 
 
 class Waves(eqx.Module):
-    """Stands for a technique whose images are smooth functions of two numbers, in another way in each view."""
+    """Stands for a technique whose images are smooth functions of two numbers, and compiles in no time."""
 
     first: Any
     second: Any

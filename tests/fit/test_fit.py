@@ -208,10 +208,7 @@ def test_bounded_slope_bias_is_fitted_by_its_paths(known):
 @pytest.fixture(scope="module")
 def two_lights():
     """The same technique under two lights, which want other radii: 2.4 and 4 texels."""
-    return [
-        problem(disk(), light, target=disk(radius, 0.8))
-        for light, radius in (("directional", 2.4), ("spot", 4.0))
-    ]
+    return [problem(disk(), light, target=disk(radius, 0.8)) for light, radius in (("directional", 2.4), ("spot", 4.0))]
 
 
 @pytest.mark.exhaustive

@@ -15,7 +15,7 @@ TINY = """
 name: tiny
 scene:
   meshes:
-    - {path: builtin:torus, options: {segments: 24, sides: 12}, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
     - {path: builtin:plane, options: {size: 3}}
   camera: {resolution: [64, 64], orbit: {distance: 3}}
   light: {angular_radius: 1.5}
