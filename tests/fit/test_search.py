@@ -132,7 +132,7 @@ def found():
     start, truth = bands(0.2, 0.5, 1.0), bands(0.35, 0.8, 2.0)
     seen = truth.visibility(truth.prepare(scene), surface)
     made = TechniqueProblem(start, start.prepare(scene), surface, seen, surface.mask, scene)
-    return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver(max_steps=10), evaluations=12)
+    return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver("lbfgs", 10), evaluations=12)
 
 
 def test_a_bias_is_fitted_by_gradient_between_the_searches(found):

@@ -486,8 +486,13 @@ def test_render_of_several_lights_tells_them_apart():
         pytest.param(("technique.type=shadow_volumes",), {"debug_volumes.png"}, marks=pytest.mark.exhaustive),
         pytest.param(("technique.type=irregular_z_buffer",), set(), marks=pytest.mark.exhaustive),
         (
+            (),
+            {"shadow_map.png", "debug_aliasing.png", "debug_depth.png", "debug_pattern.png"},
+        ),
+        pytest.param(
             ("technique={type: projective_texture, resolution: [64, 64], blur: 1}", "scene.meshes.1.casts=false"),
             {"texture.png"},
+            marks=pytest.mark.exhaustive,
         ),
         pytest.param(
             ("filter={type: pcss, samples: 4, pattern_size: 2, pattern: vogel, rotated: false}",),
@@ -505,7 +510,7 @@ def test_render_of_several_lights_tells_them_apart():
             marks=pytest.mark.exhaustive,
         ),
     ],
-    ids=["volumes", "irregular", "projective", "pcss", "midpoint", "cascades"],
+    ids=["volumes", "irregular", "map", "projective", "pcss", "midpoint", "cascades"],
 )
 def test_every_technique_renders_with_its_debug_views(overrides, more):
     folder, _ = render(*overrides, debug=True)
