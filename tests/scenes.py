@@ -261,6 +261,12 @@ def twice(mesh: Mesh) -> Mesh:
     return Mesh(np.concatenate([vertices, vertices]), np.concatenate([faces, faces + len(vertices)]))
 
 
+@jax.jit
+def _waves(first: Any, second: Any, position: Any) -> Any:
+    x, z = position[..., 0], position[..., 2]
+    return 0.5 + 0.4 * jnp.sin(first * x + second * z * x)
+
+
 class Waves(eqx.Module):
     """Stands for a technique whose images are smooth functions of two numbers, and compiles in no time."""
 
@@ -275,8 +281,7 @@ class Waves(eqx.Module):
         raise AssertionError("nothing is drawn")
 
     def visibility(self, state: Any, surface: Surface) -> Any:
-        x, y, _ = jnp.moveaxis(surface.position, -1, 0)
-        return 0.5 + 0.4 * jnp.sin(self.first * x + self.second * y * x)
+        return _waves(self.first, self.second, surface.position)
 
     def covered(self, state: Any, surface: Surface) -> Any:
         return jnp.ones(surface.position.shape[:2], bool)

@@ -146,6 +146,7 @@ def test_training_keeps_lower_bounds_and_never_ends_worse(views):
     assert stays.loss == stays.initial_loss
 
 
+@pytest.mark.exhaustive
 def test_what_is_not_selected_stays(views):
     found = train(views, first, solver=Solver(max_steps=3), anneal=Anneal(1.0, 1.0, 1))
     assert found.loss < found.initial_loss

@@ -69,6 +69,25 @@ def small(views):
     return eqx.tree_at(parts, views[0], (*map(lower, images), jnp.asarray(np.asarray(depth)[::2, ::2])))
 
 
+def waves(first=0.7, second=0.4):
+    return Waves(jnp.asarray(first, jnp.float32), jnp.asarray(second, jnp.float32))
+
+
+def waving(view, first):
+    """The view as waves see it; its reference is that of others."""
+    parts = lambda p: (p.technique, p.reference)
+    return eqx.tree_at(parts, view, (waves(), waves(first).visibility(None, view.surface)))
+
+
+@pytest.fixture(scope="module")
+def waved(views):
+    """Both views as waves see them; the second has the greater error."""
+    return [waving(views[0], 0.5), waving(views[1], 1.1)]
+
+
+FIRST, SECOND = Parameter("first", 0.7, -2.0, 3.0), Parameter("second", 0.4, -2.0, 2.0)
+
+
 def fitted(problems, *parameters, **settings):
     """A fit, of both numbers if none is given: so tests share their programs."""
     return fit(problems, parameters or [BIAS, RADIUS], solver=SOLVER, anneal=SHORT, **settings)
@@ -183,10 +202,9 @@ def losses_and_gradients(joint, parameters, fraction):
 
 def test_gradients_of_the_losses_of_views_are_those_of_finite_differences(views):
     with jax.enable_x64(True):
-        waves = doubled(Waves(jnp.asarray(0.7), jnp.asarray(0.4)))
-        problems = [eqx.tree_at(lambda p: p.technique, doubled(each), waves) for each in views]
+        problems = [eqx.tree_at(lambda p: p.technique, doubled(each), doubled(waves())) for each in views]
         joint = Joint.of(problems, Loss(false_shadow=3.0, false_light=0.5)).stacked()
-        parameters = doubled(Parameters.of([Parameter("first", 0.7, -2.0, 3.0), Parameter("second", 0.4, -2.0, 2.0)]))
+        parameters = doubled(Parameters.of([FIRST, SECOND]))
         at = lambda fraction: tuple(map(np.asarray, losses_and_gradients(joint, parameters, fraction)))
         fraction, steps = np.array([0.5, 0.6]), 1e-6 * np.eye(2)
         _, gradients = at(fraction)
@@ -225,14 +243,14 @@ def test_maps_of_a_stack_are_in_one_atlas(views):
         np.testing.assert_array_equal(pad(reading, 40).depth, pad(view.shadow_map, 40).depth)
 
 
-def test_problems_of_several_structures_are_a_stack_and_problems(views, small):
-    mapping = disk(3.0, 0.8)
+def test_problems_of_several_structures_are_a_stack_and_problems(views, waved, small):
+    lower, mapping = waving(small, 1.1), waves(0.9)
     # Large images come first.
-    joint = Joint.of([small, *views]).stacked()
+    joint = Joint.of([lower, *waved]).stacked()
     assert [type(each) for each in joint.problems] == [Stack, TechniqueProblem]
-    pixels = np.array([float(each.mask.sum()) for each in (*views, small)])
+    pixels = np.array([float(each.mask.sum()) for each in (*waved, lower)])
     np.testing.assert_allclose(joint.shares, pixels / pixels.sum(), rtol=1e-6)
-    errors = [float(each.mean_square_error(mapping)) for each in (*views, small)]
+    errors = [float(each.mean_square_error(mapping)) for each in (*waved, lower)]
     np.testing.assert_allclose(squares(joint.differences(mapping)), errors, rtol=1e-5)
     assert float(joint.mean_square_error(mapping)) == pytest.approx(np.average(errors, weights=pixels), rel=1e-5)
     # Lights of another kind are a structure of their own.
@@ -270,12 +288,8 @@ def check_the_worst(views, parameter, made, values):
     assert worst.phases[worst.chosen].hard_loss == pytest.approx(max(of_worst) ** 2, rel=1e-4)
 
 
-def test_worst_view_is_better_by_its_own_loss(views):
-    made = lambda first: Waves(jnp.asarray(first, jnp.float32), jnp.asarray(0.4, jnp.float32))
-    images = [made(first).visibility(None, views[0].surface) for first in (0.5, 1.1)]
-    parts = lambda p: (p.technique, p.reference)
-    seen = [eqx.tree_at(parts, view, (made(0.7), image)) for view, image in zip(views, images, strict=True)]
-    check_the_worst(seen, Parameter("first", 0.7, -2.0, 3.0), made, np.linspace(0.5, 1.1, 61))
+def test_worst_view_is_better_by_its_own_loss(waved):
+    check_the_worst(waved, FIRST, waves, np.linspace(0.5, 1.1, 61))
 
 
 @pytest.mark.exhaustive
@@ -365,19 +379,19 @@ def test_views_are_sampled_only_where_more_pixels_count(views, programs, monkeyp
 
 
 @pytest.mark.parametrize("over", ["worst", pytest.param("cvar", marks=pytest.mark.exhaustive)])
-def test_samples_for_the_worst_views_have_the_errors_of_whole_images(over, views, programs, monkeypatch):
-    check_samples_for_the_worst(over, views, monkeypatch)
+def test_samples_for_the_worst_views_have_the_errors_of_whole_images(over, waved, programs, monkeypatch):
+    check_samples_for_the_worst(over, waved, [FIRST, SECOND], monkeypatch)
 
 
 @pytest.mark.exhaustive
 def test_fits_to_samples_for_the_worst_views_do_so_too(views, monkeypatch):
-    check_samples_for_the_worst("worst", views, monkeypatch)
+    check_samples_for_the_worst("worst", views, [BIAS, RADIUS], monkeypatch)
 
 
-def check_samples_for_the_worst(over, views, monkeypatch):
+def check_samples_for_the_worst(over, views, parameters, monkeypatch):
     starts, corrected = [], Joint.corrected
     monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
-    fitted(views, pixels=SOME, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
+    fitted(views, *parameters, pixels=SOME, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
     assert len(starts) >= 4  # two phases, and other points of the front
     assert len({float(sample.loss.false_light) for sample, *_ in starts}) > 1
     hard_errors = lambda joint: np.asarray(joint.hard().losses(joint.hard().subject).errors)
@@ -400,7 +414,7 @@ def test_the_worst_views_have_three_quarters_of_the_pixels(views):
     assert joint.sampled(8192, [2], taken).problems[2] is joint.sampled(8192, [2], taken).problems[2]
 
 
-def test_the_worst_views_may_have_maps_of_any_size(views, small, programs, monkeypatch):
+def test_the_worst_views_may_have_maps_of_any_size(waved, small, programs, monkeypatch):
     """Samples of other sizes are other programs."""
     of_joint, calls = Joint.sampled, []
 
@@ -410,14 +424,14 @@ def test_the_worst_views_may_have_maps_of_any_size(views, small, programs, monke
 
     monkeypatch.setattr(Joint, "sampled", in_turns)
     monkeypatch.setattr(Joint, "corrected", lambda sample, *_: sample)
-    found = fitted([views[0], small], pixels=SOME, loss=Loss("worst"))
+    found = fitted([waved[0], waving(small, 1.1)], FIRST, SECOND, pixels=SOME, loss=Loss("worst"))
     assert len(calls) == len(found.phases) == len(programs.made) == 2
     assert programs.made[0] != programs.made[1]
     assert found.phases[1].values > found.phases[0].values
 
 
-def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(views):
-    sampled = Joint.of(views).sampled(SOME, [1])
+def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(waved):
+    sampled = Joint.of(waved).sampled(SOME, [1])
     errors = np.asarray(sampled.hard().losses(sampled.hard().subject).errors)
     corrected = sampled.corrected(jnp.asarray(errors * [1e-3, 1e3]))
     assert [float(problem.factor) for problem in corrected.problems] == [0.25, 4.0]
