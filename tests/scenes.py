@@ -11,8 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from optimistix import RESULTS
 
 from diffshadow.fit import TechniqueProblem, with_values
+from diffshadow.fit._solve import Solution
+from diffshadow.fit.problems._stack import Stack
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -261,3 +264,59 @@ def twice(mesh: Mesh) -> Mesh:
     compiled."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     return Mesh(np.concatenate([vertices, vertices]), np.concatenate([faces, faces + len(vertices)]))
+
+
+@jax.jit
+def _waves(first: Any, second: Any, position: Any) -> Any:
+    x, z = position[..., 0], position[..., 2]
+    return 0.5 + 0.4 * jnp.sin(first * x + second * z * x)
+
+
+class Waves(eqx.Module):
+    """Stands for a technique whose images are smooth functions of two numbers, and compiles in no time."""
+
+    first: Any
+    second: Any
+    compare: HardCompare = HardCompare()
+
+    def lays_out(self, name: str) -> bool:
+        return False
+
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> Any:
+        raise AssertionError("nothing is drawn")
+
+    def visibility(self, state: Any, surface: Surface) -> Any:
+        return _waves(self.first, self.second, surface.position)
+
+    def covered(self, state: Any, surface: Surface) -> Any:
+        return jnp.ones(surface.position.shape[:2], bool)
+
+
+def doubled(tree: Any) -> Any:
+    """A tree with numbers in double precision."""
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float) if eqx.is_inexact_array(x) else x, tree)
+
+
+class Programs:
+    """Stands for the compiled programs of phases of two numbers: each moves their free values by `step`, and takes only
+    what it was made for.
+
+    - `made`: the shapes of the arguments of each.
+    """
+
+    def __init__(self, step: float):
+        self.step = np.float32(step)
+        self.made: list[Any] = []
+
+    def __call__(self, _: Any, arguments: Any) -> Callable[..., Solution]:
+        shapes = lambda tree: [np.shape(leaf) for leaf in jax.tree.leaves(tree)]
+        self.made.append(shapes(arguments))
+
+        def program(*given: Any, expected: Any = self.made[-1]) -> Solution:
+            assert shapes(given) == expected
+            joint, free = given[0], np.asarray(given[2])
+            images = tuple(np.zeros((len(p.numbers) if isinstance(p, Stack) else 1, 4, 4)) for p in joint.problems)
+            slopes, end = tuple(np.zeros((2, *each.shape)) for each in images), jnp.asarray(free + self.step)
+            return Solution(end, np.zeros(2), np.ones(2), images, slopes, 0, RESULTS.successful)
+
+        return program

@@ -267,7 +267,8 @@ def test_convert_speaks_the_units_of_engines(capsys):
 
 
 def test_validate_takes_techniques_that_cannot_be_fitted(capsys):
-    assert run("validate", QUICKSTART, "technique.type=shadow_volumes") == 0
+    small = "scene.camera.resolution=[64, 64]", "scene.meshes.0.path=builtin:box"
+    assert run("validate", QUICKSTART, "technique.type=shadow_volumes", *small) == 0
     assert "technique.method" in capsys.readouterr().out
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from scenes import LAMP, floor_camera, jacfwd_and_value, quad, sun
+from scenes import LAMP, floor_camera, floor_surface, jacfwd_and_value, quad, sun
 from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
@@ -177,7 +177,7 @@ def test_turn_has_its_derivative_at_rest_too():
 
 
 def test_every_number_of_an_arrangement_has_a_path():
-    arrangement = problem(LIGHTS["spot"], pulled=(1,)).arrangement
+    arrangement = problem(LIGHTS["spot"], moves=True, pulled=(1,)).arrangement
     names = parameter_names(arrangement)
     assert {"technique.bias.constant", "lights.0.position.x", AZIMUTH, "meshes.1.vertices.1.z"} <= set(names)
     numbered = with_values(arrangement, names, jnp.arange(float(len(names))))
@@ -218,7 +218,11 @@ def test_the_noise_of_a_solver_is_that_of_the_problem_unless_it_is_given():
     assert [Solver().for_problem(moves).noise for moves in (False, True)] == [0.0, 0.25]
     assert Solver(noise=0.1).for_problem(True).noise == 0.1
     with pytest.raises(ValueError, match=r"the solver's noise is 1\.5; expected a fraction of the loss"):
-        fit(problem(LIGHTS["point"]), [Parameter("lights.0.position.x", 0.0, -1.0, 1.0)], solver=Solver(noise=1.5))
+        fit(
+            problem(LIGHTS["point"], moves=True),
+            [Parameter("lights.0.position.x", 0.0, -1.0, 1.0)],
+            solver=Solver(noise=1.5),
+        )
 
 
 def test_levels_fall_to_one_and_divide_the_sides():
@@ -233,8 +237,10 @@ def test_levels_fall_to_one_and_divide_the_sides():
         levels_of([8, 1], 64, 36)
 
 
-def test_coarse_levels_hold_means_of_the_pixels_that_count():
-    one = problem(LIGHTS["directional"])
+def test_coarse_levels_hold_means_of_the_pixels_that_count(monkeypatch):
+    drawn = lambda mesh, camera: floor_surface(1.5, camera.resolution)
+    monkeypatch.setattr("diffshadow.fit.problems._pose.draw_surface", drawn)
+    one = dataclasses.replace(problem(LIGHTS["directional"], moves=True), surface=floor_surface(1.5, (64, 64)))
     rng = np.random.default_rng(0)
     reference, weight = rng.random((64, 64)), (rng.random((64, 64)) < 0.5).astype(float)
     one = dataclasses.replace(
@@ -381,8 +387,8 @@ def test_fits_of_other_numbers_share_a_program():
 
 def test_meshes_of_like_size_share_a_program():
     def padded(*meshes, pulled=()):
-        planned = problem(LIGHTS["spot"], meshes=meshes, pulled=pulled).planned()
-        return dataclasses.replace(planned, crossings=8).padded()
+        plain = problem(LIGHTS["spot"], moves=True, meshes=meshes, pulled=pulled)
+        return dataclasses.replace(plain, edges=Edges.of(plain.scene.casters), crossings=8).padded()
 
     kind = lambda leaf: (jnp.shape(leaf), jnp.result_type(leaf))
     one, other = padded(CARD, FLOOR, CARD), padded(merge([CARD, FLOOR]), CARD, FLOOR)

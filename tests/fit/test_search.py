@@ -1,10 +1,12 @@
 """Searches for numbers that lay out the map: that they find the best of a grid, keep bounds, and refuse nonsense."""
 
 import dataclasses
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import quad, sun
+from scenes import Waves, drawn, floor_and_card, quad, side_camera, sun
 
 from diffshadow.fit import Anneal, Parameter, Solver, TechniqueProblem, fit
 from diffshadow.fit._search import search
@@ -17,6 +19,7 @@ from diffshadow.shadow import (
     MapSettings,
     Nearest,
     PerspectiveWarp,
+    ShadowMap,
     ShadowMapping,
 )
 
@@ -56,7 +59,7 @@ def along_posts() -> Scene:
     ground = quad((0, 0, -25), (12, 0, 0), (0, 0, -26))
     posts = [quad((x, 0.7, -1 - 40 * (k / 6) ** 2), (0.2, 0, 0), (0, 0.7, 0)) for k in range(6) for x in (-1.2, 1.0)]
     mesh = merge([ground, *posts])
-    camera = PinholeCamera((0, 1.6, 1), (0, 1.1, -9), fov_y=60.0, near=0.2, far=50.0, resolution=(48, 48))
+    camera = PinholeCamera((0, 1.6, 1), (0, 1.1, -9), fov_y=60.0, near=0.2, far=50.0, resolution=(64, 64))
     return Scene(mesh, camera, sun(mesh, (0.5, -1.0, -0.4)))
 
 
@@ -92,20 +95,92 @@ def test_the_spacing_of_cascades_is_found(seen):
     assert min(step.loss for step in result.history) == pytest.approx(found)
 
 
-def test_a_bias_is_fitted_by_gradient_between_the_searches(seen):
+class Bands(Waves):
+    """Waves that lay out a map: `first` and `second`, in order, are stored in it, and a third number is not."""
+
+    bias: Any = 0.0
+
+    def lays_out(self, name):
+        return name in ("first", "second")
+
+    def prepare(self, scene, surface=None):
+        if self.first >= self.second:
+            raise ValueError("the bands are out of order")
+        depth = np.repeat(np.float32([self.first, self.second]), 4).reshape(2, 4)
+        return ShadowMap(jnp.asarray(depth), scene.light)
+
+    def visibility(self, state, surface):
+        x = surface.position[..., 0]
+        return 0.3 + 0.2 * jnp.sin(state.depth[0, 0] * x + state.depth[1, 0] * x**2) + 0.1 * self.bias
+
+
+def bands(*values):
+    first, second, bias = (jnp.asarray(value, jnp.float32) for value in values)
+    return Bands(first, second, bias=bias)
+
+
+# These bounds allow a first number that is greater than the second.
+ENDS = [Parameter("first", 0.2, 0.0, 0.9), Parameter("second", 0.5, 0.1, 1.0)]
+SHIFT = Parameter("bias", 1.0, 0.0, 4.0)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A problem of bands, and the fit of all of their numbers."""
+    mesh = floor_and_card()
+    scene, surface = Scene(mesh, side_camera(), sun(mesh)), drawn("directional", 64, 64)[0]
+    start, truth = bands(0.2, 0.5, 1.0), bands(0.35, 0.8, 2.0)
+    seen = truth.visibility(truth.prepare(scene), surface)
+    made = TechniqueProblem(start, start.prepare(scene), surface, seen, surface.mask, scene)
+    return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver("lbfgs", 10), evaluations=12)
+
+
+def test_a_bias_is_fitted_by_gradient_between_the_searches(found):
+    _, result = found
+    assert [phase.searched > 0 for phase in result.phases] == [True, False, False, True, False]
+    # A search changes all, and the other phases keep the layout.
+    values = [list(result.initial.values()), *(phase.values for phase in result.phases)]
+    for phase, before, after in zip(result.phases, values[:-1], values[1:], strict=True):
+        assert phase.searched or after[1:] == pytest.approx(before[1:], abs=1e-5)
+    assert values[1][0] != values[0][0]
+    assert values[2][0] != pytest.approx(values[1][0], abs=1e-3)
+    assert not result.flat
+
+
+def test_a_search_draws_the_map_again_and_refuses_what_does_not_suit_the_scene(found):
+    made, result = found
+    _, first, second = result.fitted.values()
+    assert first < second
+    error = float(made.laid_out(result.technique).mean_square_error(result.technique))
+    assert error == pytest.approx(min(phase.hard_loss for phase in result.phases), rel=1e-4)
+    assert error < 0.5 * result.phases[0].hard_loss < 0.5 * made.mean_square_error(made.technique)
+    assert any(step.values[1] >= step.values[2] and step.loss == 1.0 for step in result.history)
+
+
+SLICES = Cascades(distances=(1.0, 2.5, 50.0), margin=2.0)
+
+
+@pytest.mark.exhaustive
+def test_the_ends_of_slices_stay_in_order(seen):
+    made = problem(seen, SLICES)
+    # These bounds allow a first slice that ends after the second.
+    ends = [Parameter("layout.distances.0", 1.0, 0.5, 40.0), Parameter("layout.distances.1", 2.5, 2.0, 45.0)]
+    result = fit(made, ends, evaluations=20)
+    first, second = result.fitted.values()
+    assert first < second
+    assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
+    assert any(step.values[0] >= step.values[1] and step.loss == 1.0 for step in result.history)
+
+
+@pytest.mark.exhaustive
+def test_a_fitted_layout_is_better_than_the_bias_alone(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     alone = fit(made, [BIAS], anneal=SHORT, solver=Solver(max_steps=10))
     both = fit(made, [BIAS, SPACING], anneal=SHORT, solver=Solver(max_steps=10), evaluations=20)
-    assert [phase.searched > 0 for phase in both.phases] == [True, False, False, True, False]
-    # A search changes both, and the other phases keep the spacing.
-    values = [list(both.initial.values()), *(phase.values for phase in both.phases)]
-    for phase, before, after in zip(both.phases, values[:-1], values[1:], strict=True):
-        assert phase.searched or after[1] == pytest.approx(before[1], abs=1e-5)
-    assert values[1][0] != values[0][0]
     assert min(p.hard_loss for p in both.phases) < min(p.hard_loss for p in alone.phases)
-    assert not both.flat
 
 
+@pytest.mark.exhaustive
 def test_shares_of_cascades_are_found(seen):
     of = lambda *shares: Cascades(3, 0.8, shares=shares, max_share=0.75, margin=2.0)
     made = problem(seen, of(0.5, 0.5, 1.0))
@@ -122,20 +197,7 @@ def test_shares_of_cascades_are_found(seen):
         fit(made, [Parameter("layout.shares.0", 0.5, 0.25, 9.0)])
 
 
-def test_the_ends_of_slices_stay_in_order(seen):
-    made = problem(seen, Cascades(distances=(1.0, 2.5, 50.0), margin=2.0))
-    # These bounds allow a first slice that ends after the second.
-    ends = [
-        Parameter("layout.distances.0", 1.0, 0.5, 40.0),
-        Parameter("layout.distances.1", 2.5, 2.0, 45.0),
-    ]
-    result = fit(made, ends, evaluations=40)
-    first, second = result.fitted.values()
-    assert first < second
-    assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
-    assert any(step.values[0] >= step.values[1] and step.loss == 1.0 for step in result.history)
-
-
+@pytest.mark.exhaustive
 def test_the_strength_of_a_warp_is_found(seen):
     made = problem(seen, PerspectiveWarp(strength=0.0, margin=2.0))
     result = fit(made, [Parameter("layout.strength", 0.0, 0.0, 8.0)], evaluations=20)
@@ -143,13 +205,20 @@ def test_the_strength_of_a_warp_is_found(seen):
     assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
 
 
-def test_mistakes_are_named(seen):
-    made = problem(seen, Cascades(3, 0.2, margin=2.0))
+def test_mistakes_are_named(found):
+    made, _ = found
     with pytest.raises(ValueError, match="no scene to draw the map from"):
-        fit(dataclasses.replace(made, scene=None), [SPACING])
+        fit(dataclasses.replace(made, scene=None), ENDS[:1])
+    with pytest.raises(ValueError, match=r"further than the map's layout allows: .*out of order"):
+        fit(made, [Parameter("first", 0.2, 0.0, 0.6)])
+    with pytest.raises(ValueError, match="0 evaluations were requested"):
+        fit(made, [Parameter("first", 0.2, 0.0, 0.4)], evaluations=0)
+
+
+@pytest.mark.exhaustive
+def test_bounds_that_a_layout_does_not_allow_are_named(seen):
+    made = problem(seen, Cascades(3, 0.2, margin=2.0))
     with pytest.raises(
         ValueError, match=r"further than the map's layout allows: .*logarithmic is 2.0; expected 0 to 1"
     ):
         fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])
-    with pytest.raises(ValueError, match="0 evaluations were requested"):
-        fit(made, [SPACING], evaluations=0)

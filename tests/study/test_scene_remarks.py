@@ -15,7 +15,7 @@ scene:
     - {{path: builtin:plane, options: {{size: 4}}}}
     - {{path: builtin:box}}
     - {{{mesh}}}
-  camera: {{eye: [0, 3, 5], target: [0, 0, 0], resolution: [24, 24]}}
+  camera: {{eye: [0, 3, 5], target: [0, 0, 0], resolution: [64, 64]}}
   light: {{type: directional, azimuth: 30, elevation: 60}}
 """
 COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"

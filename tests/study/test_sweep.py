@@ -36,10 +36,10 @@ scene:
   meshes:
     - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
     - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [32, 32], orbit: {distance: 4}}
+  camera: {resolution: [64, 64], orbit: {distance: 4}}
   light: {angular_radius: 1.5}
 shadow_map: {resolution: [64, 64]}
-filter: {samples: 4, pattern_size: 4, lookup: nearest}
+filter: {samples: 4}
 reference: {samples: 4}
 output: runs
 """
@@ -348,7 +348,7 @@ def finished(tmp_path_factory):
     """One finished sweep that several tests look at: itself, its folder and what was printed."""
     with staying_in(tmp_path_factory.mktemp("finished")):
         Path("s.yaml").write_text(BASE + SWEEP)
-        sweep = load_sweep(Path("s.yaml"), ["sweep.csv=true", "scene.camera.resolution=[32, 32]"])
+        sweep = load_sweep(Path("s.yaml"), ["sweep.csv=true", "scene.camera.resolution=[64, 64]"])
         folder, said = run(sweep)
         return sweep, folder, said
 
@@ -416,7 +416,10 @@ def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypat
     module = importlib.import_module(f"diffshadow.study.runs._{kind}")
     drawn, draw = [], module.visibility_of
     monkeypatch.setattr(module, "visibility_of", lambda *args: drawn.append(draw(*args)) or drawn[-1])
-    brief = ("fit={solver: {max_steps: 1}, anneal: {phases: 1}}", "filter.lookup=bilinear")
+    # By the programs of the tests of fits.
+    solver = "{max_steps: 60, rtol: 1e-4, atol: 1e-7}"
+    parameters = "{bias.constant: {lower: 0, upper: 8}, filter.radius: {lower: 0, upper: 8}}"
+    brief = [f"fit={{parameters: {parameters}, solver: {solver}, anneal: {{phases: 1}}}}"]
     sweep = sweep_of(f"{{run: {kind}, figures: true, grid: {{filter.radius: [1]}}}}", *brief)
     folder, _ = run(sweep)
     assert table(folder)["status"] == ["ok"]
