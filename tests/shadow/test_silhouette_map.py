@@ -196,8 +196,8 @@ def _gradient(mesh: Mesh, light: str, resolution: int, size: int):
     edges = Edges.of(mesh)
     if len(mesh.faces) <= SIZES[1]:
         mesh, edges = filled(mesh, edges, *SIZES)
-    crossings = 2048
-    assert plan_crossings(mesh, make(start), (resolution, resolution), edges) <= crossings
+    # Of one number for small meshes, which then share what is compiled.
+    crossings = max(2048, plan_crossings(mesh, make(start), (resolution, resolution), edges))
     # Texels of a point light are twice as wide as any other's.
     width = (2.2 if light == "point" else 1.1) * 2 * PLACE[1] * np.tan(np.radians(CONE)) / resolution
     near, lit = _near_outlines(mesh, towards(np.zeros(parameters)), points, 4 * width)
