@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from scenes import marked
 
 import diffshadow.study
 from diffshadow.cli import _console, main
@@ -299,7 +300,11 @@ def test_process_fails_cleanly_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["fit", "--help"], ["--version"], ["validate", "broken.yaml"], ["fit", "broken.yaml"]]
+    "arguments",
+    marked(
+        [["--help"], ["fit", "--help"], ["--version"], ["validate", "broken.yaml"], ["fit", "broken.yaml"]],
+        [["--help"], ["--version"], ["validate", "broken.yaml"]],
+    ),
 )
 def test_help_and_mistakes_come_without_loading_jax(arguments, tmp_path):
     (tmp_path / "broken.yaml").write_text("scene: {meshes: [path: builtin:box]}\nsead: 3\n")

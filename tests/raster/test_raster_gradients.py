@@ -373,7 +373,8 @@ def test_the_surface_of_a_plane_lies_on_it_and_faces_the_camera():
         np.testing.assert_allclose(window, np.stack([column, row], axis=-1) + 0.5, atol=0.01)
 
 
-@pytest.mark.parametrize("camera_type", [PinholeCamera, pytest.param(OrthographicCamera, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("camera_type", [PinholeCamera, OrthographicCamera])
 def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
     radius = 0.5
     eye = np.array([1.0, 1.2, 1.4])

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import marked
 
 from diffshadow.raster._strips import BLOCK, in_strips
 
@@ -20,7 +21,7 @@ def spread(rng, how):
 
 
 @pytest.mark.parametrize("how", ["even", "clustered", "at few places"])
-@pytest.mark.parametrize("share", [1.0, 0.3, 0.0])
+@pytest.mark.parametrize("share", marked([1.0, 0.3, 0.0], [1.0]))
 def test_every_point_of_a_part_of_the_view_is_found(how, share):
     rng = np.random.default_rng(4)
     x, y = spread(rng, how)

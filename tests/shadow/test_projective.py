@@ -163,6 +163,7 @@ def _slopes(number):
         return (at(step)[0] - at(-step)[0]) / (2 * step), forward[:, number], backward[:, number]
 
 
+@pytest.mark.exhaustive
 def test_blur_has_a_gradient():
     slope, forward, backward = (found[0] for found in _slopes(0))
     assert abs(slope) > 1e-4

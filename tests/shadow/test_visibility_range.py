@@ -81,7 +81,7 @@ def assert_in_unit_range(visibility, tolerance=0.0):
 
 
 # Those that others have in them.
-RARE = ("bilinear", "four taps", "VSM")
+RARE = ("bilinear", "four taps", "VSM", "EVSM", "disk", "tent")
 
 
 @pytest.mark.parametrize(

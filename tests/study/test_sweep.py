@@ -335,6 +335,7 @@ def test_single_runs_refuse_a_sweep_unless_it_is_taken_away():
         load_sweep(Path("s.yaml"), ["sweep=null"])
 
 
+@pytest.mark.exhaustive
 def test_shipped_sweeps_are_valid():
     assert len(load_sweep(ROOT / "configs" / "error_vs_samples.yaml").runs) == 9 * 6 * 8 * 3
     assert len(load_sweep(ROOT / "configs" / "sweep_small.yaml").runs) == 12
