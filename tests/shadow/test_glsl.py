@@ -25,7 +25,7 @@ from diffshadow.shadow import (
     to_glsl,
 )
 
-SIDE = 64
+SIDE = 128
 VERTEX = """
 #version 330
 in vec2 corner;
