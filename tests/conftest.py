@@ -52,7 +52,7 @@ def _optimize(request):
     is_plain = request.node.get_closest_marker("optimized") is None
     jax.config.update("jax_disable_most_optimizations", is_plain)
     if not is_plain:
-        # Else programs that are loaded already would serve.
+        # JAX would otherwise reuse programs that were compiled without optimizations.
         jax.clear_caches()
 
 

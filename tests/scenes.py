@@ -1,6 +1,7 @@
 """Small scenes, maps and look-ups whose shadows are known, and places for runs, shared by the tests."""
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
@@ -101,6 +102,11 @@ def placed(scene: Scene, matrix: Any) -> Scene:
             way(light.direction), point(light.center), light.extent * scale, light.near * scale, light.far * scale
         )
     return Scene(moved, camera, light)
+
+
+def seen_by(camera: Any, mesh: Mesh) -> Surface:
+    """The surface, with the same fields as surfaces of points that are made by hand: they share programs."""
+    return dataclasses.replace(draw_surface(mesh, camera), from_behind=None)
 
 
 @functools.cache

@@ -1,16 +1,13 @@
 """The extent of texels on the screen: closed forms, and figures of them."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS, floor_and_card, quad, side_camera
+from scenes import LIGHTS, floor_and_card, quad, seen_by, side_camera
 
 from diffshadow.geometry import DirectionalLight, MatrixLight, OrthographicCamera, PinholeCamera
 from diffshadow.metrics import measure_aliasing
-from diffshadow.raster import draw_surface
 from diffshadow.shadow import Aliasing, ShadowMap, aliasing
 
 SIZE = (64, 64)
@@ -19,11 +16,6 @@ SIZE = (64, 64)
 def map_from(light, size=SIZE) -> ShadowMap:
     """A map of this light: what it holds does not matter."""
     return ShadowMap(jnp.zeros(size), light)
-
-
-def seen_by(camera, mesh):
-    """The surface, as surfaces of points that are made by hand."""
-    return dataclasses.replace(draw_surface(mesh, camera), from_behind=None)
 
 
 def test_texels_on_a_plane_under_light_from_above_have_their_closed_form():

@@ -1,13 +1,11 @@
 """Cascades: their slices, what their maps contain, that they meet without seams, and that texels stay in place."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import floor_and_card, jacfwd_and_value, quad, side_camera, sun, surface_at
+from scenes import floor_and_card, jacfwd_and_value, quad, seen_by, side_camera, sun, surface_at
 
 from diffshadow.geometry import (
     DirectionalLight,
@@ -66,11 +64,6 @@ def mapping(layout, kernel=None, texels=None, **settings) -> ShadowMapping:
     texels = texels or (TEXELS if getattr(layout, "shares", None) is None else SHARED_TEXELS)
     settings = MapSettings((texels, texels), **settings)
     return ShadowMapping(kernel or RandomDisk(RADIUS), BIAS, map=settings, layout=layout)
-
-
-def seen_by(camera, mesh):
-    """The surface, as surfaces of points that are made by hand."""
-    return dataclasses.replace(draw_surface(mesh, camera), from_behind=None)
 
 
 def along_corridor(resolution=SIZE, near=NEAR, far=FAR) -> PinholeCamera:

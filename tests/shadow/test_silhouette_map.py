@@ -49,7 +49,7 @@ from diffshadow.shadow.silhouettes._padded import Pyramid
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
-# Room for any mesh that is drawn outside of one; a silhouette map is told apart from a full one by twenty squares.
+# Enough memory for the silhouettes of any mesh that is drawn outside of a trace.
 CROSSINGS = 512
 POINTS = 160
 """A side of the square array of points that receive shadows."""
