@@ -14,11 +14,11 @@ from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
     Cull,
     DepthTest,
+    Fragments,
     barycentrics,
     by_bands,
     interpolate_depth,
     rasterize,
-    rasterize_depth,
     visible_depth,
 )
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
@@ -136,8 +136,8 @@ def draw_shadow_map(
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
-    def draw(behind: Int[Array, "*l h w"] | None = None) -> tuple[Array, Array]:
-        seen = rasterize(
+    def draw(behind: Int[Array, "*l h w"] | None = None) -> Fragments:
+        return rasterize(
             clip,
             mesh.faces,
             resolution,
@@ -148,19 +148,22 @@ def draw_shadow_map(
             pages=pages,
             viewports=viewports,
         )
-        if unwarped is not None:
-            return seen.face, _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
-        depth = _depth(seen.face, clip, mesh.faces, tile)
-        return seen.face, depth if is_plain else with_gradient_of(depth, seen.depth)
 
-    face, depth = draw()
-    if depth_layer != "nearest":
-        _, second = draw(face)
-        depth = second if depth_layer == "second" else _midpoint(depth, second, test)
+    def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:
+        if unwarped is not None:
+            return _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
+        depth = _depth(seen.face, clip, mesh.faces, tile)
+        return depth if is_plain else with_gradient_of(depth, seen.depth)
+
     if edges is None or crossings is None:
+        seen = draw()
+        depth = depth_of(seen)
+        if depth_layer != "nearest":
+            second = depth_of(draw(seen.face))
+            depth = second if depth_layer == "second" else _midpoint(depth, second, test)
         return ShadowMap(depth, light, depth_format)
-    height, width = resolution
-    corners = rasterize_depth(_about_corners(clip, resolution), mesh.faces, (height + 1, width + 1))
+    seen, corners = _with_corners(clip, mesh.faces, resolution, test, polygon_offset)
+    depth = depth_of(seen)
     silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
     if overflows is not None:
         overflows.append(overflow)
@@ -208,6 +211,29 @@ def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edg
         )
     mesh = mesh.padded()
     return round_up_to_power_of_two(int(_crossings(mesh, light, edges.padded(mesh.faces.shape[0]), resolution)))
+
+
+def _with_corners(
+    clip: Float[Array, "*l v 4"],
+    faces: Faces,
+    resolution: Resolution,
+    test: DepthTest,
+    polygon_offset: Any,
+) -> tuple[Fragments, Float[Array, "*l H W"]]:
+    """What the texels of a map see at their centres, and the window depth at their corners.
+
+    Both are views of one drawing, so that the rasterizer is compiled once.
+    """
+    (height, width), layered = resolution, clip.ndim > 2
+    views = clip if layered else clip[None]
+    both = jnp.concatenate([views, _about_corners(views, resolution)])
+    sides = jnp.repeat(jnp.array([[height, width], [height + 1, width + 1]], jnp.int32), len(views), axis=0)
+    seen = rasterize(
+        both, faces, (height + 1, width + 1), depth_test=test, polygon_offset=polygon_offset, viewports=sides
+    )
+    of_texels = jax.tree.map(lambda image: image[: len(views), :height, :width], seen)
+    found = of_texels, seen.depth[len(views) :]
+    return found if layered else jax.tree.map(lambda image: image[0], found)
 
 
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
