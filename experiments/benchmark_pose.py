@@ -30,6 +30,14 @@ from diffshadow.shadow import (
     stratified,
 )
 
+PARTS = (
+    "map",
+    "map and silhouettes",
+    "plain step",
+    "step",
+    "step and gradient, forward",
+    "step and gradient, reverse",
+)
 POSITION, DIRECTION = jnp.array([-1.2, 2.6, 0.9]), jnp.array([1.2, -2.2, -0.9])
 
 
@@ -38,6 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=positive, default=9, help="timed runs of each step")
     parser.add_argument("--pixels", type=positive, default=512, help="side of the image, and of the map in texels")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="which parts")
     options = parser.parse_args()
     size = (options.pixels, options.pixels)
     knot = library_mesh("torus_knot")
@@ -55,21 +64,25 @@ def main() -> None:
     def loss(by, outlines=True):
         return jnp.mean((technique.visibility(draw(by, outlines), surface) - 0.5) ** 2)
 
-    steps = {
-        "map": lambda by: draw(by, outlines=False),
-        "map and silhouettes": draw,
-        "plain step": lambda by: loss(by, outlines=False),
-        "step": loss,
-        "step and gradient, forward": jax.jacfwd(lambda by: (loss(by),) * 2, has_aux=True),
-        "step and gradient, reverse": jax.value_and_grad(loss),
-    }
+    steps = (
+        lambda by: draw(by, outlines=False),
+        draw,
+        lambda by: loss(by, outlines=False),
+        loss,
+        jax.jacfwd(lambda by: (loss(by),) * 2, has_aux=True),
+        jax.value_and_grad(loss),
+    )
     start = jnp.zeros(6)
-    compiled = {name: eqx.filter_jit(step).lower(start).compile() for name, step in steps.items()}
+    compiled = {
+        name: eqx.filter_jit(step).lower(start).compile()
+        for name, step in zip(PARTS, steps, strict=True)
+        if name in options.only
+    }
     console = Console()
     medians = median_ms({name: partial(step, start) for name, step in compiled.items()}, options.repeats, console)
     table = Table("part", "ms", "over step")
     for name, ms in medians.items():
-        table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}")
+        table.add_row(name, f"{ms:.1f}", f"{ms / medians['step']:.2f}" if "step" in medians else "")
     console.print(machine())
     console.print(f"{mesh.faces.shape[0]} triangles, memory for {crossings} crossings")
     console.print(table)

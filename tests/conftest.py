@@ -48,9 +48,10 @@ def pytest_collection_finish():
 @pytest.fixture(scope="module", autouse=True)
 def _optimize(request):
     """Has programs optimized where tests are marked `optimized`, and elsewhere not: they compile in two thirds of the
-    time."""
+    time. So do processes that tests start."""
     is_plain = request.node.get_closest_marker("optimized") is None
     jax.config.update("jax_disable_most_optimizations", is_plain)
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(is_plain)
     if not is_plain:
         # JAX would otherwise reuse programs that were compiled without optimizations.
         jax.clear_caches()

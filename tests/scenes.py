@@ -314,7 +314,7 @@ class Programs:
         self.step = np.float32(step)
         self.made: list[Any] = []
 
-    def __call__(self, _: Any, arguments: Any) -> Callable[..., Solution]:
+    def __call__(self, _: Any, arguments: Any, **_how: Any) -> Callable[..., Solution]:
         shapes = lambda tree: [np.shape(leaf) for leaf in jax.tree.leaves(tree)]
         self.made.append(shapes(arguments))
 

@@ -355,7 +355,8 @@ class Run:
         shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(arguments))
         if shapes not in programs:
             started = time.perf_counter()
-            programs[shapes] = compiled(solve, arguments)
+            # Coarse images are small.
+            programs[shapes] = compiled(solve, arguments, quickly=phase.level > 1)
             self.seconds_compiling += time.perf_counter() - started
         return programs[shapes]
 

@@ -127,15 +127,15 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     return lax.map(lambda each: view(*each), (clip, behind, viewports)) if clip.ndim > 2 else view(clip, behind, None)
 
 
-# Smaller images are drawn into buffers of these sides.
-_SHARED_SIDES = (64, 128, 256)
+# Smaller images are drawn into buffers of this side.
+_SHARED_SIDE = 256
 
 
 def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports) -> Any:
     """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
     whatever is culled."""
     height, width = resolution
-    buffer = next(((side, side) for side in _SHARED_SIDES if max(resolution) <= side), resolution)
+    buffer = (_SHARED_SIDE, _SHARED_SIDE) if max(resolution) <= _SHARED_SIDE else resolution
     if behind is not None and buffer != resolution:
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)

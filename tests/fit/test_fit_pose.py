@@ -37,7 +37,6 @@ from diffshadow.geometry import (
     DirectionalLight,
     Edges,
     Mesh,
-    OrthographicCamera,
     PinholeCamera,
     PointLight,
     RectangleLight,
@@ -461,16 +460,20 @@ SUN = LIGHTS["directional"]
 
 @pytest.fixture(scope="module")
 def recovered():
-    """The sun of a known shadow, found from three starts; the truth, the problem and the result."""
+    """The sun of a known shadow, found with memory for too few silhouettes at first; the truth, the problem and the
+    result."""
     paths = (AZIMUTH, ELEVATION)
     one = problem(SUN)
     truth = values(one, paths)
     one = to_recover(one, paths, truth)
     spans = [(truth[0] + 9, truth[0] - 25, truth[0] + 25), (truth[1] - 7, truth[1] - 20, truth[1] + 20)]
     parameters = [Parameter(path, *span, unit="degrees") for path, span in zip(paths, spans, strict=True)]
-    told = []
-    result = fit(one, parameters, levels=[4, 1], starts=3, seed=1, on_step=told.append)
-    assert told == result.history
+    told, planned = [], PoseProblem.planned
+    tight = lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
+        result = fit(one, parameters, levels=[1], on_step=told.append)
+    assert result.enlargements >= 1
     return truth, one, result
 
 
@@ -482,21 +485,18 @@ def test_sun_is_recovered_from_its_shadow(recovered):
     found = values(dataclasses.replace(one, arrangement=result.arrangement), tuple(result.fitted))
     np.testing.assert_allclose(found, list(result.fitted.values()), rtol=1e-6)
     assert result.phases[-1].hard_loss < 1e-3
-    assert [(outcome.level, outcome.blur) for outcome in result.phases][:2] == [(4, 3.0), (1, 3.0)]
+    assert (result.phases[0].level, result.phases[0].blur) == (1, 3.0)
     # A texel is two to three pixels wide.
-    assert 1.2 < result.phases[2].blur < 2.2
-    assert (result.flat, result.enlargements) == ([], 0)
+    assert 1.2 < result.phases[1].blur < 2.2
+    assert result.flat == []
 
 
 @pytest.mark.exhaustive
-def test_best_of_several_starts_is_gone_on_with(recovered):
+def test_what_overflowed_is_not_remembered_as_a_step(recovered):
     _, _, result = recovered
-    assert len({start.initial for start in result.starts}) == 3
-    best = min(result.starts, key=lambda start: start.loss)
-    assert tuple(result.initial.values()) == best.initial
-    # All starts run the coarse phase, and only one the others.
-    assert {(step.start, step.phase) for step in result.history if step.phase == 0} == {(0, 0), (1, 0), (2, 0)}
-    assert {step.start for step in result.history if step.phase > 0} == {result.starts.index(best)}
+    for phase in range(len(result.phases)):
+        numbers = [step.step for step in result.history if step.phase == phase]
+        assert numbers == list(range(len(numbers)))
 
 
 @pytest.mark.exhaustive
@@ -524,79 +524,39 @@ def test_height_of_a_card_along_the_light_is_not_determined():
     np.testing.assert_allclose(left - (left @ along) * along, 0, atol=0.01)
 
 
-@pytest.mark.exhaustive
-def test_memory_for_too_few_silhouettes_is_enlarged_and_what_has_no_gradient_is_named(monkeypatch):
-    planned, tight = PoseProblem.planned, lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
-    # Too few at first.
-    monkeypatch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
-    one = problem(LIGHTS["spot"], texels=32, camera=floor_camera(1.5, (32, 32)))
-    paths = ("lights.0.position.x", AZIMUTH)
-    truth = values(one, paths)
-    one = to_recover(one, paths, truth)
-    parameters = [
-        Parameter(paths[0], truth[0] + 0.3, truth[0] - 1, truth[0] + 1, "world units"),
-        Parameter(paths[1], truth[1] + 5, truth[1] - 30, truth[1] + 30, "degrees"),
-    ]
-    result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
-    assert result.enlargements >= 1
-    # What overflowed is not remembered as a step.
-    for phase in range(len(result.phases)):
-        numbers = [step.step for step in result.history if step.phase == phase]
-        assert numbers == list(range(len(numbers)))
-    # Nothing shows which way a light without a cone shines.
-    assert result.flat == [AZIMUTH]
-    assert result.fitted[paths[0]] == pytest.approx(truth[0], abs=0.02)
-
-
 VERTEX = ("meshes.1.vertices.2.x", "meshes.1.vertices.2.y")
-CAMERAS = {
-    "orthographic": lambda pixels: OrthographicCamera(
-        (0, 0, 0), (0, 0, -1), (0, 1, 0), height=1.0, near=0.5, far=3.0, resolution=(pixels, pixels)
-    ),
-    "perspective": lambda pixels: PinholeCamera(
-        (1, 0, 0.75), (0, 0, -2), (0, 1, 0), fov_y=24.0, near=0.5, far=6.0, resolution=(pixels, pixels)
-    ),
-}
+BELOW = PinholeCamera((1, 0, 0.75), (0, 0, -2), (0, 1, 0), fov_y=24.0, near=0.5, far=6.0, resolution=(64, 64))
 
 
-def minimal_plane(camera, texels, silhouettes=True):
+def minimal_plane(silhouettes=True):
     """A square over a square, whose vertex 2 is to be found where it has half its x and y.
 
     Worchel & Alexa, "Differentiable shadow mapping for efficient inverse graphics", CVPR 2023, figure 5.
     """
     meshes = quad((0, 0, -2), (0.5, 0, 0), (0, 0.5, 0)), quad((0, 0, 1), (0.375, 0, 0), (0, 0.375, 0))
     light = DirectionalLight.around(jnp.array([0.0, 0.0, -1.0]), merge(meshes).vertices)
-    one = problem(light, meshes=meshes, camera=camera, texels=texels, silhouettes=silhouettes, pulled=(2,))
+    one = problem(light, meshes=meshes, camera=BELOW, texels=32, silhouettes=silhouettes, pulled=(2,))
     # The camera stands below the caster and sees the receiver alone; only the map is drawn anew.
-    one = dataclasses.replace(one, surface=draw_surface(meshes[0], camera))
+    one = dataclasses.replace(one, surface=draw_surface(meshes[0], BELOW))
     return to_recover(one, VERTEX, [0.1875, 0.1875])
 
 
-def pull(one, solver):
+def pull(one):
     parameters = [Parameter(path, 0.375, 0.0, 0.5, "world units") for path in VERTEX]
-    return fit(one, parameters, solver=solver, levels=[1])
+    return fit(one, parameters, solver=Solver("levenberg_marquardt", 60, 1e-6, 1e-7), levels=[1])
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("camera", "solver", "pixels", "texels"),
-    [
-        ("orthographic", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 64, 32),
-        ("orthographic", Solver("adam", 150, 1e-7, 1e-8), 512, 256),
-        ("perspective", Solver("levenberg_marquardt", 60, 1e-6, 1e-7), 512, 256),
-    ],
-)
-def test_vertex_of_the_minimal_plane_is_recovered(camera, solver, pixels, texels):
-    result = pull(minimal_plane(CAMERAS[camera](pixels), texels), solver)
-    assert all(phase.steps <= solver.max_steps for phase in result.phases)
+def test_vertex_of_the_minimal_plane_is_recovered():
+    result = pull(minimal_plane())
+    assert all(phase.steps <= 60 for phase in result.phases)
     assert result.phases[-1].hard_loss < 1e-6
     np.testing.assert_allclose(list(result.fitted.values()), 0.1875, atol=2e-3)
 
 
 @pytest.mark.exhaustive
 def test_without_its_outline_the_minimal_plane_stalls():
-    one = minimal_plane(CAMERAS["orthographic"](64), 32, silhouettes=False)
-    result = pull(one, Solver("levenberg_marquardt", 60, 1e-6, 1e-7))
+    result = pull(minimal_plane(silhouettes=False))
     assert result.flat == list(VERTEX)
     assert result.fitted == result.initial
     # About a fifth of the receiver is lit that should not be, or the other way round.

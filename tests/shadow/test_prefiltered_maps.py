@@ -288,14 +288,13 @@ def slopes_of_sum(arguments):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("kernel", ["box", "tent", "gaussian"])
-def test_no_gradient_is_nan_or_infinite(kernel, rng):
+def test_no_gradient_is_nan_or_infinite(rng):
     lookup = random_lookups(rng)
     depth = lookup.depth.at[0].set(-1.0).at[1].set(0.0).at[2].set(1.0).at[3].set(2.0)
     maps = [random_map(rng), map_of(np.ones((11, 14))), map_of(np.full((11, 14), 0.5)), map_of(np.zeros((11, 14)))]
     for radius in (0.0, 0.5, 2.0):
         kernels = [
-            eqx.tree_at(lambda k: k.radius, kind(1.0, 3.0, kernel), jnp.float32(radius)) for kind in KINDS.values()
+            eqx.tree_at(lambda k: k.radius, kind(1.0, 3.0, "tent"), jnp.float32(radius)) for kind in KINDS.values()
         ]
         for shadow_map in maps:
             for scale in (0.0, 1.0, 1e9):

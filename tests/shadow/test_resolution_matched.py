@@ -30,7 +30,6 @@ from diffshadow.shadow import (
     Nearest,
     PercentageCloser,
     PercentageCloserSoft,
-    RandomDisk,
     ReceiverPlane,
     ResolutionMatched,
     ShadowMap,
@@ -122,7 +121,6 @@ def test_faces_that_are_clipped_are_drawn_into_every_page():
 WHOLE_STEPS = {"percentage closer": PercentageCloser(3.0), "tent": Tent(2.0)}
 OTHER_STEPS = {
     "soft": PercentageCloserSoft(2.0, max_radius=3.0),
-    "disk": RandomDisk(3.0),
     "variance": VarianceShadowMap(radius=2.0),
 }
 ROUNDING = 1e-5

@@ -252,7 +252,6 @@ def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
     [
         ("nearest", "unorm16", 2**16 - 1),
         pytest.param("midpoint", "unorm16", 2**16 - 1, marks=pytest.mark.exhaustive),
-        pytest.param("midpoint", "unorm24", 2**24 - 1, marks=pytest.mark.exhaustive),
     ],
 )
 def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):

@@ -146,7 +146,6 @@ def test_constant_maps_give_the_compare_itself_even_far_away(kernel, compare, rn
     ("name", "kernel"),
     [
         pytest.param("tent", lambda: Tent(1.0, 2.0), id="tent", marks=pytest.mark.exhaustive),
-        pytest.param("castano", lambda: Castano(3), id="castano", marks=pytest.mark.exhaustive),
         pytest.param("separable", lambda: Separable((0.8, 0.3)), id="separable", marks=pytest.mark.exhaustive),
     ],
 )
