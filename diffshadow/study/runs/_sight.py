@@ -14,6 +14,10 @@ _INSIDE = 0.75
 # Single precision has seven digits.
 _LEAST_RATIO = 1e-6
 _NO_DEPTHS = "single precision cannot distinguish depths between its near and far"
+_NO_POINTS = (
+    "none is within its frustum, since single precision cannot distinguish points from so far away",
+    "move it nearer",
+)
 # Triangles per batch.
 _SOME = 1 << 18
 
@@ -45,7 +49,7 @@ def blind_camera(config: Config, scene: geometry.Scene, surface: raster.Surface)
 def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) -> str:
     """The error message for the only light of `scene`, if its frustum contains nothing that the camera sees."""
     light, points = scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
-    cause, mend = _most_are(config, light, points)
+    cause, mend = _most_are(config, scene, points)
     position = getattr(light, "position", None)
     inside = None if position is None else _mesh_around(config, scene, np.asarray(position, np.float64))
     if inside is not None:
@@ -58,10 +62,14 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
     )
 
 
-def _most_are(config: Config, light: geometry.AbstractLight, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
+def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
     """Where most of `points` are, all of which are outside the light's frustum, and how to get them inside."""
+    light = scene.light
     if _has_no_depths(light.view()):
         return f"none is within its frustum, since {_NO_DEPTHS}", "set its near and far, or move it nearer"
+    position = getattr(light, "position", None)
+    if position is not None and np.spacing(np.abs(points - np.asarray(position)).max()) > size_of(scene.mesh):
+        return _NO_POINTS
     layer = light.layer(jnp.asarray(points))
     view = light.view() if layer is None else light.view().facing(layer)
     x, y, z, w = np.moveaxis(np.asarray(view.clip(jnp.asarray(points)), np.float64), -1, 0)
@@ -78,8 +86,7 @@ def _most_are(config: Config, light: geometry.AbstractLight, points: Float[HostA
     if not which.any():
         if offset := config.bias.normal_offset:
             return f"a normal_offset of {offset:g} texels moves all out of its frustum", "lower bias.normal_offset"
-        cause = "none is within its frustum, since single precision cannot distinguish points from so far away"
-        return cause, "move it nearer"
+        return _NO_POINTS
     return cause.format(int(which.sum())), mend
 
 
