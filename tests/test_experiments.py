@@ -80,13 +80,13 @@ def test_error_falls_with_resolution_as_a_seam_does():
 @pytest.mark.exhaustive
 def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     script, corridor = importlib.import_module("where_texels_go"), (ROOT / "configs" / "corridor.yaml").read_text()
-    Path("corridor.yaml").write_text(corridor.replace("resolution: [256, 256]", "resolution: [96, 96]"))
-    found = script.main(Path("corridor.yaml"), sizes="256", only="plain,warped,pages,cascades4")
+    Path("corridor.yaml").write_text(corridor.replace("resolution: [256, 256]", "resolution: [64, 64]"))
+    found = script.main(Path("corridor.yaml"), sizes="512", only="plain,warped,pages,cascades4")
     folder = Path("runs") / "corridor-where_texels_go"
     assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
     plain, warped, pages, cascades = (row["rmse"] for row in found["rows"])
     assert max(warped, cascades) < 0.8 * plain
-    assert pages < min(warped, cascades), "where memory suffices"
+    assert pages < 0.9 * min(warped, cascades), "where memory suffices"
     assert [row["spacing"] is None for row in found["rows"]] == [True, True, True, False]
     extents = [row["percentile_99"] for row in found["rows"]]
     assert max(extents[1:]) < 0.5 * extents[0]

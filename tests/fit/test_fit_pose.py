@@ -559,5 +559,5 @@ def test_without_its_outline_the_minimal_plane_stalls():
     result = pull(minimal_plane(silhouettes=False))
     assert result.flat == list(VERTEX)
     assert result.fitted == result.initial
-    # About a fifth of the receiver is lit that should not be, or the other way round.
-    assert 0.1 < result.phases[-1].hard_loss < 0.3
+    # About a tenth of the receiver is lit that should not be, or the other way round.
+    assert 0.05 < result.phases[-1].hard_loss < 0.3
