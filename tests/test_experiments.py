@@ -85,7 +85,8 @@ def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     folder = Path("runs") / "corridor-where_texels_go"
     assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
     plain, warped, pages, cascades = (row["rmse"] for row in found["rows"])
-    assert max(warped, cascades) < 0.8 * plain
+    assert warped < 0.8 * plain
+    assert cascades < 0.6 * plain
     assert pages < 0.9 * min(warped, cascades), "where memory suffices"
     assert [row["spacing"] is None for row in found["rows"]] == [True, True, True, False]
     extents = [row["percentile_99"] for row in found["rows"]]
@@ -258,13 +259,13 @@ def test_truth_lies_within_the_deviations_that_fits_report():
     moved = "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, levels: [1]}"
     plane = "{path: builtin:plane, options: {size: 4}}"
     meshes = f"scene.meshes=[{{path: builtin:torus, size: 1, drop_to_ground: true}}, {plane}]"
-    found = run("coverage", camera, bias, meshes, *hard, moved, lights="directional", meshes="builtin:blob", draws=8)
+    found = run("coverage", camera, bias, meshes, *hard, moved, lights="directional", meshes="builtin:blob", draws=16)
     covered = found["covered"]["directional"]
-    assert (covered["fits"], covered["values"] + covered["without"]) == (8, 16)
-    # Four of a binomial's standard deviations below 68 % and 95 % of 16.
-    assert covered["one"] >= 0.21
-    assert covered["two"] >= 0.73
-    assert len({row["error"] for row in found["rows"]}) == 16, "every draw is another"
+    assert (covered["fits"], covered["values"] + covered["without"]) == (16, 32)
+    # Four of a binomial's standard deviations below 68 % and 95 % of 32.
+    assert covered["one"] >= 0.35
+    assert covered["two"] >= 0.79
+    assert len({row["error"] for row in found["rows"]}) == 32, "every draw is another"
 
 
 @pytest.mark.exhaustive

@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
@@ -224,16 +225,35 @@ def _with_corners(
 
     Both are views of one drawing, so that the rasterizer is compiled once.
     """
-    (height, width), layered = resolution, clip.ndim > 2
-    views = clip if layered else clip[None]
-    both = jnp.concatenate([views, _about_corners(views, resolution)])
-    sides = jnp.repeat(jnp.array([[height, width], [height + 1, width + 1]], jnp.int32), len(views), axis=0)
+    height, width = resolution
+    views = _centres_and_corners(clip, resolution)
+    sides = np.repeat(np.array([[height, width], [height + 1, width + 1]], np.int32), len(views) // 2, axis=0)
     seen = rasterize(
-        both, faces, (height + 1, width + 1), depth_test=test, polygon_offset=polygon_offset, viewports=sides
+        views,
+        faces,
+        (height + 1, width + 1),
+        depth_test=test,
+        polygon_offset=polygon_offset,
+        viewports=jnp.asarray(sides),
     )
-    of_texels = jax.tree.map(lambda image: image[: len(views), :height, :width], seen)
-    found = of_texels, seen.depth[len(views) :]
-    return found if layered else jax.tree.map(lambda image: image[0], found)
+    return _parted(seen, clip.shape[:-2], resolution)
+
+
+@eqx.filter_jit
+def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
+    """Clip coordinates of all layers of a map, and then of those of an image of its texels' corners."""
+    layers = clip.reshape(-1, *clip.shape[-2:])
+    return jnp.concatenate([layers, _about_corners(layers, resolution)])
+
+
+@eqx.filter_jit
+def _parted(
+    seen: Fragments, layers: tuple[int, ...], resolution: Resolution
+) -> tuple[Fragments, Float[Array, "*l H W"]]:
+    """A map, and the depth at its texels' corners, of the views of `_centres_and_corners`."""
+    height, width = resolution
+    parts = jax.tree.map(lambda image: image.reshape(2, *layers, *image.shape[-2:]), seen)
+    return jax.tree.map(lambda image: image[0, ..., :height, :width], parts), parts.depth[1]
 
 
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:

@@ -37,7 +37,7 @@ from diffshadow.geometry import (
     DirectionalLight,
     Edges,
     Mesh,
-    PinholeCamera,
+    OrthographicCamera,
     PointLight,
     RectangleLight,
     Scene,
@@ -468,11 +468,11 @@ def recovered():
     one = to_recover(one, paths, truth)
     spans = [(truth[0] + 9, truth[0] - 25, truth[0] + 25), (truth[1] - 7, truth[1] - 20, truth[1] + 20)]
     parameters = [Parameter(path, *span, unit="degrees") for path, span in zip(paths, spans, strict=True)]
-    told, planned = [], PoseProblem.planned
+    planned = PoseProblem.planned
     tight = lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
-        result = fit(one, parameters, levels=[1], on_step=told.append)
+        result = fit(one, parameters, levels=[1])
     assert result.enlargements >= 1
     return truth, one, result
 
@@ -525,7 +525,7 @@ def test_height_of_a_card_along_the_light_is_not_determined():
 
 
 VERTEX = ("meshes.1.vertices.2.x", "meshes.1.vertices.2.y")
-BELOW = PinholeCamera((1, 0, 0.75), (0, 0, -2), (0, 1, 0), fov_y=24.0, near=0.5, far=6.0, resolution=(64, 64))
+BELOW = OrthographicCamera((0, 0, 0), (0, 0, -1), (0, 1, 0), height=1.0, near=0.5, far=3.0, resolution=(64, 64))
 
 
 def minimal_plane(silhouettes=True):
@@ -559,5 +559,5 @@ def test_without_its_outline_the_minimal_plane_stalls():
     result = pull(minimal_plane(silhouettes=False))
     assert result.flat == list(VERTEX)
     assert result.fitted == result.initial
-    # About a tenth of the receiver is lit that should not be, or the other way round.
-    assert 0.05 < result.phases[-1].hard_loss < 0.3
+    # About a fifth of the receiver is lit that should not be, or the other way round.
+    assert 0.1 < result.phases[-1].hard_loss < 0.3

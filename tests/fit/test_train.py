@@ -122,6 +122,13 @@ def test_compressed_residuals_have_the_loss_and_its_gradient(views):
         assert np.abs(gradient).min() > 1e-4
 
 
+@pytest.mark.parametrize("solver", [Solver("adam", 30, learning_rate=0.05), Solver("dogleg", 10)], ids=lambda s: s.name)
+def test_other_solvers_get_better_too(views, solver):
+    found = train(views, numbers, solver=solver, anneal=Anneal(0.3, 0.3, 1))
+    assert found.loss < 0.5 * found.initial_loss
+    assert found.phases[0].steps <= solver.max_steps
+
+
 def test_training_keeps_lower_bounds_and_never_ends_worse(views):
     # The references have 0.9.
     start, lower = [dataclasses.replace(view, technique=waves((1.4, 0.7))) for view in views], (1.0, -np.inf)

@@ -265,7 +265,7 @@ VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float
 
 @pytest.mark.parametrize(
     "resolution",
-    marked([(1, 8192), (33, 47)], [(33, 47)]),
+    marked([(1, 8192), (1, 1), (8192, 1), (33, 47)], [(1, 1), (8192, 1), (33, 47)]),
 )
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
     face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution)

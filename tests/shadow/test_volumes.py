@@ -160,7 +160,7 @@ def test_overlapping_volumes_count_up():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("file", ["fandisk.obj"])
+@pytest.mark.parametrize("file", ["spot.obj", "fandisk.obj"])
 def test_real_closed_meshes_agree_with_float64_rays(file):
     if not (REAL_MESHES / file).exists():
         pytest.skip(f"{REAL_MESHES / file} is missing: put the meshes for trials beside the repository")

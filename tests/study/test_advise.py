@@ -480,14 +480,13 @@ def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     assert "RMSE, fitted views" in (apart / "report.html").read_text()
 
 
-def test_validation_of_a_fit_is_in_the_table_of_its_sweep(monkeypatch):
+def test_validation_of_a_fit_is_in_the_table_of_its_sweep(no_figures):
     import pyarrow.parquet
 
     Path("a.yaml").write_text(SHARED)
     advice = load_advice(Path("a.yaml"), [VALIDATION, "output=out"])
     folder, _ = run(advice)
     table = pyarrow.parquet.read_table(folder / "results.parquet").to_pydict()
-    monkeypatch.setattr("diffshadow.study.pages._figures.write_figures", lambda *_: [])
     metrics = result_of(study.run_fit(advice.sweep.runs[0].config, console=Console(quiet=True)))["metrics"]
     for when in ("before", "after"):
         assert table[f"validation.{when}.rmse"][0] == metrics["validation"][when]["rmse"] != metrics[when]["rmse"]

@@ -66,6 +66,10 @@ def has_results(leader: int) -> bool:
     return len(list(Path("runs/s-sweep/runs").glob("[!.]*/result.json"))) >= 3
 
 
+def is_gathering(leader: int) -> bool:
+    return Path("gathering").exists()
+
+
 def is_checking(leader: int) -> bool:
     time.sleep(0.2)
     return Path("started").exists()
@@ -76,9 +80,11 @@ def is_checking(leader: int) -> bool:
     ("moment", "presses", "arguments"),
     [
         pytest.param(is_checking, 1, ["sweep.repeats=65536"], id="while it is checked"),
+        pytest.param(has_worker, 1, ["--workers", "2"], id="while workers start"),
         pytest.param(has_worker, 2, ["--workers", "1"], id="twice"),
         pytest.param(has_results, 1, ["--workers", "2"], id="while they work"),
         pytest.param(has_results, 1, ["--workers", "0"], id="in one process"),
+        pytest.param(is_gathering, 1, ["--workers", "0", "--limit", "1"], id="while results are gathered"),
     ],
 )
 def test_interrupted_sweep_ends_with_one_line_and_all_its_processes(moment, presses, arguments, tmp_path):
