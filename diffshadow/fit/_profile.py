@@ -134,16 +134,20 @@ class Profiler:
                 outside = trial
                 break
             inside = trial
+        beyond: list[bool] = []
         for _ in range(_TRIALS):
             if distance(inside) >= abs(bound - start.values[index]):
                 break
-            if limit - inside.error <= _CLOSE * (limit - self.best.error) and inside is not start:
+            if limit - inside.error <= _CLOSE * (limit - self.best.error):
                 break
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
-            value = self._next(start, inside, outside, index, side, limit)
+            # Where two trials in a row move the same end, the error jumps, and interpolation would take many more.
+            halve = outside is not None and len(beyond) > 1 and beyond[-1] == beyond[-2]
+            value = self._next(start, inside, outside, index, side, limit, halve)
             trial = self._trial(inside, index, value, limit, kept)
             known.append(trial)
+            beyond.append(trial.error > limit)
             if trial.error < (1 - _BETTER) * self.best.error:
                 self._restart(trial)
                 return trial
@@ -165,21 +169,26 @@ class Profiler:
         # What is fitted under a soft compare may be worse under the hard one.
         return min(trial, Trial(moved, self.run.error(moved)), key=lambda trial: trial.error)
 
-    def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float) -> float:
-        """The value to try: where a parabola about `start` has the error `limit`."""
+    def _next(
+        self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float, halve: bool
+    ) -> float:
+        """The value to try: where a parabola about `start` has an error as close to `limit` as is needed, or the middle
+        between `inside` and `outside`."""
         parameter, here = self.parameters[index], start.values[index]
         known = inside if outside is None else outside
         far, excess = known.values[index] - here, known.error**2 - self.best.error**2
+        # The middle of the errors that end the search.
+        aim = limit - _CLOSE / 2 * (limit - self.best.error)
         if outside is not None:
             near = inside.values[index] - here
-            part = (limit**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
-            reach = (near**2 + part * (far**2 - near**2)) ** 0.5
+            part = (aim**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
+            reach = abs(near + far) / 2 if halve else (near**2 + part * (far**2 - near**2)) ** 0.5
             margin = _MARGIN * abs(far - near)
             reach = min(max(reach, abs(near) + margin), abs(far) - margin)
         elif far == 0:
             reach = _FIRST * (parameter.upper - parameter.lower)
         else:
-            reach = abs(far) * ((limit**2 - self.best.error**2) / max(excess, 1e-30)) ** 0.5
+            reach = abs(far) * ((aim**2 - self.best.error**2) / max(excess, 1e-30)) ** 0.5
             reach = min(max(reach, _LEAST_GROWTH * abs(far)), _MOST_GROWTH * abs(far))
         value = here + reach if side == "upper" else here - reach
         return min(max(value, parameter.lower), parameter.upper)

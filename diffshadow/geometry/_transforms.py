@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._misc import as_float, normalize
+from .._misc import as_float, dot, normalize
 from .._types import Mat4, Scalar, Vec3
 
 
@@ -35,9 +35,11 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
     If `up` is within about 0.1° of `forward`, the coordinate axis least parallel to `forward` is used instead.
     """
     backward = -normalize(forward)
-    spare = jnp.eye(3, dtype=backward.dtype)[jnp.argmin(jnp.abs(backward))]
-    degenerate = jnp.sum(jnp.cross(normalize(up), backward) ** 2) < 3e-6
-    right = normalize(jnp.cross(jnp.where(degenerate, spare, up), backward))
+    side = jnp.cross(up, backward)
+    is_parallel = ~(dot(side, side) > 3e-6 * dot(up, up))
+    x, y, z = jnp.abs(backward)
+    spare = jnp.stack([(x <= y) & (x <= z), (y < x) & (y <= z), (z < x) & (z < y)]).astype(backward.dtype)
+    right = normalize(jnp.where(is_parallel, jnp.cross(spare, backward), side))
     return jnp.stack([right, jnp.cross(backward, right), backward])
 
 
@@ -45,7 +47,8 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
 def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
     """World space to eye space: the eye at the origin, looking along `-z` (`gluLookAt`)."""
     rows = frame(forward, up)
-    return jnp.eye(4, dtype=rows.dtype).at[:3, :3].set(rows).at[:3, 3].set(-jnp.sum(rows * eye, axis=-1))
+    last = jnp.array([[0, 0, 0, 1]], rows.dtype)
+    return jnp.concatenate([jnp.concatenate([rows, -dot(rows, eye)[:, None]], axis=1), last])
 
 
 def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:

@@ -69,7 +69,8 @@ class PerceptronBias(AbstractBias):
             lengths = {len(row) for row in weight}
             if len(lengths) != 1:
                 raise ValueError(f"rows of the perceptron's weights have lengths {sorted(lengths)}; expected all equal")
-            empty = eqx.nn.Linear(lengths.pop(), len(weight), key=jax.random.key(0))
+            # Only its shape, since random numbers take time to compile.
+            empty = eqx.filter_eval_shape(eqx.nn.Linear, lengths.pop(), len(weight), key=jax.random.key(0))
             layers.append(eqx.tree_at(lambda x: (x.weight, x.bias), empty, (as_float(weight), as_float(bias))))
         return cls(linear, tuple(layers), as_float(last))
 
