@@ -144,7 +144,9 @@ class View(eqx.Module):
         texel: Float[Array, "*n 2"] | None = None,
     ) -> Float[Array, "*n"]:
         """The geometric mean of a texel's width and height, in world units; arguments as for `texel_extent`."""
-        return jnp.sqrt(jnp.prod(self.texel_extent(distance, resolution, texel), axis=-1))
+        extent = self.texel_extent(distance, resolution, texel)
+        # Not by `prod`, since XLA fuses no reductions.
+        return jnp.sqrt(extent[..., 0] * extent[..., 1])
 
     def along_axes(
         self, gradient: Float[Array, "*n 2"], texel: Float[Array, "*n 2"], resolution: tuple[int, int]
