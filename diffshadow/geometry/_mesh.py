@@ -80,12 +80,14 @@ class Mesh(eqx.Module):
         if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
         corner = int(np.asarray(self.faces)[0, 0])
-        return Mesh(
+        arrays = [
             filled(self.vertices, size, np.asarray(self.vertices)[corner]),
             filled(self.faces, faces, corner),
             filled(self.corner_normals, faces),
             filled(self.albedo, faces),
-        )
+        ]
+        # Without the checks of a mesh from outside, which take longer.
+        return jax.tree.unflatten(jax.tree.structure(self), jax.device_put(arrays))
 
     @property
     def bounds(self) -> Float[Array, "2 3"]:

@@ -10,7 +10,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._misc import as_float, as_int, filled, shared_mesh_size
+from .._misc import as_float, filled, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
 from ._bins import FACING, Cull, bin_triangles
@@ -38,16 +38,18 @@ class Fragments(eqx.Module):
     depth: Float[Array, "*b h w"]
 
 
-def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Float[Array, "*b V 4"], Int[Array, "F 3"]]:
-    """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled."""
+def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Any, Any]:
+    """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled.
+
+    **Returns:** both arrays, on the host where they had to be filled up.
+    """
     if isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
     size, vertices = shared_mesh_size(faces.shape[0], clip.shape[-2])
-    if (size, vertices) != (faces.shape[0], clip.shape[-2]):
-        # In NumPy, whose copies need no compiling.
-        clip = jnp.asarray(np.moveaxis(filled(np.moveaxis(np.asarray(clip), -2, 0), vertices), 0, -2))
-        faces = jnp.asarray(filled(faces, size))
-    return clip, faces
+    if (size, vertices) == (faces.shape[0], clip.shape[-2]):
+        return clip, faces
+    # In NumPy, whose copies need no compiling, and which programs take as they are.
+    return np.moveaxis(filled(np.moveaxis(np.asarray(clip), -2, 0), vertices), 0, -2), filled(faces, size)
 
 
 def rasterize(
@@ -110,15 +112,18 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
         )
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
+    given = clip, faces, polygon_offset, behind, pages, viewports
+    is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
+    if is_traced:
+        clip, faces = lax.stop_gradient((clip, faces))
     # The search is integer work and single precision whatever the precision of what is interpolated later.
-    clip, faces = padded(lax.stop_gradient(clip).astype(jnp.float32), lax.stop_gradient(faces))
+    clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), faces)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    given = clip, faces, polygon_offset, behind, pages, viewports
-    if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
+    if pages is None and not is_traced:
         return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports)
 
-    def view(clip: Array, behind: Array | None, viewport: Array | None) -> Fragments | Array:
+    def view(clip: Any, behind: Array | None, viewport: Array | None) -> Fragments | Array:
         viewport = resolution if viewport is None else viewport
         draws = FACING[cull]
         return _rasterize(clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages)
@@ -140,8 +145,9 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)
 
-    def view(clip: Array, behind: Array | None, viewport: Any) -> Fragments | Array:
-        viewport, draws = as_int(viewport), as_int(FACING[cull])
+    def view(clip: Any, behind: Array | None, viewport: Any) -> Fragments | Array:
+        # In NumPy, since to make an array on the device takes longer than a small image.
+        viewport, draws = np.asarray(viewport, np.int32), np.asarray(FACING[cull], np.int32)
         return _rasterize(clip, faces, viewport, buffer, draws, test, polygon_offset, behind, with_face, None)
 
     if clip.ndim == 2:
