@@ -142,9 +142,11 @@ class Profiler:
                 break
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
-            # Where two trials in a row move the same end, the error jumps, and interpolation would take many more.
-            halve = outside is not None and len(beyond) > 1 and beyond[-1] == beyond[-2]
-            value = self._next(start, inside, outside, index, side, limit, halve)
+            if outside is not None and len(beyond) > 1 and beyond[-1] == beyond[-2]:
+                # Two trials in a row moved the same end: the error jumps, and interpolation would take many more.
+                value = (inside.values[index] + outside.values[index]) / 2
+            else:
+                value = self._next(start, inside, outside, index, side, limit)
             trial = self._trial(inside, index, value, limit, kept)
             known.append(trial)
             beyond.append(trial.error > limit)
@@ -169,11 +171,8 @@ class Profiler:
         # What is fitted under a soft compare may be worse under the hard one.
         return min(trial, Trial(moved, self.run.error(moved)), key=lambda trial: trial.error)
 
-    def _next(
-        self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float, halve: bool
-    ) -> float:
-        """The value to try: where a parabola about `start` has an error as close to `limit` as is needed, or the middle
-        between `inside` and `outside`."""
+    def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float) -> float:
+        """The value to try: where a parabola about `start` has an error as close to `limit` as is needed."""
         parameter, here = self.parameters[index], start.values[index]
         known = inside if outside is None else outside
         far, excess = known.values[index] - here, known.error**2 - self.best.error**2
@@ -182,7 +181,7 @@ class Profiler:
         if outside is not None:
             near = inside.values[index] - here
             part = (aim**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
-            reach = abs(near + far) / 2 if halve else (near**2 + part * (far**2 - near**2)) ** 0.5
+            reach = (near**2 + part * (far**2 - near**2)) ** 0.5
             margin = _MARGIN * abs(far - near)
             reach = min(max(reach, abs(near) + margin), abs(far) - margin)
         elif far == 0:

@@ -36,6 +36,7 @@ def frame(forward: Vec3, up: Vec3) -> Float[Array, "3 3"]:
     """
     backward = -normalize(forward)
     side = jnp.cross(up, backward)
+    # Not `<=`, so that an `up` whose square overflows counts as parallel too.
     is_parallel = ~(dot(side, side) > 3e-6 * dot(up, up))
     x, y, z = jnp.abs(backward)
     spare = jnp.stack([(x <= y) & (x <= z), (y < x) & (y <= z), (z < x) & (z < y)]).astype(backward.dtype)

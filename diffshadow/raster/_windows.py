@@ -219,7 +219,7 @@ class DrawPass(Drawing):
             x, y = take(left, owner) + within % across * BLOCK, take(bottom, owner) + within // across * BLOCK
             x, y = (jnp.where(exists, low, 0) for low in (x, y))
             own, own_plane, of_layer = jax.tree.map(lambda values: take(values, owner), (corners, plane, layer))
-            # Without the barrier the compiler computes a form anew for every pixel.
+            # The barrier keeps XLA from computing the edge functions again for every pixel.
             form = lax.optimization_barrier(self._form(own, own_plane, x, y, of_layer))
             return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)
 
