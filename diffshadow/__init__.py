@@ -7,8 +7,8 @@ Its subpackages, each with its public names on one page:
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
 A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global;
-`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores, and `keep_freed_memory()`
-spares large arrays fresh pages.
+`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores, `keep_freed_memory()`
+spares large arrays fresh pages, and `collect_rarely()` spares imports and traces the garbage collector.
 """
 
 from importlib import import_module
@@ -16,6 +16,7 @@ from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from ._memory import collect_rarely as collect_rarely
 from ._memory import keep_freed_memory as keep_freed_memory
 from ._xla import use_all_cores as use_all_cores
 

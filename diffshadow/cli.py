@@ -23,7 +23,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from ._memory import keep_freed_memory
+from ._memory import collect_rarely, keep_freed_memory
 from ._xla import use_all_cores
 from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable
 
@@ -390,6 +390,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     use_all_cores()
     keep_freed_memory()
+    collect_rarely()
     errors = _Console(stderr=True, highlight=False)
     for stream in (sys.stdout, sys.stderr):
         # The stream's encoding may lack characters of names.

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import fit, geometry, io, keep_freed_memory, raster, reference, use_all_cores
+from diffshadow import collect_rarely, fit, geometry, io, keep_freed_memory, raster, reference, use_all_cores
 from diffshadow.config import (
     Config,
     ConfigError,
@@ -49,6 +49,7 @@ INK, FAINT = style.INK, style.FAINT
 # At import, since experiments make arrays when they are imported.
 use_all_cores()
 keep_freed_memory()
+collect_rarely()
 
 COLOURS, HEAT = style.CYCLE, style.DISTANCE
 figure, colour_bar, curve = style.figure, style.colour_bar, style.curve

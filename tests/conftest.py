@@ -8,7 +8,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-from diffshadow import use_all_cores
+from diffshadow import collect_rarely, use_all_cores
 
 _ARRAYS = ("_misc", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
 install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "beartype.beartype")
@@ -21,8 +21,7 @@ _MAPPINGS = Path("/proc/self/maps")
 # Linux allows a process 65,530, and each compiled program takes several.
 _MOST_MAPPINGS = 25_000
 
-# Tracing makes millions of objects that live: looking through them as often as Python does costs 7 % of the time.
-gc.set_threshold(200_000, 20, 100)
+collect_rarely()
 
 
 def pytest_configure(config):

@@ -212,6 +212,22 @@ def apply(kernel: AbstractFilter, shadow_map: ShadowMap, lookup: Lookup, compare
 
 
 @contextlib.contextmanager
+def compiled_programs() -> Iterator[list[str]]:
+    """The names of the programs that are compiled, or loaded from the disk, meanwhile."""
+    names: list[str] = []
+
+    def listen(event: str, _: float, **about: Any) -> None:
+        if event.endswith("backend_compile_duration"):
+            names.append(str(about.get("fun_name")))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield names
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+@contextlib.contextmanager
 def staying_in(folder: Path) -> Iterator[None]:
     """`folder` as the current one, with a cache of its own, until the block ends."""
     with pytest.MonkeyPatch.context() as patch:

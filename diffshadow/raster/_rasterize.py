@@ -63,6 +63,7 @@ def rasterize(
     behind: Int[Array, "*l h w"] | None = None,
     pages: Pages | None = None,
     viewports: Int[Array, "b 2"] | None = None,
+    buffer: Resolution | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -84,10 +85,12 @@ def rasterize(
         (l, h, w). `clip` is one view, that of the virtual map, and `resolution` that of a layer.
     - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
         drawn into. Pixels beyond see nothing.
+    - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
+        a trace, drawings with one buffer share what is compiled; under a trace, it is ignored.
 
-    **Raises** `ValueError` for a resolution or depth test out of range.
+    **Raises** `ValueError` for a resolution, buffer or depth test out of range.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports, buffer)
 
 
 def rasterize_depth(
@@ -100,15 +103,22 @@ def rasterize_depth(
     polygon_offset: Any = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None, None)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports) -> Any:
+def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer) -> Any:
     test = test or DepthTest()
     test.check()
     if not all(1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
         raise ValueError(
             f"the resolution is {resolution}; expected (height, width), each from 1 to {MOST_PIXELS_ACROSS} pixels"
+        )
+    if buffer is not None and not all(
+        n <= size <= MOST_PIXELS_ACROSS for n, size in zip(resolution, buffer, strict=True)
+    ):
+        raise ValueError(
+            f"the buffer is {buffer}; expected (height, width), at least {resolution} and at most {MOST_PIXELS_ACROSS} "
+            "pixels each"
         )
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
@@ -121,7 +131,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
     if pages is None and not is_traced:
-        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports)
+        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer)
 
     def view(clip: Any, behind: Array | None, viewport: Array | None) -> Fragments | Array:
         viewport = resolution if viewport is None else viewport
@@ -136,11 +146,12 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
 _SHARED_SIDE = 256
 
 
-def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports) -> Any:
+def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer) -> Any:
     """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
     whatever is culled."""
     height, width = resolution
-    buffer = (_SHARED_SIDE, _SHARED_SIDE) if max(resolution) <= _SHARED_SIDE else resolution
+    size = buffer or resolution
+    buffer = (_SHARED_SIDE, _SHARED_SIDE) if max(size) <= _SHARED_SIDE else size
     if behind is not None and buffer != resolution:
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)

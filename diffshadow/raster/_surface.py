@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._misc import dot, normalize
-from .._types import ClipVertices, FaceMap, Mask, VectorMap
+from .._types import ClipVertices, FaceMap, Mask, Resolution, VectorMap
 from ..geometry import AbstractCamera, Mesh, face_normals
 from ._bins import Cull
 from ._interpolate import (
@@ -53,14 +53,15 @@ def draw_surface(
     camera: AbstractCamera,
     *,
     cull: Cull = "none",
+    buffer: Resolution | None = None,
 ) -> Surface:
     """The surface of `mesh` that `camera` sees at its pixel centres, differentiable but for which face is seen.
 
-    **Arguments:** `cull` as for `rasterize`.
+    **Arguments:** `cull` and `buffer` as for `rasterize`.
     """
     mesh = mesh.padded()
     clip = _clip(mesh, camera)
-    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull).face
+    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, buffer=buffer).face
     return _surface(mesh, camera, face, clip)
 
 

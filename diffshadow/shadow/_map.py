@@ -178,6 +178,10 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes)
 
 
+# Pixels along a side. Drawing an image into a larger buffer takes as long as compiling another program, or longer.
+_MOST_SHARED = 2049
+
+
 class MapSettings(NamedTuple):
     """How a shadow map is drawn; see `draw_shadow_map`.
 
@@ -196,6 +200,16 @@ class MapSettings(NamedTuple):
         """The shadow map of `casters` under `light`; `edges`, `crossings` and `overflows` as for `draw_shadow_map`."""
         given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how)
+
+    def buffer(self, image: Resolution) -> Resolution | None:
+        """The buffer for `draw_surface` with which an `image` of this size and the map are drawn by one program.
+
+        **Returns** `None` if the image does not fit in, or the map is so large that sharing would not pay.
+        """
+        height, width = self.resolution
+        # With silhouettes, the corners of texels are drawn too.
+        size = (height + 1, width + 1) if self.silhouettes else (height, width)
+        return size if all(n <= side <= _MOST_SHARED for n, side in zip(image, size, strict=True)) else None
 
 
 def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edges: Edges) -> int:

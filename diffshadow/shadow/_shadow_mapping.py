@@ -40,6 +40,11 @@ class ShadowMapping(AbstractTechnique):
     map: MapSettings = eqx.field(static=True, default=MapSettings())
     layout: AbstractLayout = SingleMap()
 
+    @property
+    def layers(self) -> MapSettings:
+        """`map` with the resolution of a layer of the layout."""
+        return self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
+
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ShadowMap:
         """The shadow map of the scene's casters under its only light.
 
@@ -52,8 +57,7 @@ class ShadowMapping(AbstractTechnique):
         if self.layout.needs_surface and surface is None:
             surface = draw_surface(scene.mesh, camera)
         light = self.layout.light(scene.light, camera, self.map.resolution, surface)
-        settings = self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
-        return settings.draw(casters, light, edges=edges)
+        return self.layers.draw(casters, light, edges=edges)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -167,7 +167,9 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     form = path.suffix.removeprefix(".")
     undated = {"png": {"Software": "diffshadow"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with rc_context(_VECTOR), _without_glyphs():
-        figure.savefig(path, format=form, dpi=dpi, metadata=undated[form])
+        # Of figures, this level makes files as small as the default's, in half the time.
+        pil: Any = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
+        figure.savefig(path, format=form, dpi=dpi, metadata=undated[form], **pil)
 
 
 @contextlib.contextmanager

@@ -237,7 +237,7 @@ def test_levels_fall_to_one_and_divide_the_sides():
 
 
 def test_coarse_levels_hold_means_of_the_pixels_that_count(monkeypatch):
-    drawn = lambda mesh, camera: floor_surface(1.5, camera.resolution)
+    drawn = lambda mesh, camera, buffer: floor_surface(1.5, camera.resolution)
     monkeypatch.setattr("diffshadow.fit.problems._pose.draw_surface", drawn)
     one = dataclasses.replace(problem(LIGHTS["directional"], moves=True), surface=floor_surface(1.5, (64, 64)))
     rng = np.random.default_rng(0)

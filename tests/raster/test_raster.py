@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rasterizer_oracle import acceptable, rasterize_exact
-from scenes import marked
+from scenes import compiled_programs, marked
 from triangle_soups import from_window, soup
 
 from diffshadow.geometry import PinholeCamera, library_mesh
@@ -296,10 +296,7 @@ def test_many_triangles_of_every_size_are_drawn_as_few_are():
 
 
 def test_meshes_and_small_images_of_like_size_share_a_program():
-    compiled = []
-    listener = lambda event, _, **about: compiled.append(about.get("fun_name")) if "backend_compile" in event else None
-    jax.monitoring.register_event_duration_secs_listener(listener)
-    try:
+    with compiled_programs() as compiled:
         for n, resolution in ((5, (21, 33)), (7, (50, 9)), (11, (64, 64))):
             corners = np.indices((n, n)).reshape(2, -1).T / (n - 1.0) * 70
             clip = from_window(corners, np.full(n * n, 0.5), np.ones(n * n), resolution)
@@ -308,10 +305,8 @@ def test_meshes_and_small_images_of_like_size_share_a_program():
             face = np.asarray(rasterize(jnp.asarray(clip), jnp.asarray(faces), resolution).face)
             assert face.shape == resolution
             assert (face >= 0).all()
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listener)
     # None if another test has drawn such an image before.
-    assert sum("_rasterize" in str(name) for name in compiled) <= 1
+    assert sum("_rasterize" in name for name in compiled) <= 1
 
 
 ONE = np.array([[0, 1, 2]])
@@ -349,3 +344,9 @@ def test_a_batch_is_drawn_one_by_one():
 def test_a_resolution_out_of_range_is_refused(resolution):
     with pytest.raises(ValueError, match=r"expected \(height, width\), each from 1 to 8192"):
         rasterize(jnp.zeros((3, 4)), jnp.array([[0, 1, 2]]), resolution)
+
+
+@pytest.mark.parametrize("buffer", [(8, 31), (8193, 32)])
+def test_a_buffer_that_is_too_small_or_too_large_is_refused(buffer):
+    with pytest.raises(ValueError, match=r"the buffer is \(.*expected .* at least \(8, 32\) and at most 8192"):
+        rasterize(jnp.zeros((3, 4)), jnp.array([[0, 1, 2]]), (8, 32), buffer=buffer)

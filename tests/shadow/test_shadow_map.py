@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scenes import (
     LIGHTS,
+    compiled_programs,
     covered,
     floor_and_card,
     floor_camera,
     floor_surface,
     quad,
     shadows,
+    side_camera,
     sun,
     surface_at,
     technique,
@@ -27,6 +29,7 @@ from diffshadow.shadow import (
     Bias,
     Bilinear,
     ConstantBias,
+    MapSettings,
     Nearest,
     ShadowMap,
     draw_shadow_map,
@@ -85,6 +88,27 @@ def test_culling_leaves_out_the_faces_named():
     # All faces are turned up, to the light.
     np.testing.assert_array_equal(full, no_back)
     assert (no_front == 1).all()
+
+
+def test_an_image_in_the_buffer_of_a_map_is_the_same_and_shares_its_program():
+    mesh, camera = floor_and_card(), side_camera((40, 60))
+    settings = MapSettings((300, 280))
+    buffer = settings.buffer(camera.resolution)
+    assert buffer == settings.resolution
+    with compiled_programs() as compiled:
+        surface = draw_surface(mesh, camera, buffer=buffer)
+        settings.draw(mesh, sun(mesh))
+    assert sum("_rasterize" in name for name in compiled) == 1
+    for found, expected in zip(*map(jax.tree.leaves, (surface, draw_surface(mesh, camera))), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_images_larger_than_a_map_and_maps_that_are_very_large_share_no_buffer():
+    with_corners = MapSettings((64, 64), silhouettes=True)
+    assert with_corners.buffer((64, 65)) == (65, 65)
+    assert with_corners.buffer((64, 66)) is None
+    assert MapSettings((64, 64)).buffer((64, 65)) is None
+    assert MapSettings((4096, 64)).buffer((64, 64)) is None
 
 
 @pytest.mark.exhaustive

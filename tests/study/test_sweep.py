@@ -15,12 +15,11 @@ import time
 import types
 from pathlib import Path
 
-import jax
 import numpy as np
 import pyarrow.parquet
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import compiled_programs, staying_in
 
 from diffshadow import study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
@@ -458,18 +457,13 @@ def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatc
 def test_runs_of_one_shape_share_programs_and_drawings(finished, monkeypatch):
     _, folder, _ = finished
     monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder.parent.parent / "cache"))
-    compiled: list[str] = []
-    listen = lambda event, *args, **kwargs: compiled.append(event) if "backend_compile" in event else None
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
+    with compiled_programs() as compiled:
         # Other seeds, patterns and radii than before.
         again = load_sweep(
             folder.parent.parent / "s.yaml",
             ["seed=5", "sweep.grid={filter.pattern: [halton, poisson], filter.radius: [0.7, 3]}"],
         )
         _, said = run(again)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
     assert "8 of 8 runs are done, 8 of them tried now" in said
     assert compiled == []
     timings = pyarrow.parquet.read_table(Path("runs/s-sweep/timings.parquet")).to_pydict()

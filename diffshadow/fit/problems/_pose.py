@@ -180,13 +180,14 @@ class PoseProblem(AbstractProblem):
         scene = dataclasses.replace(
             self.scene, camera=dataclasses.replace(camera, resolution=smaller(camera.resolution))
         )
+        buffer = self.settings.buffer(scene.camera.resolution)
         return dataclasses.replace(
             self,
             scene=scene,
             reference=reference,
             weight=weight,
             settings=self.settings._replace(resolution=smaller(self.settings.resolution, max(1, level // _FINER_MAP))),
-            surface=None if self.surface is None else draw_surface(scene.mesh, scene.camera),
+            surface=None if self.surface is None else draw_surface(scene.mesh, scene.camera, buffer=buffer),
         )
 
     def planned(self) -> "PoseProblem":

@@ -12,6 +12,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any
 
+from ..._memory import collect_rarely
 from ..._xla import use_all_cores
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
@@ -131,8 +132,9 @@ class OnCluster:
 
 
 def _work_in_worker(batch: Batch) -> list[Outcome]:
-    """`work` in a worker process, with XLA set up as in the command."""
+    """`work` in a worker process that is set up as the command is."""
     use_all_cores()
+    collect_rarely()
     return work(batch)
 
 
