@@ -1732,6 +1732,27 @@ _FIT = (
         "test_raster.py",
     ),
     _fault(
+        "buffers: the one that is asked for is not used",
+        "raster/_rasterize.py",
+        "size = buffer or resolution",
+        "size = resolution",
+        "test_shadow_map.py",
+    ),
+    _fault(
+        "buffers: for maps without silhouettes the corners' too",
+        "shadow/_map.py",
+        "size = (height + 1, width + 1) if self.silhouettes else (height, width)",
+        "size = (height + 1, width + 1)",
+        "test_shadow_map.py",
+    ),
+    _fault(
+        "buffers: smaller than the image",
+        "shadow/_map.py",
+        "n <= side <= _MOST_SHARED for n, side",
+        "side <= _MOST_SHARED for n, side",
+        "test_shadow_map.py",
+    ),
+    _fault(
         "several views: the first is drawn for all",
         "raster/_rasterize.py",
         "view(clip[k], of_view(behind, k), each[k])",
@@ -1755,7 +1776,7 @@ _FIT = (
     _fault(
         "shadow mapping: the map of the default settings",
         "shadow/_shadow_mapping.py",
-        "settings.draw(casters, light, edges=edges)",
+        "self.layers.draw(casters, light, edges=edges)",
         "MapSettings().draw(casters, light, edges=edges)",
         "test_technique.py",
     ),
