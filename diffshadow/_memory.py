@@ -9,7 +9,7 @@ import sys
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
 _MOST = 2**31 - 1
 
-# Of `gc.set_threshold`; Python begins with (700, 10, 10).
+# Of `gc.set_threshold`; Python 3.12 begins with (700, 10, 10).
 _RARELY = (200_000, 20, 100)
 
 
