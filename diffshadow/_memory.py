@@ -32,7 +32,7 @@ def collect_rarely() -> None:
     """Makes Python's garbage collector run less often.
 
     Imports and traces make millions of objects that stay. The collector otherwise looks through all of them again and
-    again, which takes a fifth of the time of both. Arrays do not wait for it. The command `diffshadow` calls this
+    again, which takes a sixth of the time of both. Arrays do not wait for it. The command `diffshadow` calls this
     itself.
     """
     gc.set_threshold(*_RARELY)
