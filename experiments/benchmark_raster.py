@@ -30,7 +30,7 @@ from _opengl_passes import OpenGL, Triangles
 from rich.console import Console
 from rich.table import Table
 
-from diffshadow import keep_freed_memory, raster, shadow, use_all_cores
+from diffshadow import collect_rarely, keep_freed_memory, raster, shadow, use_all_cores
 from diffshadow.geometry import (
     DirectionalLight,
     MatrixLight,
@@ -46,6 +46,7 @@ from diffshadow.geometry import (
 # At import, since benchmarks make arrays when they are imported.
 use_all_cores()
 keep_freed_memory()
+collect_rarely()
 
 CULL = "back"
 LIGHT_DIRECTION = (0.1, -1.0, 0.5)

@@ -86,7 +86,7 @@ def rasterize(
     - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
         drawn into. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
-        a trace, drawings with one buffer share what is compiled; under a trace, it is ignored.
+        a trace, drawings with one buffer share what is compiled; under a trace, and with pages, it is ignored.
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.
     """
@@ -150,8 +150,9 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
     """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
     whatever is culled."""
     height, width = resolution
-    size = buffer or resolution
-    buffer = (_SHARED_SIDE, _SHARED_SIDE) if max(size) <= _SHARED_SIDE else size
+    buffer = buffer or resolution
+    if max(buffer) <= _SHARED_SIDE:
+        buffer = _SHARED_SIDE, _SHARED_SIDE
     if behind is not None and buffer != resolution:
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)

@@ -178,7 +178,7 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes)
 
 
-# Pixels along a side. Drawing an image into a larger buffer takes as long as compiling another program, or longer.
+# Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
 _MOST_SHARED = 2049
 
 
@@ -204,8 +204,11 @@ class MapSettings(NamedTuple):
     def buffer(self, image: Resolution) -> Resolution | None:
         """The buffer for `draw_surface` with which an `image` of this size and the map are drawn by one program.
 
-        **Returns** `None` if the image does not fit in, or the map is so large that sharing would not pay.
+        **Returns** `None` if the image does not fit in, if the map is so large that sharing would not pay, or if its
+        depths are stored otherwise than an image's, which takes another program.
         """
+        if self.depth_format != "float32" or self.polygon_offset is not None:
+            return None
         height, width = self.resolution
         # With silhouettes, the corners of texels are drawn too.
         size = (height + 1, width + 1) if self.silhouettes else (height, width)

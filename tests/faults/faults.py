@@ -1734,8 +1734,8 @@ _FIT = (
     _fault(
         "buffers: the one that is asked for is not used",
         "raster/_rasterize.py",
-        "size = buffer or resolution",
-        "size = resolution",
+        "buffer = buffer or resolution",
+        "buffer = resolution",
         "test_shadow_map.py",
     ),
     _fault(

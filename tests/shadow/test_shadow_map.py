@@ -104,12 +104,14 @@ def test_an_image_in_the_buffer_of_a_map_is_the_same_and_shares_its_program():
         np.testing.assert_array_equal(found, expected)
 
 
-def test_images_larger_than_a_map_and_maps_that_are_very_large_share_no_buffer():
+def test_images_larger_than_a_map_and_maps_that_are_very_large_or_not_plain_share_no_buffer():
     with_corners = MapSettings((64, 64), silhouettes=True)
     assert with_corners.buffer((64, 65)) == (65, 65)
     assert with_corners.buffer((64, 66)) is None
     assert MapSettings((64, 64)).buffer((64, 65)) is None
     assert MapSettings((4096, 64)).buffer((64, 64)) is None
+    assert MapSettings((64, 64), depth_format="unorm16").buffer((64, 64)) is None
+    assert MapSettings((64, 64), polygon_offset=(1.0, 1.0)).buffer((64, 64)) is None
 
 
 @pytest.mark.exhaustive

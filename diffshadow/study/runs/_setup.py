@@ -86,8 +86,8 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
     with stages.stage("drawing"):
-        maps = technique.layers if isinstance(technique, shadow.ShadowMapping) else None
-        buffer = None if maps is None else maps.buffer(scene.camera.resolution)
+        has_maps = isinstance(technique, shadow.ShadowMapping)
+        buffer = technique.layers.buffer(scene.camera.resolution) if has_maps else None
         surface = raster.draw_surface(scene.mesh, scene.camera, buffer=buffer)
         states = [_prepared(config, technique, each, surface) for each in lit]
         covered = [np.asarray(technique.covered(state, surface)) for state in states]
