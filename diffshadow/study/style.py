@@ -166,7 +166,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """
     form = path.suffix.removeprefix(".")
     options: dict[str, Any] = {
-        # This level makes files of figures as small as the default's, in half the time.
+        # In half the time of the default level. Charts take a tenth more bytes, pictures as much less.
         "png": {"metadata": {"Software": "diffshadow"}, "pil_kwargs": {"compress_level": 3}},
         "svg": {"metadata": {"Date": None}},
         "pdf": {"metadata": {"CreationDate": None}},
