@@ -69,6 +69,11 @@ def take(values: Array, index: Int[Array, "*n"]) -> Array:
     return values.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
+def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
+    """`values[..., index]`, as `take` does it along the first axis."""
+    return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
 def round_up_to_power_of_two(n: int) -> int:
     """The least power of two that is at least `n`; 0 stays 0."""
     return 0 if n <= 0 else 1 << (n - 1).bit_length()

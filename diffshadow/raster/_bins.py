@@ -4,10 +4,9 @@ A triangle whose box holds no pixel centre, that faces a culled way or lies outs
 pixel is looked at; in a fine mesh that is most of them. The rest fall into size classes: all triangles of a class are
 drawn in windows of the same size. Triangles too big for the largest window are cut into blocks.
 
-Corners are kept as an array of its own for each coordinate of each corner: that is what vectorizes.
+In arrays of corners, (3, n), triangles come last: that is what vectorizes.
 """
 
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -22,9 +21,9 @@ from ._compact import Groups, group
 from ._fixed import first_centre, last_centre, signed_area, snap
 
 Cull = Literal["none", "back", "front"]
-Facing = int | Int[Array, ""]
-"""Which faces are drawn: 1 for front faces, -1 for back faces, 0 for both. It may be known only when a program runs."""
-FACING: dict[Cull, int] = {"none": 0, "back": 1, "front": -1}
+Facing = tuple[bool | Bool[Array, ""], bool | Bool[Array, ""]]
+"""Whether front faces are drawn, and back faces. It may be known only when a program runs."""
+FACING: dict[Cull, tuple[bool, bool]] = {"none": (True, True), "back": (True, False), "front": (False, True)}
 """The faces that are drawn, by what is culled."""
 
 WINDOWS = (2, 4, 8, 16)
@@ -41,15 +40,15 @@ NOTHING = -1
 
 
 class Corners(NamedTuple):
-    """Corners of triangles in window coordinates: `x`, `y` in pixels, not snapped, and depth `z`; three (n,) each."""
+    """Corners of triangles in window coordinates: `x`, `y` in pixels, not snapped, and depth `z`; (3, n) each."""
 
-    x: list[Float[Array, " n"]]
-    y: list[Float[Array, " n"]]
-    z: list[Float[Array, " n"]]
+    x: Float[Array, "3 n"]
+    y: Float[Array, "3 n"]
+    z: Float[Array, "3 n"]
 
-    def snapped(self) -> tuple[list[Int[Array, " n"]], list[Int[Array, " n"]]]:
+    def snapped(self) -> tuple[Int[Array, "3 n"], Int[Array, "3 n"]]:
         """x and y in sub-pixels."""
-        return [snap(x) for x in self.x], [snap(y) for y in self.y]
+        return snap(self.x), snap(self.y)
 
 
 class Box(NamedTuple):
@@ -78,8 +77,8 @@ class Triangles(eqx.Module):
 
     def corners(self, face: Int[Array, " n"]) -> Corners:
         """The corners of the faces `face`."""
-        vertices = [take(self.faces[:, k], face) for k in range(3)]
-        return Corners(*([take(values, vertex) for vertex in vertices] for values in (self.x, self.y, self.z)))
+        vertices = take(self.faces, face).T
+        return Corners(*(take(values, vertices) for values in (self.x, self.y, self.z)))
 
 
 def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> tuple[Array, Array, Array]:
@@ -92,7 +91,7 @@ def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> tuple[Array,
     return scaled(0, width * 0.5), scaled(1, height * 0.5), scaled(2, 0.5)
 
 
-def pixel_box(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], resolution: Viewport) -> Box:
+def pixel_box(x: Int[Array, "3 n"], y: Int[Array, "3 n"], resolution: Viewport) -> Box:
     """The pixel box of triangles whose three corners are at fixed-point `x` and `y`."""
     height, width = resolution
     least = lambda values: jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
@@ -128,7 +127,7 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
     x, y, z = lax.optimization_barrier(to_window(clip.T, resolution))
     fixed_x, fixed_y = lax.optimization_barrier((snap(x), snap(y)))
-    xs, ys = ([take(values, faces[:, k]) for k in range(3)] for values in (fixed_x, fixed_y))
+    xs, ys = (take(values, faces.T) for values in (fixed_x, fixed_y))
     box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1
     of_class = jnp.full_like(size, LARGE)
@@ -138,10 +137,11 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
     return Classified(x, y, z, box, lax.optimization_barrier(jnp.where(clipped, CLIPPED, of_class)))
 
 
-def draws(x: Sequence[Int[Array, " n"]], y: Sequence[Int[Array, " n"]], box: Box, facing: Facing) -> Bool[Array, " n"]:
+def draws(x: Int[Array, "3 n"], y: Int[Array, "3 n"], box: Box, facing: Facing) -> Bool[Array, " n"]:
     """Whether triangles whose three corners are at fixed-point `x` and `y` may draw something within their `box`."""
     area = signed_area(x, y)
-    faces = jnp.where(facing == 0, area != 0, area * facing > 0)
+    front, back = facing
+    faces = ((area > 0) & front) | ((area < 0) & back)
     return faces & (box.left <= box.right) & (box.bottom <= box.top)
 
 

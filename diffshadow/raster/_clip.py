@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import Viewport
@@ -71,7 +72,7 @@ def _clip_against(
 ) -> tuple[Float[Array, "4 m n"], Int[Array, " n"]]:
     """The parts of polygons of `count` corners each on the inner side of a plane."""
     slots = polygon.shape[1]
-    slot = jnp.arange(slots, dtype=jnp.int32)[:, None]
+    slot = np.arange(slots, dtype=np.int32)[:, None]
     used, next_ = slot < count, lambda values: jnp.where(slot + 1 < count, jnp.roll(values, -1, -2), values[..., :1, :])
     following = next_(polygon)
     distance = polygon[1] * plane[1] + polygon[2] * plane[2] + polygon[3] * plane[3] + polygon[0] * plane[0] - offset

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
@@ -67,10 +68,16 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
 def group(classes: Int[Array, " n"], number: int) -> Groups:
     """The elements of each class, for classes 0 to `number - 1`; those of class -1 are left out."""
     ranks = rank_in_class(classes, number)
-    starts = jnp.cumsum(ranks.counts, dtype=jnp.int32) - ranks.counts
+    starts = sums_up_to(ranks.counts) - ranks.counts
     place = sum(jnp.where(classes == k, starts[k] + ranks.rank, 0) for k in range(number))
-    # Elements without a class go to an extra place that is cut off.
+    # Elements without a class have no place.
     place = jnp.where(classes >= 0, place, classes.shape[0])
     indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
-    elements = jnp.zeros(classes.shape[0] + 1, jnp.int32).at[place].set(indices, mode="promise_in_bounds")
-    return Groups(elements[:-1], starts, ranks.counts)
+    elements = jnp.zeros_like(indices).at[place].set(indices, mode="drop", wrap_negative_indices=False)
+    return Groups(elements, starts, ranks.counts)
+
+
+def sums_up_to(values: Int[Array, " c"]) -> Int[Array, " c"]:
+    """The sum of the first values, up to each; of a few values in one step, where `jnp.cumsum` takes several."""
+    through = np.tri(values.shape[0], dtype=bool)
+    return jnp.sum(jnp.where(through, values, 0), axis=1, dtype=jnp.int32)

@@ -122,15 +122,15 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
         )
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
-    given = clip, faces, polygon_offset, behind, pages, viewports
-    is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
-    if is_traced:
-        clip, faces = lax.stop_gradient((clip, faces))
+    if isinstance(clip, Tracer):
+        # What was traced for its derivative alone, as by `jax.jvp`, has its values from here on.
+        clip = lax.stop_gradient(clip)
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), faces)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    if pages is None and not is_traced:
+    given = clip, faces, polygon_offset, behind, viewports
+    if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
         return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer)
 
     def view(clip: Any, behind: Array | None, viewport: Array | None) -> Fragments | Array:
@@ -159,8 +159,10 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
 
     def view(clip: Any, behind: Array | None, viewport: Any) -> Fragments | Array:
         # In NumPy, since to make an array on the device takes longer than a small image.
-        viewport, draws = np.asarray(viewport, np.int32), np.asarray(FACING[cull], np.int32)
-        return _rasterize(clip, faces, viewport, buffer, draws, test, polygon_offset, behind, with_face, None)
+        viewport, draws = tuple(map(np.int32, viewport)), tuple(map(np.bool_, FACING[cull]))
+        # Nothing here depends on the default precision: programs are shared by both.
+        with jax.enable_x64(False):
+            return _rasterize(clip, faces, viewport, buffer, draws, test, polygon_offset, behind, with_face, None)
 
     if clip.ndim == 2:
         drawn = view(clip, behind, resolution)

@@ -21,10 +21,11 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take
+from .._misc import take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
+from ._compact import sums_up_to
 from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
 
@@ -35,10 +36,8 @@ SCATTER = lax.ScatterDimensionNumbers(
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
-# How many are drawn, clipped and tested at once: triangles of a size class, faces to clip, and blocks.
-_SMALL = 1 << 9
-_CLIPPED = 1 << 7
-_BLOCKS = 1 << 9
+# How many faces are clipped at once, and how many lanes arrays have there.
+_MOST_CLIPPED, _LANES = 64, 8
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -121,7 +120,20 @@ class DrawPass(Drawing):
         """Edge functions of triangles about the pixels (`x`, `y`) of their layers."""
         left, bottom = self._origin(layer)
         place, corners = self._place(x, y, layer), lax.optimization_barrier(corners)
-        return edge_form(corners, plane, x + left, y + bottom, place, self.test, self.polygon_offset)
+        form = edge_form(corners, plane, x + left, y + bottom, place, self.test, self.polygon_offset)
+        # The barrier keeps XLA from computing the edge functions again for every pixel.
+        return lax.optimization_barrier(form)
+
+    @property
+    def _clipped_at_once(self) -> int:
+        faces = self.triangles.faces.shape[0]
+        return min(_MOST_CLIPPED, -(-faces // (FAN * _LANES)) * _LANES)
+
+    @property
+    def _at_once(self) -> int:
+        """How many triangles or blocks are drawn at once: as many as clipping makes, and everywhere the same, since
+        XLA compiles equal kernels once."""
+        return FAN * self._clipped_at_once
 
     # What follows is another in a pass that draws parts of an image into layers.
 
@@ -148,13 +160,12 @@ class DrawPass(Drawing):
 
     def _small(self, buffer: Array, write: Write) -> Array:
         """Writes the triangles of all size classes."""
-        length = min(_SMALL, self.triangles.groups.elements.shape[0])
-        chunks = (self._counts[:LARGE] + length - 1) // length
-        ends = jnp.cumsum(chunks, dtype=jnp.int32)
+        chunks = _ceil_div(self._counts[:LARGE], self._at_once)
+        ends = sums_up_to(chunks)
 
         def chunk(number: Array, buffer: Array) -> Array:
             size_class = jnp.sum(number >= ends, dtype=jnp.int32)
-            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], length)
+            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], self._at_once)
             corners = self.triangles.corners(face)
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
@@ -168,29 +179,26 @@ class DrawPass(Drawing):
 
     def _large(self, buffer: Array, write: Write) -> Array:
         """Writes large triangles, and then what clipping leaves of others, block by block."""
-        at_once = min(_CLIPPED, self.triangles.groups.elements.shape[0])
-        chunks = lambda of_class, length: (self._counts[of_class] + length - 1) // length
-        large = chunks(LARGE, FAN * at_once)
+        large = _ceil_div(self._counts[LARGE], self._at_once)
 
         def whole(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(LARGE, number, FAN * at_once)
+            face, used, layer = self._chunk(LARGE, number, self._at_once)
             corners = self.triangles.corners(face)
             return corners, plane_of_corners(corners), jnp.where(used, face, -1), layer
 
         def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(CLIPPED, number - large, at_once)
-            vertices = [take(self.triangles.faces[:, k], face) for k in range(3)]
-            corners = jnp.stack([take(self.triangles.clip, vertex).T for vertex in vertices], axis=1)
+            face, used, layer = self._chunk(CLIPPED, number - large, self._clipped_at_once)
+            corners = take(self.triangles.clip, take(self.triangles.faces, face)).T
             parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
             each = lambda values: jnp.tile(values, FAN)
             plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
-            window = Corners(*([*values] for values in to_window(parts, self.resolution)))
+            window = Corners(*to_window(parts, self.resolution))
             return window, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
 
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
 
-        return self._loop(large + chunks(CLIPPED, at_once), batch, buffer)
+        return self._loop(large + _ceil_div(self._counts[CLIPPED], self._clipped_at_once), batch, buffer)
 
     def _blocks(
         self,
@@ -212,18 +220,18 @@ class DrawPass(Drawing):
         ends = jnp.cumsum(lengths, dtype=jnp.int32)
 
         def candidates(number: Array, buffer: Array) -> Array:
-            block = number * _BLOCKS + jnp.arange(_BLOCKS, dtype=jnp.int32)
+            block = number * self._at_once + jnp.arange(self._at_once, dtype=jnp.int32)
             exists = block < ends[-1]
             owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
             within, across = block - take(ends - lengths, owner), take(columns, owner)
-            x, y = take(left, owner) + within % across * BLOCK, take(bottom, owner) + within // across * BLOCK
+            x = take(left, owner) + lax.rem(within, across) * BLOCK
+            y = take(bottom, owner) + lax.div(within, across) * BLOCK
             x, y = (jnp.where(exists, low, 0) for low in (x, y))
-            own, own_plane, of_layer = jax.tree.map(lambda values: take(values, owner), (corners, plane, layer))
-            # The barrier keeps XLA from computing the edge functions again for every pixel.
-            form = lax.optimization_barrier(self._form(own, own_plane, x, y, of_layer))
-            return write(buffer, form, jnp.where(exists, take(source, owner), -1), BLOCK)
+            own, own_plane, of_layer = jax.tree.map(lambda values: take_last(values, owner), (corners, plane, layer))
+            form = self._form(own, own_plane, x, y, of_layer)
+            return write(buffer, form, lax.optimization_barrier(jnp.where(exists, take(source, owner), -1)), BLOCK)
 
-        return self._loop((ends[-1] + _BLOCKS - 1) // _BLOCKS, candidates, buffer)
+        return self._loop(_ceil_div(ends[-1], self._at_once), candidates, buffer)
 
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:
@@ -262,6 +270,10 @@ def least_depth_and_face(
     # The bits of an infinite depth, and of none at all, are those of no number below infinity.
     seen = depth < jnp.inf
     return jnp.where(seen, depth, jnp.inf), jnp.where(seen, face, -1)
+
+
+def _ceil_div(count: Int[Array, "*n"], length: int) -> Int[Array, "*n"]:
+    return lax.div(count + (length - 1), jnp.full_like(count, length))
 
 
 def corner(form: EdgeForm) -> Int[Array, "n 2"]:

@@ -265,13 +265,23 @@ VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float
 
 @pytest.mark.parametrize(
     "resolution",
-    marked([(1, 8192), (1, 1), (8192, 1), (33, 47)], [(1, 1), (8192, 1), (33, 47)]),
+    marked([(1, 1), (33, 47), (1, 8192), (8192, 1)], [(1, 8192), (8192, 1)]),
 )
 def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
     face, depth = draw(VIEW_FILLING, np.array([[0, 1, 2]]), resolution)
     assert face.shape == resolution
     assert (face == 0).all()
     np.testing.assert_array_equal(depth, 0.5)
+
+
+def test_large_faces_have_as_many_blocks_as_they_need():
+    # Two halves of the view, each with a box of 256 blocks.
+    corners = np.array([[0, 0], [256, 0], [256, 256], [0, 256]])
+    clip = from_window(corners, np.full(4, 0.5), np.ones(4), (256, 256))
+    face, _ = draw(clip, np.array([[0, 1, 2], [0, 2, 3]]), (256, 256))
+    row, column = np.indices(face.shape)
+    np.testing.assert_array_equal(face[row != column], (row > column)[row != column])
+    assert (face != NO_FACE).all()
 
 
 def test_nothing_is_seen_where_no_face_is():
@@ -297,7 +307,7 @@ def test_many_triangles_of_every_size_are_drawn_as_few_are():
 
 def test_meshes_and_small_images_of_like_size_share_a_program():
     with compiled_programs() as compiled:
-        for n, resolution in ((5, (21, 33)), (7, (50, 9)), (11, (64, 64))):
+        for n, resolution in ((14, (21, 33)), (25, (50, 9)), (40, (64, 64))):
             corners = np.indices((n, n)).reshape(2, -1).T / (n - 1.0) * 70
             clip = from_window(corners, np.full(n * n, 0.5), np.ones(n * n), resolution)
             cell = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1, 1)

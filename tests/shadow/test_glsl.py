@@ -133,7 +133,7 @@ TECHNIQUES = {
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_visibility_with_exported_functions_is_ours(gl, name, light):
     bias, kernel = TECHNIQUES[name]
-    meshes = [library_mesh("torus", segments=24, sides=12), library_mesh("plane", size=3.0)]
+    meshes = [library_mesh("torus", segments=14, sides=8), library_mesh("plane", size=3.0)]
     of_light = {"directional": sun, "spot": lamp}[light](merge(meshes))
     camera = PinholeCamera((1.6, 1.4, 2.0), (0.0, 0.2, 0.0), fov_y=40, near=0.1, far=10, resolution=(SIDE, SIDE))
     scene = Scene(meshes, camera, of_light)

@@ -258,10 +258,14 @@ def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
 
 
 @pytest.mark.parametrize(
-    ("depth_format", "unit"),
-    [("float32", 2.0**-24), pytest.param("unorm24", 2 / (2**24 - 1), marks=pytest.mark.exhaustive)],
+    ("depth_format", "unit", "rounding"),
+    [
+        pytest.param("float32", 2.0**-24, 2.5e-7, marks=pytest.mark.exhaustive),
+        pytest.param("unorm24", 2 / (2**24 - 1), 2.5e-7, marks=pytest.mark.exhaustive),
+        ("unorm16", 2 / (2**16 - 1), 1.01 / (2**16 - 1)),
+    ],
 )
-def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
+def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit, rounding):
     # A plane whose depth lies between 1/2 and 1, where floats are 2⁻²⁴ apart, and rises by 0.3 along x and 0.1 along y.
     mesh = quad((0, 0, -1.0), (1, 0, -0.3), (0, 1, -0.1))
     light = DirectionalLight((0, 0, -1), (0, 0, 0), (2, 2), -2, 2)
@@ -271,7 +275,7 @@ def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
     plain, exact = drawn_with((0.0, 0.0)), 2 / 32 / 4 * 0.3
     assert 0.5 < plain.min() < plain.max() < 1
     for factor, units in ((1.0, 0.0), (0.0, 1000.0), (2.5, 3000.0), (-1.0, -50.0)):
-        np.testing.assert_allclose(drawn_with((factor, units)) - plain, factor * exact + units * unit, atol=2.5e-7)
+        np.testing.assert_allclose(drawn_with((factor, units)) - plain, factor * exact + units * unit, atol=rounding)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +287,7 @@ def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit):
 )
 def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
     # The offset of nothing is there to share what is compiled.
-    offset = (0.0, 0.0) if depth_format == "unorm24" else None
+    offset = None if depth_format == "float32" else (0.0, 0.0)
     fixed, exact = (
         np.asarray(
             drawn_map(floor_and_slab(), NOON, depth_layer=layer, depth_format=f, polygon_offset=o).depth, np.float64

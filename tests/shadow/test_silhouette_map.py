@@ -24,7 +24,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.io import load_mesh
-from diffshadow.raster import Surface, rasterize_depth
+from diffshadow.raster import Surface, rasterize
 from diffshadow.shadow import (
     Bias,
     Bilinear,
@@ -391,7 +391,7 @@ def test_half_planes_move_as_edges_do():
     shadow_map, mesh = _scene(), _square().padded()
     edges = Edges.of(_square()).padded(len(mesh.faces))
     clip = _about_corners(clip_vertices(mesh, shadow_map.light), (TEXELS, TEXELS))
-    corners = rasterize_depth(clip, mesh.faces, (TEXELS + 1, TEXELS + 1))
+    corners = rasterize(clip, mesh.faces, (TEXELS + 1, TEXELS + 1)).depth
     step, way = 2e-3, np.float32([0.6, 0.8])
     at = lambda by: [np.asarray(x) for x in _moving_outlines(shadow_map, corners, mesh, edges, by * way, way)[0]]
     _, slopes = _moving_outlines(shadow_map, corners, mesh, edges, 0 * way, way)
