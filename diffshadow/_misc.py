@@ -59,6 +59,7 @@ def safe_divide(a: Float[Array, "*#n"], b: Float[Array, "*#n"], otherwise: float
     return jnp.where(zero, otherwise, a / jnp.where(zero, 1, b))
 
 
+@jax.jit
 def normalize(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
     """`x` scaled to unit length along the last axis; the zero vector stays zero."""
     return safe_divide(x, jnp.broadcast_to(safe_norm(x)[..., None], x.shape))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from optimistix import RESULTS
 
+from diffshadow._misc import as_float
 from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.fit._solve import Solution
 from diffshadow.fit.problems._stack import Stack
@@ -177,9 +178,7 @@ def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0
 
 def map_of(depth: Any) -> ShadowMap:
     """A map with `depth` (h, w); its light does not matter, for look-ups into it are made by hand."""
-    return ShadowMap(
-        jnp.asarray(depth, dtype=jnp.result_type(float)), DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1)
-    )
+    return ShadowMap(as_float(depth), DirectionalLight((0, -1, 0), (0, 0, 0), (1, 1), -1, 1))
 
 
 def random_map(rng: np.random.Generator, shape: tuple[int, int] = (11, 14), empty: float = 0.2) -> ShadowMap:
@@ -191,9 +190,8 @@ def random_map(rng: np.random.Generator, shape: tuple[int, int] = (11, 14), empt
 def lookups_at(x: Any, y: Any, depth: Any = 0.5, depth_per_texel: float = 0.05) -> Lookup:
     """Look-ups at texels (x, y), broadcast to (h, w)."""
     x, y, depth = (np.atleast_2d(v) for v in np.broadcast_arrays(x, y, depth))
-    as_float = lambda v: jnp.asarray(v, dtype=jnp.result_type(float))
-    texel = as_float(np.stack([x, y], axis=-1))
-    return Lookup(texel, as_float(depth), jnp.full(x.shape, depth_per_texel, texel.dtype), jnp.ones(x.shape, bool))
+    texel, step = np.stack([x, y], axis=-1), np.full(x.shape, depth_per_texel)
+    return Lookup(as_float(texel), as_float(depth), as_float(step), jnp.asarray(np.ones(x.shape, bool)))
 
 
 def random_lookups(
@@ -276,7 +274,7 @@ def floor_surface(half: float, resolution: tuple[int, int]) -> Surface:
 def surface_at(position: Any, normal: Any) -> Surface:
     """A white surface at points (h, w, 3) with these normals, all of its first face."""
     own = np.broadcast_to(np.asarray(normal, float), np.shape(position))
-    place, normal, white = (jnp.asarray(x, jnp.result_type(float)) for x in (position, own, np.ones(own.shape)))
+    place, normal, white = map(as_float, (position, own, np.ones(own.shape)))
     face = np.zeros(own.shape[:2], np.int32)
     return Surface(place, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))
 

@@ -92,11 +92,13 @@ def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], n
     return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
 
 
+@jax.jit
 def transform_points(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
     """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide; one matrix, or one for each point."""
     return _linear(matrix[..., :, :3], points) + matrix[..., :, 3]
 
 
+@jax.jit
 def transform_vectors(matrix: Float[Array, "*m 4 4"], vectors: Float[Array, "*n 3"]) -> Float[Array, "*k 3"]:
     """Image of `vectors` under the linear part of `matrix`; one matrix, or one for each vector."""
     return _linear(matrix[..., :3, :3], vectors)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, drawn, floor_and_card, lamp, problem, slopes_of_loss, sun
 
+from diffshadow._misc import as_float
 from diffshadow.raster import Surface
 from diffshadow.shadow import (
     AdaptiveBias,
@@ -47,25 +48,26 @@ def receivers_at(angles=ANGLES, texel=0.02, depth_per_texel=1e-3):
     They fall a quarter to the right of the middle of a texel.
     """
     shape = (1, len(angles))
-    angles = jnp.asarray(np.radians(angles)[None], jnp.float32)
-    zero = jnp.zeros(shape)
-    slope = jnp.stack([jnp.minimum(jnp.abs(jnp.tan(angles)), 100), zero], axis=-1)
-    return Receiver(
-        position=jnp.zeros((*shape, 3)),
-        normal=jnp.broadcast_to(jnp.array([0.0, 1.0, 0.0]), (*shape, 3)),
-        cosine=jnp.cos(angles),
-        texel=jnp.broadcast_to(jnp.array([3.75, 5.5]), (*shape, 2)),
-        depth=zero + 0.5,
-        in_front=zero == 0,
-        texel_size=zero + texel,
-        depth_per_texel=zero + depth_per_texel,
-        slope=slope,
-        rounding=zero + ROUNDING,
-        distance=zero + 0.25,
-        depth_range=jnp.asarray(20.0),
-        stored=zero + 0.494,
-        layer=None,
-    )
+    angles, zero = np.radians(angles)[None], np.zeros(shape)
+    slope = np.stack([np.minimum(np.abs(np.tan(angles)), 100), zero], axis=-1)
+    at = {
+        "position": np.zeros((*shape, 3)),
+        "normal": np.broadcast_to([0.0, 1.0, 0.0], (*shape, 3)),
+        "cosine": np.cos(angles),
+        "texel": np.broadcast_to([3.75, 5.5], (*shape, 2)),
+        "depth": zero + 0.5,
+        "in_front": zero == 0,
+        "texel_size": zero + texel,
+        "depth_per_texel": zero + depth_per_texel,
+        "slope": slope,
+        "rounding": zero + ROUNDING,
+        "distance": zero + 0.25,
+        "depth_range": np.asarray(20.0),
+        "stored": zero + 0.494,
+        "layer": None,
+    }
+    on_device = lambda x: jnp.asarray(x) if x.dtype == bool else as_float(x)
+    return Receiver(**jax.tree.map(on_device, at))
 
 
 def test_constant_bias_is_in_texels_of_depth():

@@ -326,6 +326,7 @@ def test_nothing_beyond_the_shadow_distance_is_requested_or_shadowed():
 # --- Derivatives, and what is refused ---
 
 
+@pytest.mark.exhaustive
 def test_depths_of_pages_have_the_plain_maps_derivatives():
     scene, _ = scene_and_surface()
     light = paged(scene.light, scene.camera, FINEST)

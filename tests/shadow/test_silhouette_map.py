@@ -387,6 +387,7 @@ def _moving_outlines(shadow_map, corners, mesh, edges, by, way):
     return jax.jvp(planes, (by,), (way,))
 
 
+@pytest.mark.exhaustive
 def test_half_planes_move_as_edges_do():
     shadow_map, mesh = _scene(), _square().padded()
     edges = Edges.of(_square()).padded(len(mesh.faces))

@@ -180,6 +180,7 @@ def slopes_of_sum(arguments, shadow_map, steps):
     return found
 
 
+@pytest.mark.exhaustive
 def test_no_gradient_is_nan_or_infinite(rng):
     with jax.enable_x64(True):
         lookup, shadow_map = random_lookups(rng, SHAPE, MAP), random_map(rng, MAP)

@@ -215,7 +215,7 @@ def test_equal_depth_is_lit_by_metric_and_shadowed_by_the_texture_unit():
     assert (tie("PCF") == 0).all()
 
 
-@pytest.mark.parametrize("filter_", ["NONE", "PCF", "PCSS"])
+@pytest.mark.parametrize("filter_", marked(["NONE", "PCF", "PCSS"], ["PCSS"]))
 def test_nothing_casts_whatever_the_bias(filter_):
     golden = engine_golden("babylon", "directional_none_bias")
     technique = BabylonJs(filter=filter_, bias=-0.5, resolution=(128, 128))
@@ -223,7 +223,13 @@ def test_nothing_casts_whatever_the_bias(filter_):
     np.testing.assert_allclose(np.asarray(technique.visibility(state, surface_of(golden))), 1, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["directional_pcf_high", "spot_pcf_bias", "directional_pcss_low", "spot_none_bias"])
+@pytest.mark.parametrize(
+    "name",
+    marked(
+        ["directional_pcf_high", "spot_pcf_bias", "directional_pcss_low", "spot_none_bias"],
+        ["directional_pcss_low", "spot_none_bias"],
+    ),
+)
 def test_a_bias_needs_no_new_map(name):
     golden = engine_golden("babylon", name)
     technique = preset(golden)
@@ -235,7 +241,9 @@ def test_a_bias_needs_no_new_map(name):
     assert (np.abs(ours - again) <= 1 / 255).mean() >= 0.9995
 
 
-@pytest.mark.parametrize("name", ["BLUREXPONENTIALSHADOWMAP", "BLURCLOSEEXPONENTIALSHADOWMAP"])
+@pytest.mark.parametrize(
+    "name", marked(["BLUREXPONENTIALSHADOWMAP", "BLURCLOSEEXPONENTIALSHADOWMAP"], ["BLUREXPONENTIALSHADOWMAP"])
+)
 def test_a_point_lights_map_is_not_blurred(name):
     golden = engine_golden("babylon", "point_close_esm")
     blurred = dataclasses.replace(preset(golden), filter=name)
@@ -243,7 +251,7 @@ def test_a_point_lights_map_is_not_blurred(name):
     np.testing.assert_array_equal(from_own_map(golden, blurred), from_own_map(golden, plain))
 
 
-@pytest.mark.parametrize("kernel", marked([0, 1, 2, 3, 5, 8, 16, 16.4, 33], [0, 8, 16, 33]))
+@pytest.mark.parametrize("kernel", marked([0, 1, 2, 3, 5, 8, 16, 16.4, 33], [0, 1, 3, 5, 8, 16, 33]))
 def test_a_blur_leaves_a_constant_map_as_it_is(kernel):
     constant, step = jnp.full((16, 16), 0.7), jnp.float32(1 / 8)
     for blurred in (
