@@ -450,7 +450,7 @@ _RASTER = (
         "raster/_depth_test.py",
         "exponent - 24",
         "exponent - 23",
-        "test_shadow_map.py",
+        "test_depth_test.py",
     ),
     _fault(
         "polygon offset: slopes added instead of the greater",

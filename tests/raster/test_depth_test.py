@@ -1,6 +1,7 @@
-"""Fixed-point depth formats, at every one of their steps."""
+"""Depth formats: fixed-point ones at every one of their steps, and what each resolves."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -24,3 +25,10 @@ def test_depths_between_two_steps_are_rounded_to_the_nearer():
     test, step = DepthTest("unorm16"), 1 / STEPS["unorm16"]
     between = np.float32([1.25, 1.75, 100.4, 100.6]) * np.float32(step)
     np.testing.assert_array_equal(jax.jit(test.encode)(between), [1, 2, 100, 101])
+
+
+def test_a_unit_of_polygon_offset_is_what_the_buffer_resolves():
+    greatest = jnp.array([0.3, 0.5, 0.75, 1.0], jnp.float32)
+    np.testing.assert_array_equal(DepthTest().resolution_at(greatest), np.spacing(np.asarray(greatest)))
+    for name, steps in STEPS.items():
+        np.testing.assert_array_equal(DepthTest(name).resolution_at(greatest), np.full(4, np.float32(2 / steps)))
