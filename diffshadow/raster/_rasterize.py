@@ -123,7 +123,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
     if isinstance(clip, Tracer):
-        # What was traced for its derivative alone, as by `jax.jvp`, has its values from here on.
+        # Outside of `jit`, this gives the values of what is traced for its derivative, as by `jax.jvp`.
         clip = lax.stop_gradient(clip)
     # The search is integer work and single precision whatever the precision of what is interpolated later.
     clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), faces)

@@ -36,8 +36,8 @@ SCATTER = lax.ScatterDimensionNumbers(
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
-# How many faces are clipped at once, and how many lanes arrays have there.
-_MOST_CLIPPED, _LANES = 64, 8
+# The most faces that are clipped at once. Of few faces, as many as there are, rounded up to whole vectors.
+_MOST_CLIPPED, _VECTOR = 64, 8
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -127,12 +127,12 @@ class DrawPass(Drawing):
     @property
     def _clipped_at_once(self) -> int:
         faces = self.triangles.faces.shape[0]
-        return min(_MOST_CLIPPED, -(-faces // (FAN * _LANES)) * _LANES)
+        return min(_MOST_CLIPPED, -(-faces // (FAN * _VECTOR)) * _VECTOR)
 
     @property
     def _at_once(self) -> int:
-        """How many triangles or blocks are drawn at once: as many as clipping makes, and everywhere the same, since
-        XLA compiles equal kernels once."""
+        """How many triangles or blocks are drawn at once: as many as clipping makes. One number for all, since XLA
+        compiles equal kernels of a program once."""
         return FAN * self._clipped_at_once
 
     # What follows is another in a pass that draws parts of an image into layers.

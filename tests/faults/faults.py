@@ -1711,6 +1711,20 @@ _FIT = (
         "test_raster.py",
     ),
     _fault(
+        "drawing: a program of its own for double precision",
+        "raster/_rasterize.py",
+        "with jax.enable_x64(False):",
+        "with jax.enable_x64(jax.config.jax_enable_x64):",
+        "test_raster.py",
+    ),
+    _fault(
+        "drawing: a program of its own for derivatives outside of jit",
+        "raster/_rasterize.py",
+        "clip = lax.stop_gradient(clip)",
+        "pass",
+        "test_raster.py",
+    ),
+    _fault(
         "large triangles: every batch is the first",
         "raster/_windows.py",
         "self._chunk(LARGE, number, self._at_once)",

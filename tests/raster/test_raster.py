@@ -329,10 +329,18 @@ def window_triangles(*sides):
     return filled(clip, np.arange(len(corners)).reshape(-1, 3))
 
 
-def test_a_drawing_carries_no_gradient():
+def test_a_drawing_carries_no_gradient_and_shares_its_program_with_those_in_double_precision():
     clip, faces = window_triangles(8, 16)
     depth = lambda c: jnp.sum(rasterize(c, faces, RESOLUTION).depth)
-    np.testing.assert_array_equal(jax.grad(depth)(clip), 0)
+    expected = depth(clip)
+    with compiled_programs() as compiled:
+        value, gradient = jax.value_and_grad(depth)(clip)
+        with jax.enable_x64(True):
+            in_double = depth(clip.astype(jnp.float64))
+    np.testing.assert_array_equal(gradient, 0)
+    assert value == expected
+    assert in_double == pytest.approx(float(expected))
+    assert not any("_rasterize" in name for name in compiled)
 
 
 @pytest.mark.exhaustive
