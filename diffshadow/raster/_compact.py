@@ -78,6 +78,6 @@ def group(classes: Int[Array, " n"], number: int) -> Groups:
 
 
 def sums_up_to(values: Int[Array, " c"]) -> Int[Array, " c"]:
-    """The sum of the first values, up to each; of a few values in one step, where `jnp.cumsum` takes several."""
+    """The sum of the values up to each, with it: `jnp.cumsum` for a few values, as one kernel instead of several."""
     through = np.tri(values.shape[0], dtype=bool)
     return jnp.sum(jnp.where(through, values, 0), axis=1, dtype=jnp.int32)

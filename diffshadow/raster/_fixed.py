@@ -13,8 +13,13 @@ Second, 32-bit arithmetic wraps, so this floor is correct if it is small. If a f
 its sign matters.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+OfCorners = Sequence[Int[Array, " n"]] | Int[Array, "3 n"]
+"""A number for each corner of triangles, three (n,) or (3, n)."""
 
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
@@ -52,7 +57,7 @@ def cross(ax: Int[Array, "*n"], ay: Int[Array, "*n"], bx: Int[Array, "*n"], by: 
     return jnp.where(jnp.abs(estimate) < _FAR, wrapped, estimate)
 
 
-def signed_area(x: Int[Array, "3 n"], y: Int[Array, "3 n"]) -> Float[Array, " n"]:
+def signed_area(x: OfCorners, y: OfCorners) -> Float[Array, " n"]:
     """Twice the area of triangles with corners at fixed-point `x` and `y`, negative clockwise; its sign is exact."""
     return cross(x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0])
 

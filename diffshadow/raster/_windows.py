@@ -36,8 +36,10 @@ SCATTER = lax.ScatterDimensionNumbers(
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
-# The most faces that are clipped at once. Of few faces, as many as there are, rounded up to whole vectors.
-_MOST_CLIPPED, _VECTOR = 64, 8
+# How many faces are clipped at once, and how many triangles or blocks are drawn at once. These are as many as clipping
+# makes, since XLA compiles equal kernels of a program once.
+_CLIPPED_AT_ONCE = 64
+_AT_ONCE = FAN * _CLIPPED_AT_ONCE
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -124,17 +126,6 @@ class DrawPass(Drawing):
         # The barrier keeps XLA from computing the edge functions again for every pixel.
         return lax.optimization_barrier(form)
 
-    @property
-    def _clipped_at_once(self) -> int:
-        faces = self.triangles.faces.shape[0]
-        return min(_MOST_CLIPPED, -(-faces // (FAN * _VECTOR)) * _VECTOR)
-
-    @property
-    def _at_once(self) -> int:
-        """How many triangles or blocks are drawn at once: as many as clipping makes. One number for all, since XLA
-        compiles equal kernels of a program once."""
-        return FAN * self._clipped_at_once
-
     # What follows is another in a pass that draws parts of an image into layers.
 
     @property
@@ -160,12 +151,12 @@ class DrawPass(Drawing):
 
     def _small(self, buffer: Array, write: Write) -> Array:
         """Writes the triangles of all size classes."""
-        chunks = _ceil_div(self._counts[:LARGE], self._at_once)
+        chunks = _ceil_div(self._counts[:LARGE], _AT_ONCE)
         ends = sums_up_to(chunks)
 
         def chunk(number: Array, buffer: Array) -> Array:
             size_class = jnp.sum(number >= ends, dtype=jnp.int32)
-            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], self._at_once)
+            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], _AT_ONCE)
             corners = self.triangles.corners(face)
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
@@ -179,15 +170,15 @@ class DrawPass(Drawing):
 
     def _large(self, buffer: Array, write: Write) -> Array:
         """Writes large triangles, and then what clipping leaves of others, block by block."""
-        large = _ceil_div(self._counts[LARGE], self._at_once)
+        large = _ceil_div(self._counts[LARGE], _AT_ONCE)
 
         def whole(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(LARGE, number, self._at_once)
+            face, used, layer = self._chunk(LARGE, number, _AT_ONCE)
             corners = self.triangles.corners(face)
             return corners, plane_of_corners(corners), jnp.where(used, face, -1), layer
 
         def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(CLIPPED, number - large, self._clipped_at_once)
+            face, used, layer = self._chunk(CLIPPED, number - large, _CLIPPED_AT_ONCE)
             corners = take(self.triangles.clip, take(self.triangles.faces, face)).T
             parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
             each = lambda values: jnp.tile(values, FAN)
@@ -198,7 +189,7 @@ class DrawPass(Drawing):
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
 
-        return self._loop(large + _ceil_div(self._counts[CLIPPED], self._clipped_at_once), batch, buffer)
+        return self._loop(large + _ceil_div(self._counts[CLIPPED], _CLIPPED_AT_ONCE), batch, buffer)
 
     def _blocks(
         self,
@@ -220,7 +211,7 @@ class DrawPass(Drawing):
         ends = jnp.cumsum(lengths, dtype=jnp.int32)
 
         def candidates(number: Array, buffer: Array) -> Array:
-            block = number * self._at_once + jnp.arange(self._at_once, dtype=jnp.int32)
+            block = number * _AT_ONCE + jnp.arange(_AT_ONCE, dtype=jnp.int32)
             exists = block < ends[-1]
             owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
             within, across = block - take(ends - lengths, owner), take(columns, owner)
@@ -229,9 +220,11 @@ class DrawPass(Drawing):
             x, y = (jnp.where(exists, low, 0) for low in (x, y))
             own, own_plane, of_layer = jax.tree.map(lambda values: take_last(values, owner), (corners, plane, layer))
             form = self._form(own, own_plane, x, y, of_layer)
-            return write(buffer, form, lax.optimization_barrier(jnp.where(exists, take(source, owner), -1)), BLOCK)
+            # Nor is the face looked up again for every pixel.
+            of_block = lax.optimization_barrier(jnp.where(exists, take(source, owner), -1))
+            return write(buffer, form, of_block, BLOCK)
 
-        return self._loop(_ceil_div(ends[-1], self._at_once), candidates, buffer)
+        return self._loop(_ceil_div(ends[-1], _AT_ONCE), candidates, buffer)
 
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:

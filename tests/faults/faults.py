@@ -1699,8 +1699,8 @@ _FIT = (
     _fault(
         "small triangles: whole chunks alone",
         "raster/_windows.py",
-        "_ceil_div(self._counts[:LARGE], self._at_once)",
-        "self._counts[:LARGE] // self._at_once",
+        "_ceil_div(self._counts[:LARGE], _AT_ONCE)",
+        "self._counts[:LARGE] // _AT_ONCE",
         "test_raster.py",
     ),
     _fault(
@@ -1727,21 +1727,21 @@ _FIT = (
     _fault(
         "large triangles: every batch is the first",
         "raster/_windows.py",
-        "self._chunk(LARGE, number, self._at_once)",
-        "self._chunk(LARGE, 0, self._at_once)",
+        "self._chunk(LARGE, number, _AT_ONCE)",
+        "self._chunk(LARGE, 0, _AT_ONCE)",
         "test_raster.py",
     ),
     _fault(
         "clipped triangles: every batch is the first",
         "raster/_windows.py",
-        "self._chunk(CLIPPED, number - large, self._clipped_at_once)",
-        "self._chunk(CLIPPED, 0, self._clipped_at_once)",
+        "self._chunk(CLIPPED, number - large, _CLIPPED_AT_ONCE)",
+        "self._chunk(CLIPPED, 0, _CLIPPED_AT_ONCE)",
         "test_raster.py",
     ),
     _fault(
         "blocks: only those that are drawn at once",
         "raster/_windows.py",
-        "block = number * self._at_once +",
+        "block = number * _AT_ONCE +",
         "block =",
         "test_raster.py",
     ),
