@@ -197,7 +197,8 @@ def one_cascade(blend=0.0) -> Cascades:
     return Cascades(1, stabilize=False, blend=blend, max_blend=MOST_BLEND)
 
 
-def test_one_cascade_over_the_whole_scene_is_the_plain_map_bit_for_bit():
+@pytest.mark.parametrize("blend", [0.3, pytest.param(0.0, marks=pytest.mark.exhaustive)])
+def test_one_cascade_over_the_whole_scene_is_the_plain_map_bit_for_bit(blend):
     # All of the light's map is in the camera's sight.
     mesh = floor_and_card()
     camera = PinholeCamera((6, 9, 7), (0, 0, 0), fov_y=60.0, near=0.1, far=40.0, resolution=SIZE)
@@ -206,7 +207,7 @@ def test_one_cascade_over_the_whole_scene_is_the_plain_map_bit_for_bit():
     state = plain.prepare(scene, surface)
     visibility = np.asarray(plain.visibility(state, surface))
     assert 0.02 < (visibility[np.asarray(surface.mask)] < 0.5).mean() < 0.9
-    one = mapping(one_cascade(0.3), Nearest())
+    one = mapping(one_cascade(blend), Nearest())
     map_of_one = one.prepare(scene, surface)
     np.testing.assert_array_equal(map_of_one.depth[0], state.depth)
     np.testing.assert_array_equal(one.visibility(map_of_one, surface), visibility)
