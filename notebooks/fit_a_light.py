@@ -3,10 +3,10 @@
 #
 # Where does the sun stand, if all that is known is the scene and one image of its shadow? Here map and shadow are drawn
 # anew at every step, and the motion of the shadow's outline has a gradient: the map stores where, within a texel, its
-# casters end. The fit goes from coarse images to fine ones, whose landscapes are smoother and rougher; each has a program
-# of its own to compile, which takes most of this notebook's minutes.
+# casters end. The fit compares images under a wide blur and then under narrower ones, whose landscapes are smooth and rough.
 
 # %%
+import dataclasses
 import os
 
 import equinox as eqx
@@ -44,8 +44,7 @@ for p in plan.parameters:
 # **Fit.**
 
 # %%
-levels = (1,) if SMALL else (4, 2, 1)
-result = fit.fit(problems, plan.parameters, solver=plan.solver, anneal=plan.anneal, levels=levels)
+result = fit.fit(problems, plan.parameters, solver=plan.solver, anneal=plan.anneal)
 deviations = result.precision.deviations
 for name, value in result.fitted.items():
     truth = plan.truth[name]
@@ -54,7 +53,7 @@ for name, value in result.fitted.items():
         f"error {value - truth:+.3f}, deviation {deviations[name]:.3f} degrees"
     )
 for phase in result.phases:
-    print(f"level {phase.level}, blur {phase.blur:.2g}: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} at full resolution")
+    print(f"blur {phase.blur:2.0f} pixels: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} without the blur")
 
 # %% [markdown]
 # The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. Neighbours on an
@@ -88,27 +87,27 @@ axes[0].set_ylabel("y [pixels]")
 bars = figure.colorbar(bright, ax=axes[:3], shrink=0.7, label="visibility"), figure.colorbar(shown, ax=axes[3], shrink=0.7)
 
 # %% [markdown]
-# **The landscape**: over both angles, the RMSE of blurred differences, which the fit makes least, at a quarter of the
-# resolution (where the fit begins) and in full, with the fit's evaluations at that level.
+# **The landscape**: over both angles, the RMSE of blurred differences, which the fit makes least, under the first blur and
+# the last, with the fit's evaluations under each.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)
 azimuth, elevation = (np.linspace(p.lower, p.upper, GRID) for p in plan.parameters)
-for ax, level in zip(axes, (levels[0], 1)):
-    coarse = problem.at_level(level)
-    mean_square = lambda values: float(jnp.sum(coarse.compared(at(coarse, values)[1]) ** 2) / coarse.count)
-    rmse = np.sqrt([[mean_square(jnp.array([a, e], jnp.float32)) for a in azimuth] for e in elevation])
+differences = [[at(problem, jnp.array([a, e], jnp.float32))[1] for a in azimuth] for e in elevation]
+for ax, number in zip(axes, (0, len(result.phases) - 1)):
+    under = dataclasses.replace(problem, blur=result.phases[number].blur)
+    mean_square = lambda difference: float(jnp.sum(under.compared(difference) ** 2) / under.count)
+    rmse = np.sqrt([[mean_square(difference) for difference in row] for row in differences])
     norm = LogNorm(rmse.min(), rmse.max())
     shown = ax.pcolormesh(azimuth, elevation, rmse, norm=norm, cmap="cividis_r", shading="nearest", rasterized=True)
     figure.colorbar(shown, ax=ax, shrink=0.8, label="RMSE, blurred [visibility]")
-    phases = [i for i, phase in enumerate(result.phases) if phase.level == level]
-    path = np.array([step.values for step in result.history if step.phase in phases])
+    path = np.array([step.values for step in result.history if step.phase == number])
     ax.plot(*path.T, color="white", linewidth=3)
     ax.plot(*path.T, ".-", color="#d55e00", linewidth=1.3, markersize=5, label="fit's evaluations")
     ax.plot(*path[0], "D", color="#d55e00", markeredgecolor="white", markersize=7, label="first of them")
     ax.plot(*plan.truth.values(), "kx", markersize=9, markeredgewidth=2, label="truth")
     ax.plot(*result.fitted.values(), "*", color="#d55e00", markeredgecolor="white", markersize=12, label="fitted")
-    ax.set(title=f"{level} x {level} pixels made one" if level > 1 else "full resolution", xlabel="azimuth [degrees]")
+    ax.set(title=f"blur of {result.phases[number].blur:.0f} pixels", xlabel="azimuth [degrees]")
     ax.legend(loc="lower right", frameon=True, framealpha=0.85)
 axes[0].set_ylabel("elevation [degrees]")
 

@@ -256,7 +256,7 @@ def test_truth_lies_within_the_deviations_that_fits_report():
     bias = "bias={constant: 0.5, plane: {type: receiver_plane, deepening: 0.5}}"
     hard = "scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}"
     # The draws replace what is fitted.
-    moved = "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, levels: [1]}"
+    moved = "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, blurs: [3]}"
     plane = "{path: builtin:plane, options: {size: 4}}"
     meshes = f"scene.meshes=[{{path: builtin:torus, size: 1, drop_to_ground: true}}, {plane}]"
     found = run("coverage", camera, bias, meshes, *hard, moved, lights="directional", meshes="builtin:blob", draws=16)

@@ -76,7 +76,7 @@ def fit(
     *,
     solver: Solver | None = None,
     anneal: Anneal | None = None,
-    levels: Sequence[int] | None = None,
+    blurs: Sequence[float] | None = None,
     starts: int = 1,
     seed: int = 0,
     evaluations: int = 30,
@@ -101,10 +101,11 @@ def fit(
     - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
     - `parameters`: what is fitted, and within which bounds.
     - `solver`, `anneal`: defaults if left out. A fit of poses anneals in its last phases if it also fits a bias.
-    - `levels`: the downsampling factors of a fit of poses, phase by phase, down to 1. Phases before the last level move
-        poses only. If left out, 8, 4 or 2, the first that divides the resolutions, and 1.
-    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The last level
-        continues the best of them by the hard compare.
+    - `blurs`: for a fit of poses, the standard deviations in pixels of the Gaussian under which images are compared,
+        which fall. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
+        left out, from an eighth of the images' shorter side to 3, each about a third of the one before.
+    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
+        under the first blurs, by the hard compare, goes on.
     - `seed`: of the starts.
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
@@ -123,7 +124,7 @@ def fit(
         repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, `solver`, `anneal`, `levels`, `starts`, `evaluations` or `pixels` hold values that make no
+    technique does not allow, `solver`, `anneal`, `blurs`, `starts`, `evaluations` or `pixels` hold values that make no
     sense, no pixel counts, or the visibility is not finite at the start.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
@@ -143,7 +144,7 @@ def fit(
     spread = starts_within(fitted, initial, starts, seed)
     began = time.perf_counter()
     joint = joint.each(lambda problem: problem.planned())
-    phases = phases_of(joint, fitted.paths, anneal, levels, pixels)
+    phases = phases_of(joint, fitted.paths, anneal, blurs, pixels)
     run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, on_step)
     with run.reporter:
         path, tried = run.through(spread)

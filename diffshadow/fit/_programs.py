@@ -11,26 +11,21 @@ import jax
 # A program of a phase takes some ten megabytes.
 _MOST_PROGRAMS = 16
 
-# Of XLA, for programs that run for less time than they take to compile.
-_QUICKLY = {"xla_backend_optimization_level": 0}
-
 _PROGRAMS: OrderedDict[Any, Any] = OrderedDict()
 
 
-def compiled(function: Any, arguments: tuple[Any, ...], *, quickly: bool = False) -> Any:
+def compiled(function: Any, arguments: tuple[Any, ...]) -> Any:
     """What `function`, by `eqx.filter_jit`, compiles to for arguments of these shapes, types and static fields.
 
     The programs used last are kept.
-
-    **Arguments:** `quickly` compiles in about four fifths of the time a program that runs several times as long.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    key = id(function), quickly, tree, tuple(map(_kind, leaves))
+    key = id(function), tree, tuple(map(_kind, leaves))
     program = _PROGRAMS.pop(key, None)
     if program is None:
         with _uncollected():
             lowered = function.lower(*arguments)
-        program = lowered.compile(compiler_options=_QUICKLY if quickly else None)
+        program = lowered.compile()
     _PROGRAMS[key] = program
     while len(_PROGRAMS) > _MOST_PROGRAMS:
         _PROGRAMS.popitem(last=False)

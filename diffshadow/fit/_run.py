@@ -49,8 +49,8 @@ class Outcome(NamedTuple):
         search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
-    - `level`: the downsampling factor: each coarse pixel averages `level` × `level` pixels; `blur`: the standard
-        deviation, in such pixels, of the Gaussian under which images were compared, 0 where nothing moves.
+    - `blur`: the standard deviation, in pixels, of the Gaussian under which images were compared; 0 where nothing
+        moves.
     - `searched`: the part of the bounds in which it searched for numbers without a derivative; 0 for a phase by
         gradient. Its steps are evaluations of the error.
     """
@@ -61,7 +61,6 @@ class Outcome(NamedTuple):
     gradient_norm: float
     hard_loss: float
     values: tuple[float, ...]
-    level: int = 1
     blur: float = 0.0
     searched: float = 0.0
 
@@ -133,10 +132,8 @@ class Run:
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
-        last = [i for i, phase in enumerate(self.phases) if phase.level == 1]
-        first = [i for i in range(len(self.phases)) if i not in last]
-        # Without coarse phases, all starts run all of them.
-        shared, rest = (first, last) if first and len(spread) > 1 else ([*first, *last], [])
+        shared = [i for i, phase in enumerate(self.phases) if phase.shared]
+        rest = [i for i, phase in enumerate(self.phases) if not phase.shared]
         paths = []
         for number, initial in enumerate(np.asarray(spread)):
             self.reporter.start = number
@@ -339,15 +336,13 @@ class Run:
             if not self.reporter.overflowed:
                 return found
             places = list(dict.fromkeys(self.reporter.overflowed))
-            self._forget(phase)
-            self.phases[number] = phase._replace(joint=enlarged(phase.joint, self.parameters, as_float(places)))
+            self.enlargements += 1
+            # They have memory for too few silhouettes.
+            self._programs.clear()
+            larger = enlarged(phase.joint, self.parameters, as_float(places))
+            self.phases = [each.with_memory_of(larger) for each in self.phases]
             self.reporter.again()
         raise RuntimeError(_NEVER_ENOUGH)
-
-    def _forget(self, phase: Phase) -> None:
-        """Drops the programs of a phase, which have memory for too few silhouettes."""
-        self.enlargements += 1
-        self._programs.pop(phase.program, None)
 
     def _program(self, phase: Phase, arguments: tuple[Any, ...]) -> Any:
         """The compiled program of a phase for arguments of these shapes, which may differ between samples."""
@@ -355,8 +350,7 @@ class Run:
         shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(arguments))
         if shapes not in programs:
             started = time.perf_counter()
-            # Coarse images are small.
-            programs[shapes] = compiled(solve, arguments, quickly=phase.level > 1)
+            programs[shapes] = compiled(solve, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return programs[shapes]
 
@@ -384,4 +378,4 @@ def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) 
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"
     steps, at = int(solution.steps), tuple(values.tolist())
-    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, phase.level, max(phase.blurs))
+    return Outcome(phase.width, steps, result, gradient_norm, hard_loss, at, max(phase.blurs))

@@ -75,6 +75,7 @@ def draw_shadow_map(
     edges: Edges | None = None,
     crossings: int | None = None,
     overflows: list[Overflow] | None = None,
+    buffer: Resolution | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
@@ -102,6 +103,7 @@ def draw_shadow_map(
         default from `plan_crossings`. Under a trace, it is required with `edges`.
     - `overflows`: a list. Instead of raising, `Overflow` is appended to it: silhouettes are missing from such a map, so
         throw it away and draw again.
+    - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
     `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
@@ -148,6 +150,7 @@ def draw_shadow_map(
             behind=behind,
             pages=pages,
             viewports=viewports,
+            buffer=buffer,
         )
 
     def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:
@@ -199,7 +202,7 @@ class MapSettings(NamedTuple):
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
         """The shadow map of `casters` under `light`; `edges`, `crossings` and `overflows` as for `draw_shadow_map`."""
         given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
-        return draw_shadow_map(casters, light, **given, **how)
+        return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 
     def buffer(self, image: Resolution) -> Resolution | None:
         """The buffer for `draw_surface` with which an `image` of this size and the map are drawn by one program.
@@ -210,8 +213,8 @@ class MapSettings(NamedTuple):
         if self.depth_format != "float32" or self.polygon_offset is not None:
             return None
         height, width = self.resolution
-        # With silhouettes, the corners of texels are drawn too.
-        size = (height + 1, width + 1) if self.silhouettes else (height, width)
+        # With silhouettes, as in fits of lights or meshes, the corners of texels are drawn too.
+        size = (height, width) if self.silhouettes is False else (height + 1, width + 1)
         return size if all(n <= side <= _MOST_SHARED for n, side in zip(image, size, strict=True)) else None
 
 

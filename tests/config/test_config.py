@@ -909,7 +909,7 @@ FOR_FITS = {
     "silhouettes of midpoints": (
         "shadow_map: {depth_layer: midpoint}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"
     ),
-    "levels that do not divide": ("fit: {levels: [3, 1], parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"),
+    "blur too wide": "fit: {blurs: [90, 3], parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n",
     "least radius beyond the greatest": (
         "filter: {type: pcss, max_radius: 4}\nfit: {parameters: {filter.min_radius: {lower: 0, upper: 9}}}\n"
     ),
@@ -926,7 +926,7 @@ def test_fault_of_a_fit_keeps_no_render_from_its_work(text):
     text = text if text.startswith("scene") else TINY + text
     config = parse_config(text, source="file.yaml")
     said = fault(text)
-    assert " fit.parameters" in said or " fit.levels" in said or " shadow_map" in said
+    assert " fit.parameters" in said or " fit.blurs" in said or " shadow_map" in said
     # The same faults, of a configuration that was built in Python.
     (what,) = (what for _, what in config.fit_faults())
     assert what.message().split(";")[-1] == said.split(";")[-1]
@@ -1013,8 +1013,8 @@ def caught(text: str, *overrides: str) -> ConfigError:
 
 
 @pytest.mark.parametrize("parameters", ["3", "0.5", "true", "[1]"])
-def test_parameters_that_are_no_section_are_reported_beside_levels(parameters):
-    problems = caught(TINY + f"fit: {{levels: [1], parameters: {parameters}}}\n").mistakes
+def test_parameters_that_are_no_section_are_reported_beside_blurs(parameters):
+    problems = caught(TINY + f"fit: {{blurs: [3], parameters: {parameters}}}\n").mistakes
     assert any(p.key == "fit.parameters" and "expected a section" in p.message for p in problems)
 
 

@@ -1762,7 +1762,7 @@ _FIT = (
     _fault(
         "buffers: for maps without silhouettes the corners' too",
         "shadow/_map.py",
-        "size = (height + 1, width + 1) if self.silhouettes else (height, width)",
+        "size = (height, width) if self.silhouettes is False else (height + 1, width + 1)",
         "size = (height + 1, width + 1)",
         "test_shadow_map.py",
     ),
@@ -1900,10 +1900,24 @@ _FIT = (
         "test_fit_pose.py",
     ),
     _fault(
-        "coarse level: pixels that do not count darken it",
-        "fit/problems/_pose.py",
-        "mean(self.weight * self.reference) / counted",
-        "mean(self.weight * self.reference)",
+        "blur: as wide along one axis as along both",
+        "fit/problems/_blur.py",
+        "-2 * (math.pi * deviation * frequency) ** 2",
+        "-4 * (math.pi * deviation * frequency) ** 2",
+        "test_fit_pose.py",
+    ),
+    _fault(
+        "blur: one border reaches the other",
+        "fit/problems/_blur.py",
+        "side + math.ceil(REACH_OF_BLUR * max(_WIDEST * side, BLUR))",
+        "side",
+        "test_fit_pose.py",
+    ),
+    _fault(
+        "blurs: the last one is not applied",
+        "fit/_phases.py",
+        "phase._replace(joint=_blurred(phase.joint, narrow), shared=not first)",
+        "phase._replace(shared=not first)",
         "test_fit_pose.py",
     ),
     _fault(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from scenes import LAMP, floor_camera, floor_surface, jacfwd_and_value, quad, sun
+from scenes import LAMP, floor_camera, jacfwd_and_value, quad, sun
 from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
@@ -30,7 +30,7 @@ from diffshadow.fit._precision import precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
-from diffshadow.fit.problems import levels_of
+from diffshadow.fit.problems import blurs_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt
 from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
@@ -224,38 +224,24 @@ def test_the_noise_of_a_solver_is_that_of_the_problem_unless_it_is_given():
         )
 
 
-def test_levels_fall_to_one_and_divide_the_sides():
-    assert levels_of(None, 256, 512) == (8, 1)
-    assert levels_of(None, 36, 64) == (2, 1)
-    assert levels_of(None, 37) == (1,)
-    assert levels_of([4, 1], 36, 64) == (4, 1)
-    for wrong in ([], [4, 2], [2, 4, 1]):
-        with pytest.raises(ValueError, match="expected whole numbers that fall to 1"):
-            levels_of(wrong, 64)
-    with pytest.raises(ValueError, match="level 8 makes one pixel of 8 x 8, and image or map has a side of 36"):
-        levels_of([8, 1], 64, 36)
+def test_blurs_fall_and_suit_the_images():
+    np.testing.assert_allclose(blurs_of(None, 256, 512), (32, 96**0.5, 3))
+    assert blurs_of(None, 20) == (3,)
+    assert blurs_of([8.0, 0.0], 64, 96) == (8, 0)
+    for wrong in ([], [3.0, 3.0], [2.0, 4.0], [1.0, -1.0], [np.inf, 1.0]):
+        with pytest.raises(ValueError, match="expected numbers of 0 or more that fall"):
+            blurs_of(wrong, 64)
+    with pytest.raises(ValueError, match="a blur of 9 pixels is too wide for an image with a side of 64; expected 8"):
+        blurs_of([9.0, 1.0], 256, 64)
 
 
-def test_coarse_levels_hold_means_of_the_pixels_that_count(monkeypatch):
-    drawn = lambda mesh, camera, buffer: floor_surface(1.5, camera.resolution)
-    monkeypatch.setattr("diffshadow.fit.problems._pose.draw_surface", drawn)
-    one = dataclasses.replace(problem(LIGHTS["directional"], moves=True), surface=floor_surface(1.5, (64, 64)))
-    rng = np.random.default_rng(0)
-    reference, weight = rng.random((64, 64)), (rng.random((64, 64)) < 0.5).astype(float)
-    one = dataclasses.replace(
-        one, reference=jnp.asarray(reference, jnp.float32), weight=jnp.asarray(weight, jnp.float32)
-    )
-    coarse = one.at_level(4)
-    assert coarse.scene.camera.resolution == coarse.surface.mask.shape == (16, 16)
-    assert coarse.settings.resolution == (32, 32)
-    block = (slice(8, 12), slice(4, 8))
-    assert float(coarse.weight[2, 1]) == pytest.approx(weight[block].mean())
-    assert float(coarse.reference[2, 1]) == pytest.approx(np.average(reference[block], weights=weight[block]), rel=1e-5)
-    assert float(coarse.count * 16) == pytest.approx(weight.sum())
-    # What is off counts for some way around, so that a shadow far from its place is seen to be off.
-    sharp = rng.normal(size=(16, 16)).astype(np.float32)
-    blurred = gaussian_filter(sharp, coarse.blur, mode="constant", truncate=8.0)
-    np.testing.assert_allclose(coarse.compared(jnp.asarray(sharp)), blurred, atol=1e-4)
+@pytest.mark.parametrize("deviation", [0, 3, 8])
+def test_differences_are_compared_under_a_gaussian(deviation):
+    """What is off counts for some way around, so that a shadow far from its place is seen to be off."""
+    one = dataclasses.replace(problem(LIGHTS["directional"], moves=True), blur=deviation)
+    sharp = np.random.default_rng(0).normal(size=(64, 80))
+    blurred = gaussian_filter(sharp, deviation, mode="constant", truncate=8.0) if deviation else sharp
+    np.testing.assert_allclose(one.compared(jnp.asarray(sharp, jnp.float32)), blurred, atol=1e-5)
 
 
 def test_starts_are_the_first_and_an_even_spread():
@@ -361,7 +347,7 @@ def test_the_start_with_the_least_loss_runs_the_remaining_phases():
         return Path([], path.values, [losses[path.values[0]]], [], [])
 
     solving = SimpleNamespace(
-        phases=[SimpleNamespace(level=level) for level in (4, 1, 1)],
+        phases=[SimpleNamespace(shared=shared) for shared in (True, False, False)],
         reporter=SimpleNamespace(start=None),
         _along=along,
         _start=lambda initial: Path([], [(float(initial[0]),)], [], [], []),
@@ -472,7 +458,7 @@ def recovered():
     tight = lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
-        result = fit(one, parameters, levels=[1])
+        result = fit(one, parameters, blurs=[3.0])
     assert result.enlargements >= 1
     return truth, one, result
 
@@ -485,7 +471,7 @@ def test_sun_is_recovered_from_its_shadow(recovered):
     found = values(dataclasses.replace(one, arrangement=result.arrangement), tuple(result.fitted))
     np.testing.assert_allclose(found, list(result.fitted.values()), rtol=1e-6)
     assert result.phases[-1].hard_loss < 1e-3
-    assert (result.phases[0].level, result.phases[0].blur) == (1, 3.0)
+    assert result.phases[0].blur == 3.0
     # A texel is two to three pixels wide.
     assert 1.2 < result.phases[1].blur < 2.2
     assert result.flat == []
@@ -516,7 +502,7 @@ def test_height_of_a_card_along_the_light_is_not_determined():
     parameters = [
         Parameter(path, off, -0.4, 0.4, "world units") for path, off in zip(SHIFT, (0.1, 0.0, 0.1), strict=True)
     ]
-    result = fit(one, parameters, levels=[1], solver=Solver(max_steps=15))
+    result = fit(one, parameters, blurs=[3.0], solver=Solver(max_steps=15))
     # One combination, in which the height takes part; what is left of the start is the way along the light.
     (names,) = result.precision.undetermined
     assert SHIFT[1] in names
@@ -543,7 +529,7 @@ def minimal_plane(silhouettes=True):
 
 def pull(one):
     parameters = [Parameter(path, 0.375, 0.0, 0.5, "world units") for path in VERTEX]
-    return fit(one, parameters, solver=Solver("levenberg_marquardt", 60, 1e-6, 1e-7), levels=[1])
+    return fit(one, parameters, solver=Solver("levenberg_marquardt", 60, 1e-6, 1e-7), blurs=[3.0])
 
 
 @pytest.mark.exhaustive

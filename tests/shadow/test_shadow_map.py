@@ -95,9 +95,9 @@ def test_an_image_in_the_buffer_of_a_map_is_the_same_and_shares_its_program(monk
     expected = draw_surface(mesh, camera)
     # No image is small now, and the buffer of small ones is that of the map.
     monkeypatch.setattr("diffshadow.raster._rasterize._SHARED_SIDE", 1)
-    settings = MapSettings((256, 256))
+    settings = MapSettings((255, 255))
     buffer = settings.buffer(camera.resolution)
-    assert buffer == settings.resolution
+    assert buffer == (256, 256)
     settings.draw(mesh, sun(mesh))
     with compiled_programs() as compiled:
         surface = draw_surface(mesh, camera, buffer=buffer)
@@ -107,10 +107,11 @@ def test_an_image_in_the_buffer_of_a_map_is_the_same_and_shares_its_program(monk
 
 
 def test_images_larger_than_a_map_and_maps_that_are_very_large_or_not_plain_share_no_buffer():
-    with_corners = MapSettings((64, 64), silhouettes=True)
-    assert with_corners.buffer((64, 65)) == (65, 65)
-    assert with_corners.buffer((64, 66)) is None
-    assert MapSettings((64, 64)).buffer((64, 65)) is None
+    for silhouettes in (True, None):
+        with_corners = MapSettings((64, 64), silhouettes=silhouettes)
+        assert with_corners.buffer((64, 65)) == (65, 65)
+        assert with_corners.buffer((64, 66)) is None
+    assert MapSettings((64, 64), silhouettes=False).buffer((64, 65)) is None
     assert MapSettings((4096, 64)).buffer((64, 64)) is None
     assert MapSettings((64, 64), depth_format="unorm16").buffer((64, 64)) is None
     assert MapSettings((64, 64), polygon_offset=(1.0, 1.0)).buffer((64, 64)) is None

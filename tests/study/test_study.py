@@ -379,37 +379,37 @@ def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, 
     assert remarks(tiny(), [parameter], fine) == []
 
 
-LEVEL_8 = "(level 8, blur 3 pixels)"
+FIRST = "(blur 24 pixels)"
 
 
-def ended(level: int, result: str = "successful") -> fit.Outcome:
-    return fit.Outcome(0.0, 8, result, 1e-9, 0.01, (5.0,), level, blur=3.0)
+def ended(blur: float, result: str = "successful") -> fit.Outcome:
+    return fit.Outcome(0.0, 8, result, 1e-9, 0.01, (5.0,), blur)
 
 
 @pytest.mark.parametrize(
-    ("last", "coarse", "said"),
+    ("last", "losses", "said"),
     [
         # The error still fell by four fifths in the last quarter of the steps.
-        ("successful", [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1], [LEVEL_8, "by 80% in its last 2 steps: raise"]),
+        ("successful", [1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1], [FIRST, "by 80% in its last 2 steps: raise"]),
         # By no more than the loss jumps; a step that was taken back is none that helped.
         ("successful", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.08, 0.9], []),
-        ("max_steps reached", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], [LEVEL_8, "ended at max_steps, too"]),
+        ("max_steps reached", [1, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], [FIRST, "ended at max_steps, too"]),
         ("successful", [], []),
     ],
 )
-def test_coarse_level_that_was_cut_short_is_told_where_it_matters(last, coarse, said):
+def test_first_phase_that_was_cut_short_is_reported_where_it_matters(last, losses, said):
     from diffshadow.study.runs._remarks import remarks
 
-    history = [fit.Step(0, i, 0.0, loss, (5.0,), start=1) for i, loss in enumerate(coarse)]
+    history = [fit.Step(0, i, 0.0, loss, (5.0,), start=1) for i, loss in enumerate(losses)]
     # Another start's steps, and those of the phase that converged, count for nothing.
     history = [fit.Step(0, 0, 0.0, 9.0, (5.0,), start=0), *history, fit.Step(1, 0, 0.0, 0.01, (5.0,), start=1)]
-    cut, whole = ended(8, "max_steps reached"), ended(1, last)
+    cut, whole = ended(24.0, "max_steps reached"), ended(3.0, last)
     found = fit.FitResult(None, {"bias.constant": 5.0}, {"bias.constant": 5.0}, [cut, whole], 1, history, [], 0.0, 0.0)
     parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
     earlier = [remark for remark in remarks(tiny(), [parameter], found) if "earlier phase" in remark]
     assert len(earlier) == bool(said)
     assert all(part in remark for remark in earlier for part in said)
-    # Where the result comes from none of the phases, or from the coarse one itself, there is nothing to say.
+    # Where the result comes from none of the phases, or from the first one itself, there is nothing to say.
     for chosen in (-1, 0):
         assert not any("earlier phase" in each for each in remarks(tiny(), [parameter], found._replace(chosen=chosen)))
 
@@ -418,7 +418,7 @@ def test_result_that_is_the_start_is_of_no_phase():
     from diffshadow.study.runs._remarks import remarks
 
     values = {"bias.constant": 5.0}
-    found = fit.FitResult(None, values, values, [ended(1, "max_steps reached")], -1, [], [], 0.0, 0.0)
+    found = fit.FitResult(None, values, values, [ended(3.0, "max_steps reached")], -1, [], [], 0.0, 0.0)
     (remark,) = remarks(tiny(), [fit.Parameter("bias.constant", 5.0, 0.0, 10.0)], found)
     assert "the start is the result" in remark
 

@@ -35,7 +35,7 @@ class FitPlan(NamedTuple):
 
     - `loss`: of the errors of all views and lights.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
-    - `levels`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
+    - `blurs`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     - `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
@@ -46,7 +46,7 @@ class FitPlan(NamedTuple):
     anneal: fit.Anneal
     loss: fit.Loss
     arrangement: fit.Arrangement | None = None
-    levels: tuple[int, ...] | None = None
+    blurs: tuple[float, ...] | None = None
     starts: int = 1
     searches: bool = False
     evaluations: int = 30
@@ -209,7 +209,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         built_anneal,
         fit.Loss(**config.fit.loss.model_dump()),
         arrangement,
-        config.fit.levels,
+        config.fit.blurs,
         config.fit.multistart,
         any(is_searched(config, name) for name in config.fit.parameters),
         config.fit.evaluations,

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 
 from ._fitted import outside
 from ._poses import is_pose
-from ._section import Conflict, Count, Form, Section, Texels, Unit, as_list, fault, is_number, ordered
+from ._section import MOST_TEXELS, Conflict, Form, Section, Texels, Unit, as_list, fault, is_number, ordered
 from ._technique import LEAST_WIDTH, SoftKernel
 from ._views import LossConfig, ValidationConfig, ViewsConfig
 
@@ -72,6 +72,7 @@ class AnnealConfig(Section):
 
 
 _Excess = Annotated[float, Field(gt=0, le=10)]
+_Blur = Annotated[float, Field(ge=0, le=MOST_TEXELS)]
 _as_names = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
 LEAST_BIAS = "least_bias"
 """The preference for the least biases, then the least radii."""
@@ -92,10 +93,10 @@ class FitConfig(Section):
     )
     solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
     anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
-    levels: Annotated[tuple[Count, ...], as_list, Form("a list of whole numbers that fall to 1")] | None = Field(
+    blurs: Annotated[tuple[_Blur, ...], as_list, Form("a list of numbers that fall"), Unit("pixels")] | None = Field(
         default=None,
-        description="for lights and meshes: downsampling factor of each phase, where a coarse pixel averages "
-        "level x level pixels; default: [8, 1]",
+        description="for lights and meshes: standard deviation of the Gaussian under which images are compared, in "
+        "each phase; default: from an eighth of the image's shorter side to 3, in steps of about a third",
     )
     multistart: Annotated[int, Unit("starts")] = Field(
         default=1, ge=1, le=1024, description="number of starts: the initial values, and others within the bounds"
@@ -136,7 +137,7 @@ class FitConfig(Section):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        parameters, levels = data.get("parameters"), data.get("levels")
+        parameters, blurs = data.get("parameters"), data.get("blurs")
         names = parameters if isinstance(parameters, Mapping) else {}
         if data.get("front") in (1, 2):
             what = fault(f"is {data['front']}", "0 for none, or at least 3 points", "raise it, such as to 9")
@@ -144,10 +145,10 @@ class FitConfig(Section):
         if parameters == {}:
             mend = "add 'bias.constant: {lower: 0, upper: 10}'"
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
-        if isinstance(levels, list | tuple) and all(isinstance(n, int) for n in levels):
-            if not levels or levels[-1] != 1 or any(a <= b for a, b in itertools.pairwise(levels)):
-                message = "does not fall to 1" if levels else "is empty"
-                yield ("levels",), fault(message, "whole numbers that fall to 1", "write a list such as [8, 1]")
+        if isinstance(blurs, list | tuple) and all(is_number(blur) for blur in blurs):
+            if not blurs or any(a <= b for a, b in itertools.pairwise(blurs)):
+                message = "does not fall" if blurs else "is empty"
+                yield ("blurs",), fault(message, "numbers of pixels that fall", "write a list such as [24, 3]")
             elif not any(is_pose(str(name)) for name in names):
                 mend = "remove the key, or add a parameter of the scene, such as scene.light.azimuth"
-                yield ("levels",), fault("is given, and nothing moves", "a parameter of a light or mesh with it", mend)
+                yield ("blurs",), fault("is given, and nothing moves", "a parameter of a light or mesh with it", mend)

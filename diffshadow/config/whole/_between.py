@@ -134,7 +134,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     if isinstance(config.technique, CascadesConfig) and config.technique.shares and config.has_silhouettes:
         message = "is given in a fit of lights or meshes, which needs maps with silhouettes"
         yield ("technique", "shares"), fault(message, "cascades of one size", "remove it")
-    yield from _uneven_levels(config)
+    yield from _wide_blurs(config)
     for key, light in config.scene.each_light.items():
         if isinstance(light, DirectionalLightConfig) and light.frame == "casters":
             message = "is casters in a fit of lights or meshes, whose shadows may move outside the initial frame"
@@ -201,16 +201,16 @@ def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
             yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)
 
 
-def _uneven_levels(config: Parts) -> Iterator[Conflict]:
-    """Faults of levels that do not divide images and maps."""
-    sides = {"scene.camera.resolution": config.scene.camera.resolution}
-    sides["shadow_map.resolution"] = config.shadow_map.resolution
-    for i, level in enumerate(config.fit.levels or ()):
-        for name, resolution in sides.items():
-            if any(side % level for side in resolution):
-                message = f"is {level}, and {name} is {list(resolution)}"
-                yield ("fit", "levels", i), fault(message, "a level that divides both sides", f"change it, or {name}")
-                break
+def _wide_blurs(config: Parts) -> Iterator[Conflict]:
+    """Faults of blurs that are wide for the image."""
+    resolution = config.scene.camera.resolution
+    # As `fit.fit` allows.
+    most = max(min(resolution) / 8, 3)
+    for i, blur in enumerate(config.fit.blurs or ()):
+        if blur > most:
+            message = f"is {blur:g}, and scene.camera.resolution is {list(resolution)}"
+            expected = f"at most {most:g} pixels, an eighth of its shorter side"
+            yield ("fit", "blurs", i), fault(message, expected, "make it narrower, or the image larger")
 
 
 def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:

@@ -2,6 +2,7 @@
 
 from ._abstract import AbstractProblem as AbstractProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
+from ._blur import blurs_of as blurs_of
 from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import Samples as Samples
@@ -10,7 +11,6 @@ from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied
 from ._joint import products as products
 from ._joint import squares as squares
-from ._levels import levels_of as levels_of
 from ._pose import PoseProblem as PoseProblem
 from ._pose import cone_fraction as cone_fraction
 from ._stack import Atlases as Atlases

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._misc import as_float
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge
 from ...raster import Surface, draw_surface
@@ -15,18 +16,12 @@ from ...reference import Reference
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
 from ._abstract import AbstractProblem
-from ._blur import blurred
+from ._blur import BLUR, blurred
 
-# The standard deviation, in pixels of any level, of the Gaussian under which images are compared. Without it, a shadow
-# that is further off than its outline is wide has no derivative towards its place; and outlines here are as soft as the
-# map's texels, but sharp in a reference, which sharp differences would mistake for a light in another place.
-_BLUR = 3.0
 # The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
 # meshes, an image under it tells best where they are (`docs/experiments.md`).
 _LAST_BLUR = 0.7
 _LEAST_BLUR = 1.0
-# By how much less the map is coarsened than the image: a mesh's silhouettes get lost in texels as wide as its parts.
-_FINER_MAP = 2
 # There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
 _MORE_CROSSINGS = 4
 
@@ -45,7 +40,6 @@ class PoseProblem(AbstractProblem):
     - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
         cover a texel of the map as the camera sees it.
-    - `sharpness`: the factor by which the Gaussian is narrower than `blur`, 1 or more.
     """
 
     arrangement: Arrangement
@@ -57,9 +51,7 @@ class PoseProblem(AbstractProblem):
     surface: Surface | None = None
     crossings: int | None = eqx.field(static=True, default=None)
     edges: Edges | None = None
-    blur: float = eqx.field(static=True, default=_BLUR)
-    # A number of the program, so that one program serves phases of any sharpness.
-    sharpness: Scalar | float = 1.0
+    blur: Scalar = eqx.field(converter=as_float, default=BLUR)
 
     @classmethod
     def of(
@@ -120,7 +112,7 @@ class PoseProblem(AbstractProblem):
     @property
     def blur_in_pixels(self) -> float:
         """Standard deviation of the Gaussian under which differences are compared, in pixels."""
-        return float(self.blur / self.sharpness)
+        return float(self.blur)
 
     def image(self, shadow_map: ShadowMap, surface: Surface, technique: ShadowMapping) -> Visibility:
         """What is compared with the reference, (h, w): visibility times the cone's fraction."""
@@ -136,7 +128,7 @@ class PoseProblem(AbstractProblem):
 
     def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """The blur of a difference."""
-        return blurred(difference, self.blur, self.sharpness)
+        return blurred(difference, self.blur)
 
     def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement.
@@ -152,43 +144,16 @@ class PoseProblem(AbstractProblem):
         return shadow_map, surface
 
     @property
-    def sharpest(self) -> float:
-        """The sharpness at which differences locate lights and meshes best, once these are nearly in place.
+    def sharpest(self) -> "PoseProblem":
+        """With the blur, no wider than its own, under which differences locate lights and meshes best once these are
+        nearly in place.
 
         A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
         differently.
         """
         scene = self.scene
         texel = float(_texel_in_pixels(scene.light, scene.camera, _points(scene.meshes), self.settings.resolution))
-        return self.blur / min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur) if self.blur else 1.0
-
-    def at_level(self, level: int) -> "PoseProblem":
-        """The problem at a coarser resolution: each pixel averages `level` x `level` pixels that count.
-
-        The map is coarsened by half as much. A filter's radius stays the same number of texels, and so spans more of
-        the scene; the blur stays the same number of pixels.
-        """
-        if level == 1:
-            return self
-        smaller = lambda size, by=level: (size[0] // by, size[1] // by)
-        blocks = lambda image: image.reshape(image.shape[0] // level, level, image.shape[1] // level, level)
-        mean = lambda image: blocks(image).mean(axis=(1, 3))
-        weight = mean(self.weight)
-        counted = jnp.where(weight > 0, weight, 1)
-        reference = jnp.where(weight > 0, mean(self.weight * self.reference) / counted, 1)
-        camera = self.scene.camera
-        scene = dataclasses.replace(
-            self.scene, camera=dataclasses.replace(camera, resolution=smaller(camera.resolution))
-        )
-        buffer = self.settings.buffer(scene.camera.resolution)
-        return dataclasses.replace(
-            self,
-            scene=scene,
-            reference=reference,
-            weight=weight,
-            settings=self.settings._replace(resolution=smaller(self.settings.resolution, max(1, level // _FINER_MAP))),
-            surface=None if self.surface is None else draw_surface(scene.mesh, scene.camera, buffer=buffer),
-        )
+        return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur_in_pixels))
 
     def planned(self) -> "PoseProblem":
         """With memory for several times the silhouettes of its arrangement, and no less than before."""
@@ -223,11 +188,6 @@ class PoseProblem(AbstractProblem):
         places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
         edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
         return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))
-
-    @property
-    def sides(self) -> tuple[int, ...]:
-        """The sides of image and map, in pixels and texels."""
-        return (*self.reference.shape, *self.settings.resolution)
 
     def _edges(self) -> Edges | None:
         if not self.settings.silhouettes:

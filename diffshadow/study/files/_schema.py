@@ -138,7 +138,6 @@ class _Phase(_Part):
     gradient_norm: Annotated[float, Field(ge=0)] | None
     hard_loss: Annotated[float, Field(ge=0, le=1 + SLACK)] | None
     values: Numbers
-    level: int = Field(default=1, ge=1)
     blur: float = Field(default=0.0, ge=0)
     searched: float = Field(default=0.0, ge=0, le=1)
 

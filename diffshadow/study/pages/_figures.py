@@ -360,7 +360,7 @@ def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float
 def _mark_phases(
     axes: Axes, result: Mapping[str, Any], recorded: Mapping[str, HostArray], *, widths: bool = True
 ) -> list[float]:
-    """Shades every other phase, and writes the width of its compare and the scale of its images above it.
+    """Shades every other phase, and writes the width of its compare and the blur of its images above it.
 
     **Returns** the x-coordinates of the start of the fit and the end of each phase.
     """
@@ -374,9 +374,9 @@ def _mark_phases(
         if number % 2 == 0:
             axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
         if widths and ends[-1] - first > _NARROW * count:
-            coarse = f" 1/{phase['level']}" if phase.get("level", 1) > 1 else ""
+            blur = f", blur {phase['blur']:.3g}" if phase.get("blur", 0) else ""
             hard = "search" if phase.get("searched", 0) else "hard"
-            label = f"{words}{phase['width']:.2g}{coarse}" if phase["width"] else f"{hard}{coarse}"
+            label = f"{words}{phase['width']:.2g}{blur}" if phase["width"] else f"{hard}{blur}"
             style.text(axes, (first + ends[-1]) / 2, label)
             words = ""
     return ends

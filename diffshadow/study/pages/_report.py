@@ -232,7 +232,7 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
         (
             style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
             "The error over the fit. The label of each phase is the width of its soft compare in texels, hard, or "
-            "search, and the scale of its images. The result is chosen by the hard compare at full resolution.",
+            "search, and the blur of its images in pixels. The result is chosen by the hard compare.",
         ),
         (
             style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
@@ -246,7 +246,6 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {
             "compare": _compare(phase),
-            "level": phase.get("level", 1),
             "blur": f"{phase.get('blur', 0):.3g}",
             "steps": phase["steps"],
             "error": number("rmse", None if phase["hard_loss"] is None else phase["hard_loss"] ** 0.5),

@@ -152,7 +152,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         plan.parameters,
         solver=plan.solver,
         anneal=plan.anneal,
-        levels=plan.levels,
+        blurs=plan.blurs,
         starts=plan.starts,
         seed=config.seed,
         evaluations=plan.evaluations,

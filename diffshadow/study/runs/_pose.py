@@ -110,7 +110,7 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     if result.starts:
         losses = sorted(start.loss for start in result.starts)
         listed = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
-        console.print(Text(f"blurred RMSE of {len(losses)} starts after the coarse phases, best first: {listed}"))
+        console.print(Text(f"blurred RMSE of {len(losses)} starts after the first phases, best first: {listed}"))
 
 
 def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:

@@ -82,7 +82,7 @@ def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
 
 
 def _named(phase: Outcome) -> str:
-    return f"width {phase.width:.3g} texels" if phase.width else f"level {phase.level}, blur {phase.blur:.3g} pixels"
+    return f"width {phase.width:.3g} texels" if phase.width else f"blur {phase.blur:.3g} pixels"
 
 
 def _flat(config: Config, name: str) -> str:
