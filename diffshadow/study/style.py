@@ -172,6 +172,11 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
         "pdf": {"metadata": {"CreationDate": None}},
     }
     with rc_context(_VECTOR), _without_glyphs():
+        engine = figure.get_layout_engine()
+        if form == "png" and engine is not None:
+            # Matplotlib would draw the figure once more to lay it out.
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(path, format=form, dpi=dpi, **options[form])
 
 
