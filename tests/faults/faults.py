@@ -1900,7 +1900,7 @@ _FIT = (
         "test_fit_pose.py",
     ),
     _fault(
-        "blur: as wide along one axis as along both",
+        "blur: twice the variance",
         "fit/problems/_blur.py",
         "-2 * (math.pi * deviation * frequency) ** 2",
         "-4 * (math.pi * deviation * frequency) ** 2",
@@ -1914,10 +1914,24 @@ _FIT = (
         "test_fit_pose.py",
     ),
     _fault(
-        "blurs: the last one is not applied",
+        "blurs: the first phases have the last one's",
         "fit/_phases.py",
-        "phase._replace(joint=_blurred(phase.joint, narrow), shared=not first)",
-        "phase._replace(shared=not first)",
+        "Phase(_blurred(joint.hard(), blur), poses, 0.0)",
+        "Phase(_blurred(joint.hard(), narrow), poses, 0.0)",
+        "test_fit_pose.py",
+    ),
+    _fault(
+        "several starts: all of them run the last phases",
+        "fit/_phases.py",
+        "shared=not first",
+        "shared=True",
+        "test_fit_pose.py",
+    ),
+    _fault(
+        "silhouettes: later phases get no more memory",
+        "fit/_phases.py",
+        "dataclasses.replace(own, crossings=like.crossings, edges=like.edges)",
+        "own",
         "test_fit_pose.py",
     ),
     _fault(

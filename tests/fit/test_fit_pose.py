@@ -14,6 +14,7 @@ from scenes import LAMP, floor_camera, jacfwd_and_value, quad, sun
 from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
+    Anneal,
     Arrangement,
     MeshPose,
     Parameter,
@@ -26,11 +27,12 @@ from diffshadow.fit import (
     resolve,
     with_values,
 )
+from diffshadow.fit._phases import Phase, phases_of
 from diffshadow.fit._precision import precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
-from diffshadow.fit.problems import blurs_of
+from diffshadow.fit.problems import Joint, blurs_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt
 from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
@@ -233,6 +235,30 @@ def test_blurs_fall_and_suit_the_images():
             blurs_of(wrong, 64)
     with pytest.raises(ValueError, match="a blur of 9 pixels is too wide for an image with a side of 64; expected 8"):
         blurs_of([9.0, 1.0], 256, 64)
+
+
+def test_phases_narrow_the_blur_and_only_the_last_fit_all_numbers():
+    paths = ("technique.filter.radius", AZIMUTH)
+    joint = Joint.of(problem(SUN))
+    phases = phases_of(joint, paths, Anneal(), [8.0, 5.0, 2.0], 1 << 16)
+    texel = phases[-1].blurs[0]
+    assert [phase.blurs for phase in phases] == [(8,), (5,), (2,), (texel,)]
+    assert 1 <= texel < 2
+    assert [phase.active for phase in phases] == [(1,), (1,), (0, 1), (0, 1)]
+    assert [phase.shared for phase in phases] == [True, True, False, False]
+    # Under one blur, all starts run to the end.
+    assert all(phase.shared for phase in phases_of(joint, paths, Anneal(), [3.0], 1 << 16))
+    # A bias hardens the compare in the last phases.
+    phases = phases_of(joint, ("technique.bias.constant", AZIMUTH), Anneal(phases=2), [8.0, 3.0], 1 << 16)
+    assert [phase.width for phase in phases] == [0, *Anneal(phases=2).widths, phases[-1].width]
+    assert [phase.blurs for phase in phases[:3]] == [(8,), (3,), (3,)]
+
+
+def test_all_phases_get_the_memory_that_one_needs():
+    phase = Phase(Joint.of(problem(SUN)), (0,), 0.0)
+    larger = Joint.of(dataclasses.replace(phase.joint.problems[0], crossings=64, blur=1.0))
+    (grown,) = phase.with_memory_of(larger).joint.problems
+    assert (grown.crossings, float(grown.blur)) == (64, 3.0)
 
 
 @pytest.mark.parametrize("deviation", [0, 3, 8])
