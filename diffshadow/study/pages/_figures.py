@@ -360,11 +360,11 @@ def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float
 def _mark_phases(
     axes: Axes, result: Mapping[str, Any], recorded: Mapping[str, HostArray], *, widths: bool = True
 ) -> list[float]:
-    """Shades every other phase, and writes the width of its compare and the blur of its images above it.
+    """Shades every other phase, and writes the width of its compare, or the blur of its images, above it.
 
     **Returns** the x-coordinates of the start of the fit and the end of each phase.
     """
-    ends, words = [-0.5], "width "
+    ends, named = [-0.5], ""
     count = max(len(recorded["phase"]), 1)
     axes.set_xlim(-0.5 - 0.02 * count, count - 0.5 + 0.02 * count)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -374,11 +374,11 @@ def _mark_phases(
         if number % 2 == 0:
             axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
         if widths and ends[-1] - first > _NARROW * count:
-            blur = f", blur {phase['blur']:.3g}" if phase.get("blur", 0) else ""
-            hard = "search" if phase.get("searched", 0) else "hard"
-            label = f"{words}{phase['width']:.2g}{blur}" if phase["width"] else f"{hard}{blur}"
-            style.text(axes, (first + ends[-1]) / 2, label)
-            words = ""
+            kind = "width" if phase["width"] else "blur" if phase.get("blur", 0) else ""
+            label = f"{phase[kind]:.2g}" if kind else "search" if phase.get("searched", 0) else "hard"
+            # What the numbers are is written once.
+            style.text(axes, (first + ends[-1]) / 2, label if kind in ("", named) else f"{kind} {label}")
+            named = kind or named
     return ends
 
 

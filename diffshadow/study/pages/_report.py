@@ -231,8 +231,8 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
     return [
         (
             style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
-            "The error over the fit. The label of each phase is the width of its soft compare in texels, hard, or "
-            "search, and the blur of its images in pixels. The result is chosen by the hard compare.",
+            "The error over the fit. The label of each phase is the width of its soft compare in texels, the blur of "
+            "its images in pixels, hard, or search. The result is chosen by the hard compare.",
         ),
         (
             style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
