@@ -28,6 +28,10 @@ _GEOMETRIC = ("radius", "light_size", "min_radius")
 # The part of the bounds in which the second search looks.
 _REFINED = 0.25
 
+# A step of the first phases that is shorter changes a value by less than a two-hundredth of its bounds' distance, which
+# is nothing under their blur.
+_ROUGHLY = 0.01
+
 _ALL = 1 << 62
 
 
@@ -38,6 +42,7 @@ class Phase(NamedTuple):
     - `active`: the indices of the parameters that it changes.
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `shared`: whether all of several starts run it, or only the best of them.
+    - `shortest`: where its solver ends, as for `solve`.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
     - `pixels`: the most of them that a step of a fit of a technique evaluates.
     """
@@ -46,6 +51,7 @@ class Phase(NamedTuple):
     active: tuple[int, ...]
     width: float
     shared: bool = True
+    shortest: float = 0.0
     searched: float = 0.0
     pixels: int = _ALL
 
@@ -102,7 +108,7 @@ def _phases_of_poses(
 ) -> list[Phase]:
     poses = tuple(i for i, path in enumerate(paths) if not is_of_technique(path))
     *wide, narrow = blurs_of(blurs, *(side for problem in joint.problems for side in problem.reference.shape))
-    first = [Phase(_blurred(joint.hard(), blur), poses, 0.0) for blur in wide if poses]
+    first = [Phase(_blurred(joint.hard(), blur), poses, 0.0, shortest=_ROUGHLY) for blur in wide if poses]
     if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
         last = annealed
     else:

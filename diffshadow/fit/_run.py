@@ -285,7 +285,7 @@ class Run:
             whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
             joint = whole if whole.count <= phase.pixels else self._sample(whole, phase.pixels, values)
         joint = joint.each(lambda p: p.padded()).stacked(self._atlases)
-        return joint, parameters, as_float(free), self.solver, token, as_float(scale)
+        return joint, parameters, as_float(free), self.solver, token, as_float(scale), as_float(phase.shortest)
 
     def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
         """A sample of about so many `pixels` of `whole` at `values` (p,)."""

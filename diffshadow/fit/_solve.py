@@ -39,7 +39,9 @@ class Solution(NamedTuple):
     result: optx.RESULTS
 
 
-def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array) -> Solution:
+def _solve(
+    joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array, shortest: Array
+) -> Solution:
     def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks]]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
         # once for each; here it is a matrix, found once together with the residuals.
@@ -61,7 +63,7 @@ def _solve(joint: Joint, parameters: Parameters, y: Array, solver: Solver, token
 
     solution = optx.least_squares(
         residual,
-        optimistix_solver(solver, Report(token)),
+        optimistix_solver(solver, Report(token), shortest),
         y,
         (joint, parameters, scale),
         optimistix_options(solver),
@@ -114,7 +116,8 @@ def _columns(stacks: Stacks) -> Float[Array, "n p"]:
 
 
 solve: Any = eqx.filter_jit(_solve)
-"""`solve(joint, parameters, y, solver, token, scale)`: a phase from the free values `y`.
+"""`solve(joint, parameters, y, solver, token, scale, shortest)`: a phase from the free values `y`.
 
-`token` names the reporter of its steps, and `scale` multiplies the residuals.
+`token` names the reporter of its steps, `scale` multiplies the residuals, and `shortest` is the length of a step, in
+free values, at which Levenberg-Marquardt ends after a step that did not help.
 """

@@ -246,6 +246,7 @@ def test_phases_narrow_the_blur_and_only_the_last_fit_all_numbers():
     assert 1 <= texel < 2
     assert [phase.active for phase in phases] == [(1,), (1,), (0, 1), (0, 1)]
     assert [phase.shared for phase in phases] == [True, True, False, False]
+    assert [phase.shortest > 0 for phase in phases] == [True, True, False, False]
     # Under one blur, all starts run to the end.
     assert all(phase.shared for phase in phases_of(joint, paths, Anneal(), [3.0], 1 << 16))
     # A bias hardens the compare in the last phases.
@@ -448,11 +449,14 @@ def test_levenberg_marquardt_follows_a_bent_valley_to_its_bottom():
 def test_levenberg_marquardt_ends_where_the_loss_is_least_at_a_jump():
     # Its derivative leads over the edge, and no step over it is ever accepted.
     over_the_edge = lambda y, _: jnp.stack([1 - y[0], jnp.where(y[0] > 0.5, 2.0, 0.0)])
-    solver = LevenbergMarquardt(1e-4, 1e-6, lambda **_: None)
-    found = optx.least_squares(over_the_edge, solver, jnp.zeros(1), max_steps=60, throw=False)
-    assert found.result == optx.RESULTS.successful
-    assert 0.49 < float(found.value[0]) <= 0.5
-    assert int(found.stats["num_steps"]) < 40
+    exact, rough = (
+        optx.least_squares(over_the_edge, solver, jnp.zeros(1), max_steps=60, throw=False)
+        for solver in (LevenbergMarquardt(1e-4, 1e-6, lambda **_: None, shortest=size) for size in (0.0, 0.05))
+    )
+    assert exact.result == rough.result == optx.RESULTS.successful
+    assert 0.49 < float(exact.value[0]) <= 0.5
+    assert 0.4 < float(rough.value[0]) <= 0.5
+    assert int(rough.stats["num_steps"]) < int(exact.stats["num_steps"]) < 40
 
 
 def test_levenberg_marquardt_follows_its_model_through_noise():

@@ -80,7 +80,8 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
     minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. With `noise`, as a
-    fraction of the loss, it ends where the model predicts almost no reduction.
+    fraction of the loss, it ends where the model predicts almost no reduction. After a rejected step, a step counts as
+    short if it changes no number by more than `shortest`, whatever the tolerances.
     """
 
     rtol: float
@@ -90,9 +91,18 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     search: optx.AbstractSearch
     verbose: Callable[..., None]
     noise: float
+    shortest: Array | float
 
-    def __init__(self, rtol: float, atol: float, verbose: Callable[..., None], noise: float = 0.0):
+    def __init__(
+        self,
+        rtol: float,
+        atol: float,
+        verbose: Callable[..., None],
+        noise: float = 0.0,
+        shortest: Array | float = 0.0,
+    ):
         self.rtol, self.atol, self.norm, self.verbose = rtol, atol, optx.max_norm, verbose
+        self.shortest = shortest
         self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
         self.search, self.noise = NielsenDamping(noise), noise
 
@@ -100,7 +110,7 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         self, fn: Any, y: Float[Array, " p"], args: Any, options: Any, state: Any, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
         done, result = super().terminate(fn, y, args, options, state, tags)
-        short = jnp.abs(state.y_eval - y) < self.atol + self.rtol * jnp.abs(y)
+        short = jnp.abs(state.y_eval - y) < jnp.maximum(self.shortest, self.atol + self.rtol * jnp.abs(y))
         accepted = state.num_steps_since_acceptance == 0
         done = done | (jnp.all(short) & ~accepted)
         if self.noise > 0:
