@@ -14,6 +14,15 @@ from scenes import staying_in
 from diffshadow.cli import _repeated_interrupts, main
 from diffshadow.study.sweeps._interrupts import deferred_interrupts, out_of_reach
 
+
+@pytest.fixture(autouse=True)
+def _interrupts():
+    """Interrupts raise, also where the tests run in the background of a shell, which has them ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 SWEEP = """
 name: s
 scene: {meshes: [path: 'builtin:box'], camera: {resolution: [8, 8]}}
