@@ -67,9 +67,11 @@ class Phase(NamedTuple):
 
     def with_memory_of(self, joint: Joint) -> "Phase":
         """With as much memory for silhouettes as the problems of `joint` have."""
-        larger = iter(joint.problems)
-        grown = lambda own, like: dataclasses.replace(own, crossings=like.crossings, edges=like.edges)
-        return self._replace(joint=self.joint.each(lambda problem: grown(problem, next(larger))))
+        grown = tuple(
+            dataclasses.replace(own, crossings=like.crossings, edges=like.edges)
+            for own, like in zip(self.joint.problems, joint.problems, strict=True)
+        )
+        return self._replace(joint=dataclasses.replace(self.joint, problems=grown))
 
 
 def phases_of(

@@ -23,6 +23,7 @@ from diffshadow.config import (
     load_config,
     parse_config,
 )
+from diffshadow.fit.problems import widest_blur
 from diffshadow.shadow.biases import FEATURES
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
@@ -1010,6 +1011,17 @@ def caught(text: str, *overrides: str) -> ConfigError:
     with pytest.raises(ConfigError) as error:
         parse_config(text, overrides, source="file.yaml")
     return error.value
+
+
+@pytest.mark.parametrize("sides", [(16, 64), (96, 72)])
+def test_blurs_are_as_wide_as_a_fit_allows(sides):
+    text = f"scene: {{meshes: [path: builtin:box], camera: {{resolution: {list(sides)}}}}}\n"
+    most = widest_blur(*sides)
+    blurred = lambda blur: (
+        f"{text}fit: {{blurs: [{blur}], parameters: {{scene.light.azimuth: {{lower: 0, upper: 90}}}}}}"
+    )
+    assert not list(parse_config(blurred(most), source="file.yaml").fit_faults())
+    assert f"expected at most {most:g} pixels" in fault(blurred(most + 0.01))
 
 
 @pytest.mark.parametrize("parameters", ["3", "0.5", "true", "[1]"])

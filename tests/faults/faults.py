@@ -1909,8 +1909,8 @@ _FIT = (
     _fault(
         "blur: one border reaches the other",
         "fit/problems/_blur.py",
-        "side + math.ceil(REACH_OF_BLUR * max(_WIDEST * side, BLUR))",
-        "side",
+        "padding = math.ceil(REACH_OF_BLUR * widest_blur(height, width))",
+        "padding = 0",
         "test_fit_pose.py",
     ),
     _fault(

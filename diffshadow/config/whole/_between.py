@@ -204,7 +204,7 @@ def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
 def _wide_blurs(config: Parts) -> Iterator[Conflict]:
     """Faults of blurs that are wide for the image."""
     resolution = config.scene.camera.resolution
-    # As `fit.fit` allows.
+    # As `fit.problems.widest_blur`, which needs JAX.
     most = max(min(resolution) / 8, 3)
     for i, blur in enumerate(config.fit.blurs or ()):
         if blur > most:

@@ -28,16 +28,21 @@ _WIDEST = 1 / 8
 _STEP = 3
 
 
-def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
-    """`blurs`, standard deviations in pixels, or some from a wide one that suits images of these `sides` to `BLUR`.
+def widest_blur(*sides: int) -> float:
+    """The largest standard deviation for images of these `sides`, in pixels."""
+    return max(_WIDEST * min(sides), BLUR)
 
-    **Raises** `ValueError` unless they are finite and fall, and the first is at most an eighth of every side.
+
+def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
+    """`blurs`, standard deviations in pixels, or some from the widest for images of these `sides` to `BLUR`.
+
+    **Raises** `ValueError` unless they are finite and fall, and the first is no wider than that.
     """
-    wide = _WIDEST * min(sides)
+    most = widest_blur(*sides)
     if blurs is None:
-        count = 1 + max(round(math.log(wide / BLUR, _STEP)), 0)
-        return tuple(np.geomspace(wide, BLUR, count).tolist()) if count > 1 else (BLUR,)
-    blurs, most = tuple(blurs), max(wide, BLUR)
+        count = 1 + round(math.log(most / BLUR, _STEP))
+        return tuple(np.geomspace(most, BLUR, count).tolist()) if count > 1 else (BLUR,)
+    blurs = tuple(blurs)
     if not blurs or not np.isfinite(blurs).all() or blurs[-1] < 0 or any(a <= b for a, b in itertools.pairwise(blurs)):
         raise ValueError(f"the blurs are {list(blurs)}; expected numbers of 0 or more that fall, such as [24, 3]")
     if blurs[0] > most:
@@ -56,9 +61,9 @@ def blurred(image: Float[Array, "h w"], deviation: Scalar | float) -> Float[Arra
     σ, in the same time.
     """
     height, width = image.shape
-    # Padded, so that nothing reaches the opposite border.
-    padded = lambda side: next_fast_len(side + math.ceil(REACH_OF_BLUR * max(_WIDEST * side, BLUR)), real=True)
-    sides: Any = padded(height), padded(width)
+    # So that nothing reaches the opposite border.
+    padding = math.ceil(REACH_OF_BLUR * widest_blur(height, width))
+    sides: Any = tuple(next_fast_len(side + padding, real=True) for side in image.shape)
     gaussian = lambda frequency: jnp.exp(-2 * (math.pi * deviation * frequency) ** 2)
     rows, columns = gaussian(np.fft.fftfreq(sides[0])), gaussian(np.fft.rfftfreq(sides[1]))
     spectrum = jnp.fft.rfft2(image, s=sides) * rows[:, None] * columns
