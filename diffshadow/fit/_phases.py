@@ -42,7 +42,7 @@ class Phase(NamedTuple):
     - `active`: the indices of the parameters that it changes.
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `shared`: whether all of several starts run it, or only the best of them.
-    - `shortest`: where its solver ends, as for `solve`.
+    - `shortest`: where its solver ends, as for `Stop`.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
     - `pixels`: the most of them that a step of a fit of a technique evaluates.
     """

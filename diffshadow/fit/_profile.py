@@ -8,6 +8,8 @@ from ._run import Run, Values
 
 # An end of an interval is found when the error there is as close to its limit as this part of the limit's excess.
 _CLOSE = 0.1
+# The other parameters are fitted until the loss would fall by less than this part of the excess.
+_SETTLED = 0.02
 # The most trials for an end, and the part of the bounds below which trials end.
 _TRIALS, _NARROW = 12, 1e-4
 # The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
@@ -162,7 +164,7 @@ class Profiler:
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
         """The best with the parameter at `value`, from the values of a trial that is near."""
         moved = (*near.values[:index], value, *near.values[index + 1 :])
-        again = self.run.refitted(moved, (*kept, index))
+        again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * (limit / self.best.error - 1))
         # Not rounded to single precision, so that a bound is met exactly.
         again = (*again[:index], value, *again[index + 1 :])
         trial = Trial(again, self.run.error(again))

@@ -12,7 +12,7 @@ from ..shadow import Overflow
 from ._history import Report, report_overflow
 from ._parameters import Parameters
 from .problems import Images, Joint, any_of, multiplied, products, squares
-from .solvers import Solver, optimistix_options, optimistix_solver
+from .solvers import Solver, Stop, optimistix_options, optimistix_solver
 
 Stacks = tuple[Float[Array, "..."], ...]
 """The derivatives of images by each parameter, (p, n, h, w)."""
@@ -40,7 +40,7 @@ class Solution(NamedTuple):
 
 
 def _solve(
-    joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array, shortest: Array
+    joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array, stop: Stop
 ) -> Solution:
     def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks]]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
@@ -63,7 +63,7 @@ def _solve(
 
     solution = optx.least_squares(
         residual,
-        optimistix_solver(solver, Report(token), shortest),
+        optimistix_solver(solver, Report(token), stop),
         y,
         (joint, parameters, scale),
         optimistix_options(solver),
@@ -116,8 +116,7 @@ def _columns(stacks: Stacks) -> Float[Array, "n p"]:
 
 
 solve: Any = eqx.filter_jit(_solve)
-"""`solve(joint, parameters, y, solver, token, scale, shortest)`: a phase from the free values `y`.
+"""`solve(joint, parameters, y, solver, token, scale, stop)`: a phase from the free values `y`.
 
-`token` names the reporter of its steps, `scale` multiplies the residuals, and `shortest` is the length of a step, in
-free values, at which Levenberg-Marquardt ends after a step that did not help.
+`token` names the reporter of its steps, and `scale` multiplies the residuals.
 """

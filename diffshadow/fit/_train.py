@@ -21,7 +21,7 @@ from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
 from ._anneal import Anneal, check_anneal
 from .problems import TechniqueProblem, of_one_structure, together
-from .solvers import Solver, check_solver, optimistix_options, optimistix_solver
+from .solvers import Solver, Stop, check_solver, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
 # A number with a lower bound starts at least this far above it.
@@ -197,7 +197,7 @@ def _phase(
         return _loss(groups, technique, bounded(y), where)
 
     quiet, start = (lambda **_: None), _free(start, least)
-    method: Any = optimistix_solver(solver, quiet)
+    method: Any = optimistix_solver(solver, quiet, Stop())
     views, until = (groups, technique), {"max_steps": solver.max_steps, "throw": False}
     if solver.is_least_squares:
         solution = optx.least_squares(residual, method, start, views, optimistix_options(solver), **until)

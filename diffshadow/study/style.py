@@ -172,12 +172,16 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
         "pdf": {"metadata": {"CreationDate": None}},
     }
     with rc_context(_VECTOR), _without_glyphs():
-        engine = figure.get_layout_engine()
-        if form == "png" and engine is not None:
-            # Matplotlib would draw the figure once more to lay it out.
-            engine.execute(figure)
-            figure.set_layout_engine("none")
+        _lay_out(figure)
         figure.savefig(path, format=form, dpi=dpi, **options[form])
+
+
+def _lay_out(figure: Figure) -> None:
+    """Lays `figure` out for good. Matplotlib would draw it once more for that in each format."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 @contextlib.contextmanager
@@ -192,6 +196,7 @@ def inline_svg(figure: Figure, name: str) -> str:
     """A figure as an `<svg>` for a page, with colours that follow the page's theme. `name` is unique on the page."""
     out = io.StringIO()
     with rc_context({**_VECTOR, "svg.hashsalt": name}), _without_glyphs():
+        _lay_out(figure)
         figure.savefig(out, format="svg", metadata={"Date": None})
     return themed(out.getvalue())
 

@@ -1923,9 +1923,23 @@ _FIT = (
     _fault(
         "Levenberg-Marquardt: rough phases end as late as others",
         "fit/solvers/_levenberg_marquardt.py",
-        "jnp.maximum(self.shortest, self.atol + self.rtol * jnp.abs(y))",
+        "jnp.maximum(self.stop.shortest, self.atol + self.rtol * jnp.abs(y))",
         "self.atol + self.rtol * jnp.abs(y)",
         "test_fit_pose.py",
+    ),
+    _fault(
+        "Levenberg-Marquardt: goes on where there is nothing to gain",
+        "fit/solvers/_levenberg_marquardt.py",
+        "(gain < self.stop.least_gain)",
+        "(gain < 0)",
+        "test_fit_pose.py",
+    ),
+    _fault(
+        "profile: others are fitted as roughly for a narrow interval as for a wide one",
+        "fit/_profile.py",
+        "least_gain=_SETTLED * (limit / self.best.error - 1)",
+        "least_gain=_SETTLED",
+        "test_sureness.py",
     ),
     _fault(
         "several starts: all of them run the last phases",
@@ -1958,7 +1972,7 @@ _FIT = (
     _fault(
         "profile: the others are not fitted again",
         "fit/_profile.py",
-        "again = self.run.refitted(moved, (*kept, index))",
+        "again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * (limit / self.best.error - 1))",
         "again = moved",
         "test_sureness.py",
     ),

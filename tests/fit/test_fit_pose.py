@@ -33,7 +33,7 @@ from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
 from diffshadow.fit.problems import Joint, blurs_of
-from diffshadow.fit.solvers import Adam, LevenbergMarquardt
+from diffshadow.fit.solvers import Adam, LevenbergMarquardt, Stop
 from diffshadow.fit.solvers._adam import _Descent
 from diffshadow.geometry import (
     DirectionalLight,
@@ -449,14 +449,27 @@ def test_levenberg_marquardt_follows_a_bent_valley_to_its_bottom():
 def test_levenberg_marquardt_ends_where_the_loss_is_least_at_a_jump():
     # Its derivative leads over the edge, and no step over it is ever accepted.
     over_the_edge = lambda y, _: jnp.stack([1 - y[0], jnp.where(y[0] > 0.5, 2.0, 0.0)])
+    solvers = (LevenbergMarquardt(1e-4, 1e-6, lambda **_: None, stop=Stop(shortest=size)) for size in (0.0, 0.05))
     exact, rough = (
-        optx.least_squares(over_the_edge, solver, jnp.zeros(1), max_steps=60, throw=False)
-        for solver in (LevenbergMarquardt(1e-4, 1e-6, lambda **_: None, shortest=size) for size in (0.0, 0.05))
+        optx.least_squares(over_the_edge, solver, jnp.zeros(1), max_steps=60, throw=False) for solver in solvers
     )
     assert exact.result == rough.result == optx.RESULTS.successful
     assert 0.49 < float(exact.value[0]) <= 0.5
     assert 0.4 < float(rough.value[0]) <= 0.5
     assert int(rough.stats["num_steps"]) < int(exact.stats["num_steps"]) < 40
+
+
+def test_levenberg_marquardt_ends_where_there_is_little_to_gain():
+    decay = lambda y, _: jnp.exp(-y[0] * jnp.linspace(0.0, 4.0, 9)) - jnp.linspace(1.0, 0.1, 9)
+    stops = (Stop(least_gain=gain) for gain in (0.0, 0.1, 1e-3))
+    solvers = (LevenbergMarquardt(1e-6, 1e-7, lambda **_: None, stop=stop) for stop in stops)
+    exact, near, nearer = (
+        optx.least_squares(decay, solver, jnp.full(1, 0.05), max_steps=60, throw=False) for solver in solvers
+    )
+    least, loss, closer = (float(jnp.sum(decay(found.value, None) ** 2)) for found in (exact, near, nearer))
+    assert 1.001 * least < loss < 1.2 * least
+    assert closer < 1.002 * least
+    assert int(near.stats["num_steps"]) < int(nearer.stats["num_steps"]) < int(exact.stats["num_steps"])
 
 
 def test_levenberg_marquardt_follows_its_model_through_noise():

@@ -5,4 +5,5 @@ from ._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from ._optimistix import optimistix_options as optimistix_options
 from ._optimistix import optimistix_solver as optimistix_solver
 from ._settings import Solver as Solver
+from ._settings import Stop as Stop
 from ._settings import check_solver as check_solver

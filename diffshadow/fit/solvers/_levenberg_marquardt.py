@@ -9,13 +9,13 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from ._settings import Stop
+
 # The first step's damping, relative to the largest squared norm of a column of the Jacobian.
 _FIRST_DAMPING = 0.01
 # The factor by which the first of several rejected steps shortens the next, and the greatest by which a good one
 # lengthens it.
 _SHRINK, _MOST_GROWTH = 2.0, 3.0
-# Where the loss is noisy, a fit ends when the predicted reduction of a full step is less than this fraction of it.
-_LEAST_GAIN = 1e-3
 # Added to the squares of the Jacobian's columns, relative to them, so that parameters with the same effect do no harm.
 _RIDGE = 1e-6
 
@@ -79,9 +79,8 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's, with Nielsen's damping. It also ends where the step after a rejected one would be short.
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
-    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. With `noise`, as a
-    fraction of the loss, it ends where the model predicts almost no reduction. After a rejected step, a step counts as
-    short if it changes no number by more than `shortest`, whatever the tolerances.
+    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. It accepts steps
+    within the `noise` of the loss, a fraction of it. `stop` ends it sooner.
     """
 
     rtol: float
@@ -91,7 +90,7 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     search: optx.AbstractSearch
     verbose: Callable[..., None]
     noise: float
-    shortest: Array | float
+    stop: Stop
 
     def __init__(
         self,
@@ -99,10 +98,10 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         atol: float,
         verbose: Callable[..., None],
         noise: float = 0.0,
-        shortest: Array | float = 0.0,
+        stop: Stop = Stop(),  # noqa: B008
     ):
         self.rtol, self.atol, self.norm, self.verbose = rtol, atol, optx.max_norm, verbose
-        self.shortest = shortest
+        self.stop = stop
         self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
         self.search, self.noise = NielsenDamping(noise), noise
 
@@ -110,10 +109,8 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         self, fn: Any, y: Float[Array, " p"], args: Any, options: Any, state: Any, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
         done, result = super().terminate(fn, y, args, options, state, tags)
-        short = jnp.abs(state.y_eval - y) < jnp.maximum(self.shortest, self.atol + self.rtol * jnp.abs(y))
+        short = jnp.abs(state.y_eval - y) < jnp.maximum(self.stop.shortest, self.atol + self.rtol * jnp.abs(y))
         accepted = state.num_steps_since_acceptance == 0
-        done = done | (jnp.all(short) & ~accepted)
-        if self.noise > 0:
-            here = state.f_info
-            done = done | (accepted & ~state.first_step & (_gain(here.jac.as_matrix(), here.residual) < _LEAST_GAIN))
-        return done, result
+        gain = _gain(state.f_info.jac.as_matrix(), state.f_info.residual)
+        flat = accepted & ~state.first_step & (gain < self.stop.least_gain)
+        return done | (jnp.all(short) & ~accepted) | flat, result

@@ -5,27 +5,23 @@ from typing import Any
 
 import lineax as lx
 import optimistix as optx
-from jaxtyping import Array
 
 from ._adam import Adam
 from ._levenberg_marquardt import LevenbergMarquardt
-from ._settings import Solver
+from ._settings import Solver, Stop
 
 # Singular values of the Jacobian below this fraction of the largest count as zero, at the precision of float32.
 _LEAST_SINGULAR = 1e-6
 
 
 def optimistix_solver(
-    solver: Solver, report: Callable[..., None], shortest: Array | float = 0.0
+    solver: Solver, report: Callable[..., None], stop: Stop
 ) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
-    """The solver of optimistix that calls `report` at every step.
-
-    **Arguments:** `shortest` as for `LevenbergMarquardt`; others do not use it.
-    """
+    """The solver of optimistix that calls `report` at every step."""
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":
-            return LevenbergMarquardt(**tolerances, noise=solver.noise or 0.0, shortest=shortest)
+            return LevenbergMarquardt(**tolerances, noise=solver.noise or 0.0, stop=stop)
         case "dogleg":
             # It solves undamped: a parameter without a gradient must not spoil the others' steps.
             return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))

@@ -3,6 +3,7 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Array
 
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 # Fraction of the loss.
@@ -39,6 +40,17 @@ class Solver(NamedTuple):
     def for_problem(self, moves: bool) -> "Solver":
         """With the noise of a problem in which lights or meshes move, or do not."""
         return self if self.noise is not None else self._replace(noise=_NOISE_OF_POSES if moves else 0.0)
+
+
+class Stop(NamedTuple):
+    """Where Levenberg-Marquardt ends, besides its tolerances. Other solvers do not use it.
+
+    - `shortest`: the length of a step, in free values, at which it ends after a step that did not help.
+    - `least_gain`: it ends where the sum of squares would fall by less than this fraction if residuals were linear.
+    """
+
+    shortest: Array | float = 0.0
+    least_gain: Array | float = 0.0
 
 
 def check_solver(solver: Solver) -> None:
