@@ -26,7 +26,8 @@ _READ = ("KHR_mesh_quantization", DRACO)
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(alias_generator=to_camel, frozen=True, coerce_numbers_to_str=True)
+    # Built with the first file, which spares all others a tenth of a second.
+    model_config = ConfigDict(alias_generator=to_camel, frozen=True, coerce_numbers_to_str=True, defer_build=True)
 
 
 class Asset(_Part):

@@ -25,6 +25,7 @@ class _Part(BaseModel):
         coerce_numbers_to_str=True,
         allow_inf_nan=True,
         arbitrary_types_allowed=True,
+        defer_build=True,
     )
 
 
