@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
@@ -66,13 +67,17 @@ def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[
     That is the squared cosine of the angle between residual and tangents, zero where the fit is best (Bates & Watts, "A
     relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics 23, 1981).
     """
-    length = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
-    unit = jacobian / jnp.where(length > 0, length, 1)
-    along = jnp.matmul(unit.T, residual, precision="highest")
-    square = jnp.matmul(unit.T, unit, precision="highest") + _RIDGE * jnp.eye(length.size, dtype=length.dtype)
-    square = square + jnp.diag(jnp.where(length > 0, 0, 1.0))
+    along = jnp.matmul(jacobian.T, residual, precision="highest")
+    square = jnp.matmul(jacobian.T, jacobian, precision="highest")
+    eye = jnp.eye(along.size, dtype=along.dtype)
+    length = jnp.sqrt(jnp.sum(square * eye, axis=0))
+    scale = jnp.where(length > 0, 1 / length, 0)
+    cosines = square * scale * scale[:, None] + jnp.where(length > 0, _RIDGE, 1) * eye
+    factor = jax.lax.linalg.cholesky(cosines, symmetrize_input=False)
+    # With L Lᵀ for the cosines, aᵀ (L Lᵀ)⁻¹ a is |L⁻¹ a|².
+    part = jax.lax.linalg.triangular_solve(factor, (along * scale)[:, None], left_side=True, lower=True)
     total = jnp.sum(residual**2)
-    return jnp.sum(along * jnp.linalg.solve(square, along)) / jnp.where(total > 0, total, 1)
+    return jnp.sum(part**2) / jnp.where(total > 0, total, 1)
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):

@@ -24,6 +24,7 @@ class PaddedMap(eqx.Module):
     - `margin`: texels on each side.
     - `silhouettes`: the casters' outlines within texels, or none.
     - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
+    - `apart`: whether depths are read before they are compared, instead of one by one in between.
     """
 
     depth: Float[Array, " n"]
@@ -32,6 +33,7 @@ class PaddedMap(eqx.Module):
     margin: int = eqx.field(static=True)
     silhouettes: PaddedSilhouettes | None = None
     first: Int[Array, ""] | None = None
+    apart: bool = eqx.field(static=True, default=False)
 
     @property
     def stride(self) -> int:
@@ -56,7 +58,8 @@ class PaddedMap(eqx.Module):
 
         Look-ups that differ only in `skip` share their address computation.
         """
-        return self.read(self.depth, place, skip)
+        depth = self.read(self.depth, place, skip)
+        return lax.optimization_barrier(depth) if self.apart else depth
 
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         """As `depth_at`, from another flat array with the same layout."""

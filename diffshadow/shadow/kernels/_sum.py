@@ -23,7 +23,7 @@ from ._terms import AbstractTerms, total, zeros_like
 # slowly and take more memory.
 _COST_OF_A_STEP = 4
 # The cost of a step with its derivatives, relative to the step alone.
-_COST_OF_DERIVATIVES = 2
+_COST_OF_DERIVATIVES = 4
 
 
 def sum_over(

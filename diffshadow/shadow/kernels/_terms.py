@@ -1,6 +1,7 @@
 """Sums over what kernels read, and their derivatives."""
 
 import abc
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -68,11 +69,15 @@ def _total_jvp(primals, tangents):
     if not compare.has_depth_derivative:
         d_padded = _without_depths(d_padded)
 
+    def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
+        # With derivatives, XLA does not vectorize compares that read depths themselves, and compiles them slowly.
+        return terms.term(dataclasses.replace(padded, apart=True), compare, at, step)
+
     def one(at: At, step: Any) -> Any:
         moving, still = eqx.partition(at, moves)
-        value, pull = jax.vjp(lambda moving: terms.term(padded, compare, eqx.combine(moving, still), step), moving)
-        of_term = lambda padded, compare: terms.term(padded, compare, at, step)
-        change = eqx.filter_jvp(of_term, (padded, compare), (d_padded, d_compare))[1]
+        value, pull = jax.vjp(lambda moving: term(padded, compare, eqx.combine(moving, still), step), moving)
+        of_map = lambda padded, compare: term(padded, compare, at, step)
+        change = eqx.filter_jvp(of_map, (padded, compare), (d_padded, d_compare))[1]
         return value, pull(jnp.ones_like(value))[0], change
 
     some = lambda at: terms.add_up(one, padded, at, steps)
