@@ -70,8 +70,9 @@ def _total_jvp(primals, tangents):
         d_padded = _without_depths(d_padded)
 
     def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
-        # With derivatives, XLA does not vectorize compares that read depths themselves, and compiles them slowly.
-        return terms.term(dataclasses.replace(padded, apart=True), compare, at, step)
+        # With derivatives, XLA does not vectorize soft compares that read depths themselves, and compiles them slowly.
+        apart = compare.has_depth_derivative
+        return terms.term(dataclasses.replace(padded, apart=apart), compare, at, step)
 
     def one(at: At, step: Any) -> Any:
         moving, still = eqx.partition(at, moves)

@@ -67,11 +67,13 @@ def find_contours(
     Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where
     one begins, with the caster to its left.
     """
-    layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
+    where = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
+    # Barriers, here and below: otherwise XLA computes an index again in each gather that uses it.
+    layer, row, column = map(lax.optimization_barrier, where)
     at = lambda steps: (layer, row + steps[:, :1], column + steps[:, 1:])
     z, own = corners[grid.corner(*at(_CORNERS))], depth[texel]
     # (2, 4, t): where a caster ends, and where one begins, on each side.
-    crossing = crossings.at[_ROWS, grid.side(_UPRIGHT, *at(_SIDES))]
+    crossing = lax.optimization_barrier(crossings.at[_ROWS, grid.side(_UPRIGHT, *at(_SIDES))])
     edge_depth = crossings.depth[crossing]
     near, far = jnp.min(edge_depth, axis=(0, 1)), jnp.max(z, axis=0)
     threshold = lax.stop_gradient(jnp.minimum(near, far) + far) / 2

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -81,7 +82,10 @@ def find_crossings(
     - `corners`: (k,), window depth at the corners of texels. A crossing counts only if its edge is nearer.
     """
     found = grid_crossings(*lax.stop_gradient((outline.start, outline.end)), outline.counts, capacity)
-    start, end, z = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
+    # Barriers: otherwise XLA finds and gathers the ends again in each of the many kernels that use them.
+    found = jax.tree.map(lax.optimization_barrier, found)
+    ends = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
+    start, end, z = map(lax.optimization_barrier, ends)
     upright = found.axis == 0
     across = lambda point: jnp.where(upright, point[:, 0], point[:, 1])
     along = lambda point: jnp.where(upright, point[:, 1], point[:, 0])

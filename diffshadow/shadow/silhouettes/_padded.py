@@ -77,6 +77,8 @@ class Pyramid(eqx.Module):
                 return cls(jnp.concatenate(flat), tuple(levels))
             even = jnp.pad(level, ((0, 0), (0, rows % 2), (0, columns % 2)))
             level = even[:, ::2, ::2] | even[:, 1::2, ::2] | even[:, ::2, 1::2] | even[:, 1::2, 1::2]
+            # Barrier: otherwise XLA computes finer levels again for each coarser one.
+            level = lax.optimization_barrier(level)
 
     def any_within(
         self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None, reach: Float[Array, "..."]
