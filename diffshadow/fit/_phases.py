@@ -22,6 +22,7 @@ from ._anneal import Anneal
 from ._arrangement import is_of_technique
 from ._parameters import Parameters
 from .problems import AbstractProblem, Joint, PoseProblem, blurs_of
+from .solvers import Stop
 
 # Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
@@ -42,7 +43,7 @@ class Phase(NamedTuple):
     - `active`: the indices of the parameters that it changes.
     - `width`: of its soft compare in texels; 0 for the hard one.
     - `shared`: whether all of several starts run it, or only the best of them.
-    - `shortest`: where its solver ends, as for `Stop`.
+    - `stop`: where its solver ends, besides its tolerances.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
     - `pixels`: the most of them that a step of a fit of a technique evaluates.
     """
@@ -51,7 +52,7 @@ class Phase(NamedTuple):
     active: tuple[int, ...]
     width: float
     shared: bool = True
-    shortest: float = 0.0
+    stop: Stop = Stop()
     searched: float = 0.0
     pixels: int = _ALL
 
@@ -110,7 +111,7 @@ def _phases_of_poses(
 ) -> list[Phase]:
     poses = tuple(i for i, path in enumerate(paths) if not is_of_technique(path))
     *wide, narrow = blurs_of(blurs, *(side for problem in joint.problems for side in problem.reference.shape))
-    first = [Phase(_blurred(joint.hard(), blur), poses, 0.0, shortest=_ROUGHLY) for blur in wide if poses]
+    first = [Phase(_blurred(joint.hard(), blur), poses, 0.0, stop=Stop(shortest=_ROUGHLY)) for blur in wide if poses]
     if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
         last = annealed
     else:

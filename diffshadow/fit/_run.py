@@ -28,8 +28,6 @@ _NEVER_ENOUGH = (
     f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected their number "
     "to settle: narrow the bounds of what moves"
 )
-# Where the loss is noisy, a phase ends when its linear model predicts a reduction by less than this fraction.
-_LEAST_GAIN = 1e-3
 # Mean square errors below this count as 0.
 _LEAST_LOSS = 1e-10
 # The token of no reporter.
@@ -244,6 +242,7 @@ class Run:
         """
         phase = self.phases[-1]
         phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.tilted(ratio)))
+        phase = phase._replace(stop=phase.stop._replace(least_gain=least_gain))
         active = np.asarray(phase.active)
         stays = np.isin(active, list(kept))
         if stays.all():
@@ -253,7 +252,7 @@ class Run:
         lower, upper = (np.where(stays, now, np.asarray(end)) for end in (at.lower, at.upper))
         free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
         narrowed = Parameters(at.paths, jnp.asarray(lower), jnp.asarray(upper))
-        arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD), least_gain)
+        arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD))
         found = np.asarray(self._program(phase, arguments)(*arguments).value)
         if not np.isfinite(found).all():
             return values
@@ -280,7 +279,6 @@ class Run:
         free: Float[np.ndarray, " a"],
         scale: float,
         token: Array,
-        least_gain: float,
     ) -> tuple[Any, ...]:
         """The arguments of a phase's program from the `free` values of its active `parameters`."""
         joint = phase.joint.put(self.parameters, values)
@@ -288,7 +286,7 @@ class Run:
             whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
             joint = whole if whole.count <= phase.pixels else self._sample(whole, phase.pixels, values)
         joint = joint.each(lambda p: p.padded()).stacked(self._atlases)
-        stop = Stop(as_float(phase.shortest), as_float(least_gain))
+        stop = Stop(*map(as_float, phase.stop))
         return joint, parameters, as_float(free), self.solver, token, as_float(scale), stop
 
     def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
@@ -330,14 +328,11 @@ class Run:
     def _solution(self, number: int, free: Float[Array, " p"], values: Float[Array, " p"], scale: float) -> Solution:
         """What the program of a phase returns from the `free` values of `values`, repeated with memory for more
         silhouettes until none is missing."""
-        least_gain = _LEAST_GAIN if self.solver.noise else 0.0
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
             active = np.asarray(phase.active)
             at = self.parameters[phase.active]
-            arguments = self._arguments(
-                phase, values, at, np.asarray(free)[active], scale, self.reporter.token, least_gain
-            )
+            arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
             found = self._program(phase, arguments)(*arguments)
             jax.effects_barrier()
             if not self.reporter.overflowed:

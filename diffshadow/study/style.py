@@ -177,7 +177,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
 
 
 def _lay_out(figure: Figure) -> None:
-    """Lays `figure` out for good. Matplotlib would draw it once more for that in each format."""
+    """Lays `figure` out for good. Otherwise Matplotlib draws it an extra time in each format."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)

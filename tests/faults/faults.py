@@ -1930,8 +1930,8 @@ _FIT = (
     _fault(
         "Levenberg-Marquardt: goes on where there is nothing to gain",
         "fit/solvers/_levenberg_marquardt.py",
-        "(gain < self.stop.least_gain)",
-        "(gain < 0)",
+        "jnp.maximum(self.stop.least_gain, ",
+        "jnp.maximum(0.0, ",
         "test_fit_pose.py",
     ),
     _fault(

@@ -246,7 +246,7 @@ def test_phases_narrow_the_blur_and_only_the_last_fit_all_numbers():
     assert 1 <= texel < 2
     assert [phase.active for phase in phases] == [(1,), (1,), (0, 1), (0, 1)]
     assert [phase.shared for phase in phases] == [True, True, False, False]
-    assert [phase.shortest > 0 for phase in phases] == [True, True, False, False]
+    assert [phase.stop.shortest > 0 for phase in phases] == [True, True, False, False]
     # Under one blur, all starts run to the end.
     assert all(phase.shared for phase in phases_of(joint, paths, Anneal(), [3.0], 1 << 16))
     # A bias hardens the compare in the last phases.

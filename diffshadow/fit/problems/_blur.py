@@ -61,7 +61,7 @@ def blurred(image: Float[Array, "h w"], deviation: Scalar | float) -> Float[Arra
     σ, in the same time.
     """
     height, width = image.shape
-    # So that nothing reaches the opposite border.
+    # The padding keeps the blur from wrapping around to the opposite border.
     padding = math.ceil(REACH_OF_BLUR * widest_blur(height, width))
     sides: Any = tuple(next_fast_len(side + padding, real=True) for side in image.shape)
     gaussian = lambda frequency: jnp.exp(-2 * (math.pi * deviation * frequency) ** 2)

@@ -17,6 +17,8 @@ _FIRST_DAMPING = 0.01
 # The factor by which the first of several rejected steps shortens the next, and the greatest by which a good one
 # lengthens it.
 _SHRINK, _MOST_GROWTH = 2.0, 3.0
+# Where the loss is noisy, a fit ends when the predicted reduction of a full step is less than this fraction of it.
+_LEAST_GAIN = 1e-3
 # Added to the squares of the Jacobian's columns, relative to them, so that parameters with the same effect do no harm.
 _RIDGE = 1e-6
 
@@ -84,8 +86,8 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's, with Nielsen's damping. It also ends where the step after a rejected one would be short.
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
-    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. It accepts steps
-    within the `noise` of the loss, a fraction of it. `stop` ends it sooner.
+    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. With `noise`, as a
+    fraction of the loss, it ends where the model predicts almost no reduction. `stop` ends it sooner.
     """
 
     rtol: float
@@ -117,5 +119,6 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         short = jnp.abs(state.y_eval - y) < jnp.maximum(self.stop.shortest, self.atol + self.rtol * jnp.abs(y))
         accepted = state.num_steps_since_acceptance == 0
         gain = _gain(state.f_info.jac.as_matrix(), state.f_info.residual)
-        flat = accepted & ~state.first_step & (gain < self.stop.least_gain)
+        least = jnp.maximum(self.stop.least_gain, _LEAST_GAIN if self.noise > 0 else 0.0)
+        flat = accepted & ~state.first_step & (gain < least)
         return done | (jnp.all(short) & ~accepted) | flat, result

@@ -24,7 +24,7 @@ class PaddedMap(eqx.Module):
     - `margin`: texels on each side.
     - `silhouettes`: the casters' outlines within texels, or none.
     - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
-    - `apart`: whether depths are read before they are compared, instead of one by one in between.
+    - `apart`: whether the depths of all look-ups are read before any is compared.
     """
 
     depth: Float[Array, " n"]

@@ -70,7 +70,8 @@ def _total_jvp(primals, tangents):
         d_padded = _without_depths(d_padded)
 
     def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
-        # With derivatives, XLA does not vectorize soft compares that read depths themselves, and compiles them slowly.
+        # XLA does not vectorize the derivatives of a soft compare in a kernel that gathers depths too, and compiles it
+        # slowly.
         apart = compare.has_depth_derivative
         return terms.term(dataclasses.replace(padded, apart=apart), compare, at, step)
 

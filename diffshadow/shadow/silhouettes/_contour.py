@@ -67,9 +67,9 @@ def find_contours(
     Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where
     one begins, with the caster to its left.
     """
-    where = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
+    layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
     # Barriers, here and below: otherwise XLA computes an index again in each gather that uses it.
-    layer, row, column = map(lax.optimization_barrier, where)
+    layer, row, column = lax.optimization_barrier((layer, row, column))
     at = lambda steps: (layer, row + steps[:, :1], column + steps[:, 1:])
     z, own = corners[grid.corner(*at(_CORNERS))], depth[texel]
     # (2, 4, t): where a caster ends, and where one begins, on each side.

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -83,9 +82,9 @@ def find_crossings(
     """
     found = grid_crossings(*lax.stop_gradient((outline.start, outline.end)), outline.counts, capacity)
     # Barriers: otherwise XLA finds and gathers the ends again in each of the many kernels that use them.
-    found = jax.tree.map(lax.optimization_barrier, found)
-    ends = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
-    start, end, z = map(lax.optimization_barrier, ends)
+    found = lax.optimization_barrier(found)
+    start, end, z = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
+    start, end, z = lax.optimization_barrier((start, end, z))
     upright = found.axis == 0
     across = lambda point: jnp.where(upright, point[:, 0], point[:, 1])
     along = lambda point: jnp.where(upright, point[:, 1], point[:, 0])
