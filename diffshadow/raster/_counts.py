@@ -12,11 +12,12 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import filled
+from .._misc import as_array, filled
 from .._types import ClipVertices, DepthMap, Faces
 from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth
@@ -54,12 +55,13 @@ def count_fragments(
         raise ValueError(f'the fragments to count are those that {when!r}; expected "pass" or "fail"')
     if not isinstance(weights, Tracer):
         clip, faces = padded(clip, faces)
-        weights = jnp.asarray(filled(weights, faces.shape[0]))
-    return _count_fragments(clip, faces, weights, depth, when)
+        weights = as_array(filled(weights, faces.shape[0]))
+    # Which ones is data, so that both ways to count share a program.
+    return _count_fragments(clip, faces, weights, depth, np.bool_(when == "pass"))
 
 
 @eqx.filter_jit
-def _count_fragments(clip, faces, weights, depth, when) -> Int[Array, "h w"]:
+def _count_fragments(clip, faces, weights, depth, nearer) -> Int[Array, "h w"]:
     height, width = depth.shape
     clip, faces = _flattened(lax.stop_gradient(clip).astype(depth.dtype), faces, weights)
     triangles = bin_triangles(clip, faces, (height, width), FACING["none"])
@@ -70,7 +72,7 @@ def _count_fragments(clip, faces, weights, depth, when) -> Int[Array, "h w"]:
     def write(buffer: Array, form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
         form = eqx.tree_at(lambda form: form.greatest, form, jnp.minimum(form.greatest, 1))
         weight = (jnp.where(source >= 0, weights[source], 0) * form.turn).astype(jnp.int32)
-        updates = weight[:, None, None] * _counted(form, side, padded, when)
+        updates = weight[:, None, None] * _counted(form, side, padded, nearer)
         return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=IN_BOUNDS)
 
     return drawing.draw(buffer, write)[:height, :width]
@@ -90,11 +92,11 @@ def _flattened(clip: ClipVertices, faces: Faces, weights: Int[Array, " f"]) -> t
     return jnp.concatenate([clip, flattened, outside]), faces
 
 
-def _counted(form: EdgeForm, side: int, padded: DepthMap, when: When) -> Int[Array, "n side side"]:
-    """1 at the pixels whose fragments count, else 0."""
+def _counted(form: EdgeForm, side: int, padded: DepthMap, nearer: Bool[Array, ""]) -> Int[Array, "n side side"]:
+    """1 at the pixels whose fragments count, which are `nearer` or not, else 0."""
     z = window_depth(form, jnp.ones(form.x.shape, bool), side, _CLAMPED)
     # As the depth pass stores it alone, whatever the compiler would fuse it with.
     z = lax.optimization_barrier(z)
     stored = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
-    covered, nearer = z < jnp.inf, z < stored
-    return (covered & (nearer if when == "pass" else ~nearer)).astype(jnp.int32)
+    covered, is_nearer = z < jnp.inf, z < stored
+    return (covered & (is_nearer == nearer)).astype(jnp.int32)

@@ -75,10 +75,11 @@ def test_a_technique_of_ones_own_is_one(seen):
 
 @pytest.mark.parametrize("silhouettes", marked([None, False, True], [True]))
 def test_the_prepared_map_is_that_of_the_settings(silhouettes):
-    settings = MapSettings(SIZE, cull="none", depth_format="unorm16", silhouettes=silhouettes)
+    offset = 1.0, 2.0
+    settings = MapSettings(SIZE, "nearest", "none", "unorm16", offset, silhouettes)
     prepared = ShadowMapping(Bilinear(), Bias(), map=settings).prepare(SCENE)
     edges = Edges.of(CARD) if silhouettes else None
-    drawn = draw_shadow_map(CARD, SCENE.light, SIZE, depth_format="unorm16", edges=edges)
+    drawn = draw_shadow_map(CARD, SCENE.light, SIZE, depth_format="unorm16", polygon_offset=offset, edges=edges)
     np.testing.assert_array_equal(prepared.depth, drawn.depth)
     assert prepared.depth_format == "unorm16"
     assert (prepared.silhouettes is None) == (not silhouettes)

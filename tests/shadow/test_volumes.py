@@ -37,10 +37,9 @@ from diffshadow.shadow import ShadowVolumes, VolumeScene
 pytestmark = pytest.mark.optimized
 
 REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
-RESOLUTION = (48, 64)
-# Alike for all scenes, so that little is compiled.
-VERTICES, FACES, EDGES = 256, 256, 384
-# Sides and caps of volumes are so many that they are filled up alike, whatever the light.
+RESOLUTION = (72, 96)
+# Alike for all scenes, and of the size of the stencil goldens and their faces, so that little is compiled.
+VERTICES, FACES, EDGES = 1300, 1300, 384
 # How far from a shadow's edge, in pixels, every count must be right.
 BAR = 1e-3
 
@@ -127,7 +126,6 @@ SCENES = [
     pytest.param(*scene, marks=() if scene in FEW else pytest.mark.exhaustive)
     for scene in (*Z_FAIL_SCENES, *Z_PASS_SCENES)
 ]
-# Each way to count is a program of its own: failing fragments are counted for rays, and passing ones for OpenGL.
 WHEN = ["pass", pytest.param("fail", marks=pytest.mark.exhaustive)]
 
 

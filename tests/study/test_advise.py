@@ -23,6 +23,8 @@ from diffshadow.study.advice._candidates import Candidate, front, ranked, recomm
 from diffshadow.study.advice._measure import Enough, bias_for, times_of
 from diffshadow.study.advice._verdict import Findings, verdict
 
+pytestmark = pytest.mark.usefixtures("tiny_figures")
+
 ROOT = Path(__file__).parents[2]
 
 BASE = """

@@ -16,6 +16,8 @@ from diffshadow.cli import main
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
 from diffshadow.study.files._stored import read_run
 
+pytestmark = pytest.mark.usefixtures("tiny_figures")
+
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 TINY = ("sweep=null", "scene.camera.resolution=[16, 16]", "shadow_map.resolution=[32, 32]", "reference.samples=2")
 OBJ = "v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nv 0 1 0\nf 4 3 2 1\nf 1 2 5\n"

@@ -28,6 +28,8 @@ from diffshadow.config.reading._load import parse_draft
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 
+pytestmark = pytest.mark.usefixtures("tiny_figures")
+
 ROOT = Path(__file__).parents[2]
 
 BASE = """
