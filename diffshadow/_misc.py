@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,14 +17,28 @@ def as_float(x: Any) -> Array:
     return _as(x, jnp.result_type(float))
 
 
+def in_float64(tree: Any) -> Any:
+    """`tree` with every floating-point array in float64. Call it under `jax.enable_x64`."""
+    return jax.tree.map(lambda x: as_float(x) if eqx.is_inexact_array(x) else x, tree)
+
+
 def as_int(x: Any) -> Array:
     """`x` as an int32 array."""
     return _as(x, jnp.int32)
 
 
+def as_array(x: Any) -> Array:
+    """`x` as an array of its own type."""
+    # `jnp.asarray` compiles a program for each shape of an array in NumPy.
+    return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x))
+
+
 def _as(x: Any, dtype: Any) -> Array:
+    if isinstance(x, jax.Array) and x.dtype == dtype and not x.weak_type:
+        return x
     # NumPy converts without compiling a program for the shape.
-    known = lambda part: isinstance(part, np.ndarray | np.generic | float | int)
+    number = np.ndarray | np.generic | jax.Array | float | int
+    known = lambda part: isinstance(part, number) and not isinstance(part, Tracer)
     on_host = known(x) or (isinstance(x, list | tuple) and all(map(known, x)))
     # Numbers beyond the range become infinite, as elsewhere in JAX.
     with np.errstate(over="ignore"):
@@ -73,6 +88,12 @@ def take(values: Array, index: Int[Array, "*n"]) -> Array:
 def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
     """`values[..., index]`, as `take` does it along the first axis."""
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+@jax.jit
+def components(vectors: Float[Array, "*n 2"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """x and y of vectors in two arrays."""
+    return vectors[..., 0], vectors[..., 1]
 
 
 def round_up_to_power_of_two(n: int) -> int:

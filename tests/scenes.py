@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from optimistix import RESULTS
 
-from diffshadow._misc import as_float
+from diffshadow._misc import as_array, as_float
 from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.fit._solve import Solution
 from diffshadow.fit.problems._stack import Stack
@@ -127,7 +127,7 @@ def problem(
     target: ShadowMapping | None = None,
 ) -> TechniqueProblem:
     """The card over the floor seen from the side; the reference is what `target` makes of it, or all lit."""
-    to_default = lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x
+    to_default = lambda x: as_float(x) if eqx.is_inexact_array_like(x) else x
     surface, shadow_map = jax.tree.map(to_default, drawn(light, image, texels))
     reference = jnp.ones_like(surface.position[..., 0])
     if target is not None:
@@ -191,7 +191,7 @@ def lookups_at(x: Any, y: Any, depth: Any = 0.5, depth_per_texel: float = 0.05) 
     """Look-ups at texels (x, y), broadcast to (h, w)."""
     x, y, depth = (np.atleast_2d(v) for v in np.broadcast_arrays(x, y, depth))
     texel, step = np.stack([x, y], axis=-1), np.full(x.shape, depth_per_texel)
-    return Lookup(as_float(texel), as_float(depth), as_float(step), jnp.asarray(np.ones(x.shape, bool)))
+    return Lookup(as_float(texel), as_float(depth), as_float(step), as_array(np.ones(x.shape, bool)))
 
 
 def random_lookups(
@@ -276,7 +276,7 @@ def surface_at(position: Any, normal: Any) -> Surface:
     own = np.broadcast_to(np.asarray(normal, float), np.shape(position))
     place, normal, white = map(as_float, (position, own, np.ones(own.shape)))
     face = np.zeros(own.shape[:2], np.int32)
-    return Surface(place, normal, normal, white, jnp.asarray(face), jnp.asarray(face == 0))
+    return Surface(place, normal, normal, white, as_array(face), as_array(face == 0))
 
 
 def twice(mesh: Mesh) -> Mesh:
@@ -314,7 +314,7 @@ class Waves(eqx.Module):
 
 def doubled(tree: Any) -> Any:
     """A tree with numbers in double precision."""
-    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float) if eqx.is_inexact_array(x) else x, tree)
+    return jax.tree.map(lambda x: as_float(x) if eqx.is_inexact_array(x) else x, tree)
 
 
 class Programs:

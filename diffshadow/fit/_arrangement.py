@@ -54,6 +54,7 @@ class MeshPose(eqx.Module):
             together={str(index): same(index) for index in vertices},
         )
 
+    @eqx.filter_jit
     def placed(self, mesh: Mesh) -> Mesh:
         """`mesh` in this pose."""
         vertices = mesh.vertices

@@ -76,8 +76,8 @@ class Loss(eqx.Module):
 
     def tilted(self, ratio: float) -> "Loss":
         """With factors of which that of false shadow over that of false light is `ratio` times as large."""
-        root = as_float(ratio**0.5)
-        return Loss(self.over, self.fraction, self.false_shadow * root, self.false_light / root, self.power)
+        root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
+        return Loss(self.over, self.fraction, dark * root, light / root, self.power)
 
     def sides(self) -> tuple["Loss", "Loss"]:
         """Its parts: of false shadow alone, and of false light alone."""

@@ -76,7 +76,7 @@ class Parameters(eqx.Module):
     def __getitem__(self, indices: Sequence[int]) -> "Parameters":
         """Those at `indices`."""
         at = np.asarray(indices, int)
-        lower, upper = (jnp.asarray(np.asarray(end)[at]) for end in (self.lower, self.upper))
+        lower, upper = (as_float(np.asarray(end)[at]) for end in (self.lower, self.upper))
         return Parameters(tuple(self.paths[i] for i in indices), lower, upper)
 
     def put(self, subject: PyTree, values: Float[Array, " p"]) -> PyTree:
@@ -141,13 +141,13 @@ def parameter_names(module: PyTree) -> list[str]:
 
 def _follow(module: PyTree, name: str) -> Any:
     """What the dotted path `name` leads to: fields by name, entries of sequences and mappings by their keys."""
+    return reduce(_step, name.split("."), module)
 
-    def step(holder: Any, key: str) -> Any:
-        if isinstance(holder, Mapping):
-            return holder[key]
-        return holder[int(key)] if isinstance(holder, tuple) else getattr(holder, key)
 
-    return reduce(step, name.split("."), module)
+def _step(holder: Any, key: str) -> Any:
+    if isinstance(holder, Mapping):
+        return holder[key]
+    return holder[int(key)] if isinstance(holder, tuple) else getattr(holder, key)
 
 
 def _key(entry: Any) -> str:
@@ -167,4 +167,4 @@ def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]
     # Of known values, in NumPy: an index would be compiled.
     known = concrete(values)
     each = values if known is None else known
-    return eqx.tree_at(where, module, [jnp.asarray(each[k]) for k in range(len(names))])
+    return eqx.tree_at(where, module, [as_float(each[k]) for k in range(len(names))])

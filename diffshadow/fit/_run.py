@@ -5,7 +5,6 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
@@ -137,7 +136,7 @@ class Run:
         paths = []
         for number, initial in enumerate(np.asarray(spread)):
             self.reporter.start = number
-            paths.append(self._along(shared, self._start(jnp.asarray(initial))))
+            paths.append(self._along(shared, self._start(as_float(initial))))
         tried = [Start(p.values[0], p.values[int(np.argmin(p.losses))], min(p.losses)) for p in paths]
         best = int(np.argmin([start.loss for start in tried]))
         self.reporter.start = best
@@ -251,7 +250,7 @@ class Run:
         # What has no room between its bounds stays, and the program is the same.
         lower, upper = (np.where(stays, now, np.asarray(end)) for end in (at.lower, at.upper))
         free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
-        narrowed = Parameters(at.paths, jnp.asarray(lower), jnp.asarray(upper))
+        narrowed = Parameters(at.paths, as_float(lower), as_float(upper))
         arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD))
         found = np.asarray(self._program(phase, arguments)(*arguments).value)
         if not np.isfinite(found).all():
@@ -366,16 +365,14 @@ def _replaced(free: Float[Array, " p"], active: np.ndarray, values: Float[Array,
     # In NumPy, which compiles nothing.
     replaced = np.array(free)
     replaced[active] = values
-    return jnp.asarray(replaced)
+    return as_float(replaced)
 
 
 def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) -> Outcome:
-    if solution.result == optx.RESULTS.successful:
-        result = "successful"
-    elif solution.result == optx.RESULTS.nonlinear_max_steps_reached:
-        result = "max_steps reached"
-    else:
-        result = optx.RESULTS[solution.result]
+    # By their messages: to compare the results themselves would be compiled.
+    message, ends = optx.RESULTS[solution.result], optx.RESULTS
+    names = {ends[ends.successful]: "successful", ends[ends.nonlinear_max_steps_reached]: "max_steps reached"}
+    result = names.get(message, message)
     gradient_norm = float(np.linalg.norm(solution.gradient))
     if not np.isfinite(gradient_norm):
         result = "the loss is not finite near the solution"

@@ -16,7 +16,7 @@ def starts_within(parameters: Parameters, initial: Float[Array, " p"], count: in
     if count < 1:
         raise ValueError(f"{count} starts were requested; expected 1 or more")
     if count == 1:
-        return jnp.asarray(np.asarray(initial)[None])
+        return as_float(np.asarray(initial)[None])
     from scipy.stats import qmc  # here, since it takes long to load
 
     sobol = qmc.Sobol(initial.shape[0], rng=np.random.default_rng(seed))

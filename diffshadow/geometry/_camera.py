@@ -14,7 +14,7 @@ import numpy as np
 from .._misc import array_module, as_float, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
 from ._matrices import eye_of, matrices_of, near_far_of, view_of
-from ._transforms import look_at, orthographic, perspective
+from ._transforms import centred_orthographic, centred_perspective, look_at
 from ._view import View
 
 
@@ -72,9 +72,7 @@ class PinholeCamera(AbstractCamera):
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
 
     def projection(self) -> Mat4:
-        tangent = jnp.tan(jnp.deg2rad(self.fov_y) / 2)
-        vertical = tangent * jnp.array([-1.0, 1.0])
-        return perspective(self.aspect * vertical, vertical, self.near, self.far)
+        return centred_perspective(self.fov_y, self.near, self.far, as_float(self.aspect))
 
     def __check_init__(self):
         fov = concrete(self.fov_y)
@@ -94,8 +92,7 @@ class OrthographicCamera(AbstractCamera):
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
 
     def projection(self) -> Mat4:
-        vertical = self.height / 2 * jnp.array([-1.0, 1.0])
-        return orthographic(self.aspect * vertical, vertical, self.near, self.far)
+        return centred_orthographic(self.height * as_float([self.aspect, 1.0]), self.near, self.far)
 
     def __check_init__(self):
         height = concrete(self.height)

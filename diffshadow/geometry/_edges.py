@@ -8,14 +8,13 @@ host.
 import dataclasses
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .._misc import as_int, concrete, filled, shared_size
+from .._misc import as_array, as_int, concrete, filled, shared_size
 from .._types import HostArray
 from ._mesh import Mesh
 
@@ -69,7 +68,7 @@ class Edges(eqx.Module):
         closed[component[runs.face[~balanced[runs.edge]]]] = False
         volume = np.bincount(component, _signed_volumes(vertices, faces))
         ends, meeting, directions = (as_int(values) for values in _rows(runs))
-        solid = jnp.asarray(closed & (volume > 0))
+        solid = as_array(closed & (volume > 0))
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
 
     def renumbered(self, vertices: Int[HostArray, " v"], faces: Int[HostArray, " f"]) -> "Edges":
@@ -95,7 +94,7 @@ class Edges(eqx.Module):
             as_int(filled(self.faces, size)),
             as_int(filled(self.directions, size)),
             as_int(filled(self.component, faces)),
-            jnp.asarray(filled(self.solid, shared_size(self.solid.shape[0]))),
+            as_array(filled(self.solid, shared_size(self.solid.shape[0]))),
             self.is_closed,
         )
 

@@ -1,7 +1,9 @@
 """Reads OpenGL matrices: the eye's position, near and far, and whether the matrices are valid."""
 
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -82,6 +84,7 @@ def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool
     return kind
 
 
+@partial(jax.jit, static_argnums=1)
 def near_far_of(eye_to_clip: Mat4, is_perspective: bool) -> tuple[Scalar, Scalar]:
     """Distances of window depth 0 and 1 along the view axis, world units."""
     # Of a perspective, -(f + n) / (f - n) and -2 f n / (f - n); of a parallel one, -2 / (f - n) and -(f + n) / (f - n).
@@ -91,6 +94,7 @@ def near_far_of(eye_to_clip: Mat4, is_perspective: bool) -> tuple[Scalar, Scalar
     return (offset + 1) / slope, (offset - 1) / slope
 
 
+@jax.jit
 def eye_of(world_to_eye: Mat4) -> Vec3:
     """The world point that is the origin of eye space."""
     return -jnp.sum(world_to_eye[:3, :3] * world_to_eye[:3, 3:], axis=0)

@@ -64,11 +64,7 @@ class Mesh(eqx.Module):
 
     def transformed(self, matrix: Mat4) -> "Mesh":
         """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
-        vertices = transform_points(matrix, self.vertices)[..., :3]
-        normals = normalize(transform_vectors(jnp.linalg.inv(matrix).T, self.corner_normals))
-        mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
-        faces = jnp.where(mirrored, self.faces[:, ::-1], self.faces)
-        normals = jnp.where(mirrored, normals[:, ::-1], normals)
+        vertices, faces, normals = _transformed(matrix, self.vertices, self.faces, self.corner_normals)
         return Mesh(vertices, faces, normals, self.albedo)
 
     def padded(self) -> "Mesh":
@@ -94,7 +90,7 @@ class Mesh(eqx.Module):
         """Least and greatest coordinates of the vertices that faces use, (2, 3), world units."""
         xp = array_module(self.vertices, self.faces)
         used = xp.asarray(self.vertices)[xp.asarray(self.faces)].reshape(-1, 3)
-        return jnp.asarray(xp.stack([used.min(axis=0), used.max(axis=0)]))
+        return as_float(xp.stack([used.min(axis=0), used.max(axis=0)]))
 
 
 def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
@@ -104,7 +100,17 @@ def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
         return _face_normals(vertices, faces)
     # Filled up, so that meshes of like size share a program.
     size, count = shared_mesh_size(faces.shape[0], vertices.shape[0])
-    return jnp.asarray(np.asarray(_face_normals(filled(vertices, count), filled(faces, size)))[: faces.shape[0]])
+    return as_float(np.asarray(_face_normals(filled(vertices, count), filled(faces, size)))[: faces.shape[0]])
+
+
+@jax.jit
+def _transformed(
+    matrix: Mat4, vertices: Vertices, faces: Faces, normals: Float[Array, "f 3 3"]
+) -> tuple[Vertices, Faces, Float[Array, "f 3 3"]]:
+    vertices = transform_points(matrix, vertices)[..., :3]
+    normals = normalize(transform_vectors(jnp.linalg.inv(matrix).T, normals))
+    mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
+    return vertices, jnp.where(mirrored, faces[:, ::-1], faces), jnp.where(mirrored, normals[:, ::-1], normals)
 
 
 @jax.jit

@@ -53,6 +53,7 @@ class Pages(eqx.Module):
     count: Int[Array, ""]
 
     @classmethod
+    @eqx.filter_jit
     def of(cls, resident: Bool[Array, " n"], page: int, gutter: int, levels: int, capacity: int) -> "Pages":
         """The pages that are `resident` (n,), numbered by level, row and column (`number`).
 
@@ -94,12 +95,14 @@ class Pages(eqx.Module):
         return jnp.where(level == self.levels - 1, self.side, self.page * _across(self.levels, level))
 
     @property
+    @eqx.filter_jit
     def tile(self) -> Tile:
         """What each layer shows."""
         size = self.size(self.level)
         inside = lambda k: jnp.clip(k * self.page - self.gutter, 0, size - self.side)
         return Tile(jnp.stack([inside(self.column), inside(self.row)], axis=-1), size)
 
+    @eqx.filter_jit
     def table(self) -> Int[Array, " n"]:
         """The layer of each page of all levels, by its `number`; -1 where it is not resident."""
         layers = jnp.arange(self.level.shape[0], dtype=jnp.int32)
@@ -117,6 +120,7 @@ def side_of(page: int, gutter: int) -> int:
     return page + 2 * gutter
 
 
+@eqx.filter_jit
 def finest_of(table: Int[Array, " n"], levels: int) -> Int[Array, "c c"]:
     """For each page of level 0, the entry of the finest page that contains it and whose entry in `table` is not
     negative; -1 if there is none."""

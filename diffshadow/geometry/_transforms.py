@@ -1,4 +1,7 @@
-"""Rigid and projective transforms, all `(4, 4)` matrices that act on column vectors from the left."""
+"""Rigid and projective transforms, all `(4, 4)` matrices that act on column vectors from the left.
+
+Outside of a trace each is one compiled program, which all cameras and lights share.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +11,13 @@ from .._misc import as_float, dot, normalize
 from .._types import Mat4, Scalar, Vec3
 
 
+@jax.jit
 def translation(offset: Vec3) -> Mat4:
     """Moves by `offset` (3,), in world units."""
     return jnp.eye(4, dtype=as_float(offset).dtype).at[:3, 3].set(as_float(offset))
 
 
+@jax.jit
 def scaling(factor: Vec3 | Scalar | float) -> Mat4:
     """Scales about the origin by `factor`, a scalar or one factor per axis."""
     return jnp.diag(jnp.append(jnp.broadcast_to(as_float(factor), (3,)), 1.0))
@@ -52,6 +57,7 @@ def look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Mat4:
     return jnp.concatenate([jnp.concatenate([rows, -dot(rows, eye)[:, None]], axis=1), last])
 
 
+@jax.jit
 def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
     """OpenGL's perspective projection (`glFrustum`): eye space to clip space.
 
@@ -69,6 +75,14 @@ def perspective(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], ne
     return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
 
 
+@jax.jit
+def centred_perspective(fov_y: Scalar, near: Scalar, far: Scalar, aspect: Scalar | float = 1.0) -> Mat4:
+    """`perspective` about the axis (`gluPerspective`): `fov_y` degrees high, and `aspect` times as wide."""
+    sides = jnp.tan(jnp.deg2rad(fov_y) / 2) * jnp.array([-1.0, 1.0])
+    return perspective(aspect * sides, sides, near, far)
+
+
+@jax.jit
 def infinite_far(projection: Mat4, near: Scalar) -> Mat4:
     """A perspective `projection` with its far plane moved to infinity.
 
@@ -79,6 +93,7 @@ def infinite_far(projection: Mat4, near: Scalar) -> Mat4:
     return projection.at[2].set(row)
 
 
+@jax.jit
 def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
     """OpenGL's parallel projection (`glOrtho`): eye space to clip space; all arguments in world units."""
     (left, right), (bottom, top) = left_right, bottom_top
@@ -90,6 +105,13 @@ def orthographic(left_right: Float[Array, "2"], bottom_top: Float[Array, "2"], n
         [0, 0, 0, 1],
     ]
     return jnp.stack([jnp.stack([as_float(x) for x in row]) for row in rows])
+
+
+@jax.jit
+def centred_orthographic(extent: Float[Array, "2"], near: Scalar, far: Scalar) -> Mat4:
+    """`orthographic` about the axis, of this width and height."""
+    half, sides = extent / 2, jnp.array([-1.0, 1.0])
+    return orthographic(half[0] * sides, half[1] * sides, near, far)
 
 
 @jax.jit
@@ -109,6 +131,7 @@ def _linear(m: Float[Array, "*m r 3"], v: Float[Array, "*n 3"]) -> Float[Array, 
     return v[..., 0:1] * m[..., :, 0] + v[..., 1:2] * m[..., :, 1] + v[..., 2:3] * m[..., :, 2]
 
 
+@jax.jit
 def tangents(unit: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
     """Two unit vectors orthogonal to `unit` and to each other.
 

@@ -41,6 +41,7 @@ class View(eqx.Module):
     warp: Warp | None = None
     tile: Tile | None = None
 
+    @eqx.filter_jit
     def facing(self, layer: Int[Array, "*n"]) -> "View":
         """For a light with several views, the view of `layer` for each point."""
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
@@ -70,6 +71,7 @@ class View(eqx.Module):
         """The same view without its warp."""
         return dataclasses.replace(self, warp=None)
 
+    @eqx.filter_jit
     def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
         """Clip coordinates of world `points`; for a light with several views, with one view for each point."""
         # Two steps keep precision for small scenes far from the world's origin.
@@ -77,6 +79,7 @@ class View(eqx.Module):
         clip = transform_points(self.eye_to_clip, eye)
         return clip if self.warp is None else self.warp(clip)
 
+    @eqx.filter_jit
     def clip_vertices(self, vertices: Float[Array, "v 3"]) -> Float[Array, "*l v 4"]:
         """Clip coordinates of a mesh's `vertices` in each view, at whole steps if the view has any."""
         # Broadcasts each view's matrix over all vertices.
@@ -95,6 +98,7 @@ class View(eqx.Module):
         matrices = lambda view: (view.world_to_eye, view.eye_to_clip)
         return eqx.tree_at(matrices, self, (world_to_eye, eye_to_clip))
 
+    @eqx.filter_jit
     def distance(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Distance of `points` (..., 3) along the view axis, in world units; negative behind the eye."""
         return -transform_points(self.world_to_eye, points)[..., 2]

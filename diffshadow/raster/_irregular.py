@@ -12,7 +12,7 @@ So memory does not depend on how many pairs there are.
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot, safe_divide, take
+from .._misc import dot, in_float64, safe_divide, take
 from ..geometry import AbstractLight, Mesh, View
 from ._strips import BLOCK, Strips, in_strips
 
@@ -115,7 +115,7 @@ def _seen_points(
     points: Array,
     face: Array,
 ) -> Array:
-    vertices, light, view, points = _widened((vertices, light, view, points))
+    vertices, light, view, points = in_float64((vertices, light, view, points))
     own = take(faces, jnp.maximum(face, 0))
     points = _on_faces(points, [take(vertices, own[:, k]) for k in range(3)])
     return _window(_along_rays(view, light), points, layer)[2] & (face >= 0)
@@ -132,7 +132,7 @@ def _hidden_points(
     points: Array,
     face: Array,
 ) -> Array:
-    vertices, light, view, points = _widened((vertices, light, view, points))
+    vertices, light, view, points = in_float64((vertices, light, view, points))
     view = _along_rays(view, light)
     # Padded meshes have many faces that are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
@@ -164,10 +164,6 @@ def _along_rays(view: View, light: AbstractLight) -> View:
         shift = -along
     matrix = view.world_to_eye.at[..., :3, :3].set(turn).at[..., :3, 3].set(shift)
     return eqx.tree_at(lambda view: view.world_to_eye, view, matrix)
-
-
-def _widened(tree: Any) -> Any:
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, tree)
 
 
 def _on_faces(points: Float[Array, "n 3"], corners: list[Float[Array, "n 3"]]) -> Float[Array, "n 3"]:

@@ -157,21 +157,37 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)
 
-    def view(clip: Any, behind: Array | None, viewport: Any) -> Fragments | Array:
-        # In NumPy, since to make an array on the device takes longer than a small image.
-        viewport, draws = tuple(map(np.int32, viewport)), tuple(map(np.bool_, FACING[cull]))
-        # Nothing here depends on the default precision: programs are shared by both.
-        with jax.enable_x64(False):
-            return _rasterize(clip, faces, viewport, buffer, draws, test, polygon_offset, behind, with_face, None)
-
-    if clip.ndim == 2:
-        drawn = view(clip, behind, resolution)
-    else:
-        of_view = lambda values, k: None if values is None else values[k]
+    # In NumPy, since to make an array on the device takes longer than a small image.
+    size, draws = lambda viewport: tuple(map(np.int32, viewport)), tuple(map(np.bool_, FACING[cull]))
+    view = lambda clip, behind, viewport: _rasterize(
+        clip, faces, size(viewport), buffer, draws, test, polygon_offset, behind, with_face, None
+    )
+    # Nothing here depends on the default precision: programs are shared by both.
+    with jax.enable_x64(False):
+        if clip.ndim == 2:
+            drawn = view(clip, behind, resolution)
+            return drawn if buffer == resolution else _cut(drawn, height, width)
         each = [resolution] * len(clip) if viewports is None else np.asarray(viewports)
-        views = [view(clip[k], of_view(behind, k), each[k]) for k in range(len(clip))]
-        drawn = jax.tree.map(lambda *images: jnp.stack(images), *views)
-    return drawn if buffer == resolution else jax.tree.map(lambda image: image[..., :height, :width], drawn)
+        layers = [None] * len(clip) if behind is None else _apart(behind)
+        return _together([view(*one) for one in zip(_apart(clip), layers, each, strict=True)], height, width)
+
+
+# Each is one program, where every index would be another.
+@jax.jit
+def _apart(values: Array) -> list[Array]:
+    return list(values)
+
+
+@eqx.filter_jit
+def _cut(drawn: Fragments | Array, height: int, width: int) -> Any:
+    """The lower left part of images."""
+    return jax.tree.map(lambda image: image[..., :height, :width], drawn)
+
+
+@eqx.filter_jit
+def _together(views: list[Fragments | Array], height: int, width: int) -> Any:
+    """That part of several views, with an axis for these."""
+    return _cut(jax.tree.map(lambda *images: jnp.stack(images), *views), height, width)
 
 
 @eqx.filter_jit

@@ -29,6 +29,7 @@ class Silhouettes(eqx.Module):
     multiplicity: Int[Array, " e"]
 
 
+@eqx.filter_jit
 def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
     """Which side of each face the light sees: +1 its front, -1 its back, 0 if it sees the face edge-on.
 
@@ -39,6 +40,7 @@ def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
     return jnp.sign(dot(to_light, jnp.cross(b - a, c - b))).astype(jnp.int32)
 
 
+@eqx.filter_jit
 def silhouettes_by_adjacency(edges: Edges, orientation: Int[Array, " f"]) -> Silhouettes:
     """The silhouettes of faces with `orientation` (f,), from a table of the faces that meet in each edge.
 
@@ -53,6 +55,7 @@ def silhouettes_by_adjacency(edges: Edges, orientation: Int[Array, " f"]) -> Sil
     return Silhouettes(edges.vertices, jnp.sum(edges.directions * orientation[edges.faces], axis=1))
 
 
+@eqx.filter_jit
 def silhouettes_by_cancelling(faces: Faces, orientation: Int[Array, " f"]) -> Silhouettes:
     """The same silhouettes, by listing the directed sides of all faces and cancelling opposite ones.
 

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._misc import dot, normalize
-from .._types import ClipVertices, FaceMap, Mask, Resolution, VectorMap
-from ..geometry import AbstractCamera, Mesh, face_normals
+from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
+from ..geometry import AbstractCamera, Mesh, View, face_normals
 from ._bins import Cull
 from ._interpolate import (
     Rows,
@@ -60,19 +60,15 @@ def draw_surface(
     **Arguments:** `cull` and `buffer` as for `rasterize`.
     """
     mesh = mesh.padded()
-    clip = _clip(mesh, camera)
+    view = camera.view()
+    clip = view.clip_vertices(mesh.vertices)
     face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, buffer=buffer).face
-    return _surface(mesh, camera, face, clip)
+    return _surface(mesh, camera.eye, view, face, clip)
 
 
 @eqx.filter_jit
-def _clip(mesh: Mesh, camera: AbstractCamera) -> ClipVertices:
-    return camera.view().clip(mesh.vertices)
-
-
-@eqx.filter_jit
-def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertices) -> Surface:
-    normals, view = face_normals(mesh), camera.view()
+def _surface(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices) -> Surface:
+    normals = face_normals(mesh)
     clip_values, positions = (corner_values(values, mesh.faces, face.size) for values in (clip, mesh.vertices))
 
     def band(face: FaceMap, rows: Rows) -> Surface:
@@ -80,7 +76,7 @@ def _surface(mesh: Mesh, camera: AbstractCamera, face: FaceMap, clip: ClipVertic
         position = interpolate_values(at, positions)
         normal = of_face(at, normals)
         # The direction to the camera: to its eye, or against its axis.
-        to_camera = camera.eye - position if view.is_perspective else view.world_to_eye[2, :3]
+        to_camera = eye - position if view.is_perspective else view.world_to_eye[2, :3]
         from_behind = dot(normal, to_camera) < 0
         return Surface(
             position=position,

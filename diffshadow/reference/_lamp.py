@@ -2,14 +2,13 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float64
 
-from .._misc import round_up_to_power_of_two
+from .._misc import as_float, in_float64, round_up_to_power_of_two
 from .._types import HostArray
 from ..geometry import AbstractLight
-from ._rays import Triangles, in_float64
+from ._rays import Triangles
 
 # Samples at the centre of a flat light and at the ends of its axes.
 _AXES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -98,7 +97,7 @@ class Lamp:
         padding = [(0, max(_LEAST, round_up_to_power_of_two(count)) - count), (0, 0)]
         world, samples = np.pad(self._triangles.to_world(points), padding, mode="edge"), np.pad(samples, padding)
         with jax.enable_x64(True):
-            towards = _compiled_towards(in_float64(self._light), jnp.asarray(world), jnp.asarray(samples))
+            towards = _compiled_towards(in_float64(self._light), as_float(world), as_float(samples))
         towards = np.asarray(towards)[:count]
         return towards if self.is_directional else towards * self._triangles.scale
 

@@ -6,24 +6,17 @@ itself is exact.
 """
 
 import copy
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
+from .._misc import in_float64
 from .._types import HostArray
 from ..geometry import AbstractCamera, Mesh, View
 
 _DIAGONAL = np.sqrt(3.0)
-
-
-def in_float64(module: Any) -> Any:
-    """`module` with every floating-point array in float64. Call it under `jax.enable_x64`."""
-    widen = lambda x: jnp.asarray(x, dtype=np.float64) if eqx.is_inexact_array(x) else x
-    return jax.tree.map(widen, module)
 
 
 class Triangles:
@@ -135,12 +128,6 @@ def hits_on_planes(rays: Rays, faces: Int[HostArray, " n"], triangles: Triangles
     return Hits(position, np.where(facing > 0, -1, 1)[:, None] * normal, faces)
 
 
-@eqx.filter_jit
-def _compiled_view(camera: AbstractCamera) -> View:
-    # Compiled as a whole: otherwise each operation would be compiled separately in float64.
-    return camera.view()
-
-
 def _view(camera: AbstractCamera) -> View:
     with jax.enable_x64(True):
-        return _compiled_view(in_float64(camera))
+        return in_float64(camera).view()

@@ -24,7 +24,8 @@ Model = Literal["blinn_phong", "phong"]
 
 
 def _colour(value: Any) -> Vec3:
-    return jnp.broadcast_to(as_float(value), (3,))
+    value = as_float(value)
+    return value if value.shape == (3,) else as_float([value] * 3)
 
 
 class Attenuation(eqx.Module):

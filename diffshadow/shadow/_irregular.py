@@ -6,11 +6,10 @@ texels, and so no aliasing; there is no bias, since a surface's own face is left
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._misc import as_float, dot, filled, normalize
+from .._misc import as_array, as_float, dot, filled, normalize
 from .._types import Mask, Visibility
 from ..geometry import AbstractLight, Mesh, Scene
 from ..raster import Surface, hidden_points, seen_points
@@ -46,7 +45,7 @@ class IrregularZBuffer(AbstractTechnique):
         """The scene's triangles. It does not depend on `surface`: the points are sorted by `visibility`."""
         mesh = scene.mesh.padded()
         casts = filled(scene.casting_faces, mesh.faces.shape[0])
-        return IrregularScene(mesh, jnp.asarray(casts), scene.light)
+        return IrregularScene(mesh, as_array(casts), scene.light)
 
     def visibility(self, state: IrregularScene, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._misc import components
 from .._types import Mask
 from ._map import ShadowMap
 from ._receiver import Receiver, project
@@ -50,9 +51,9 @@ class Lookup(eqx.Module):
         layer: Int[Array, "*n"] | None = None,
         deepest: Float[Array, "*n"] | None = None,
     ):
-        self.x, self.y = texel[..., 0], texel[..., 1]
+        self.x, self.y = components(texel)
         self.depth, self.depth_per_texel, self.inside = depth, depth_per_texel, inside
-        self.slope = None if slope is None else (slope[..., 0], slope[..., 1])
+        self.slope = None if slope is None else components(slope)
         self.layer, self.deepest = layer, deepest
 
     @property

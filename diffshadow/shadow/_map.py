@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import round_up_to_power_of_two, with_gradient_of
+from .._misc import as_array, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
@@ -39,18 +39,29 @@ class ShadowMap(eqx.Module):
     - `depth_format`: how depths are stored.
     - `silhouettes`: the casters' outlines within texels; none if the map was drawn without edges.
     - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
+    - `view`: the light's view, found as the map is made, since every program that looks into the map needs it. For
+        another light, make another map.
     """
 
     depth: Float[Array, "*l h w"]
     light: AbstractLight
-    depth_format: DepthFormat = eqx.field(static=True, default="float32")
-    silhouettes: SilhouetteMap | None = None
-    padded: Any = None
+    depth_format: DepthFormat = eqx.field(static=True)
+    silhouettes: SilhouetteMap | None
+    padded: Any
+    view: View
 
-    @property
-    def view(self) -> View:
-        """The projection it was drawn with."""
-        return self.light.view()
+    def __init__(
+        self,
+        depth: Float[Array, "*l h w"],
+        light: AbstractLight,
+        depth_format: DepthFormat = "float32",
+        silhouettes: SilhouetteMap | None = None,
+        padded: Any = None,
+        view: View | None = None,
+    ):
+        self.depth, self.light, self.depth_format = depth, light, depth_format
+        self.silhouettes, self.padded = silhouettes, padded
+        self.view = light.view() if view is None else view
 
     def view_of(self, layer: Int[Array, "*n"] | None) -> View:
         """The projection of `layer`, for each point; the map's only one if there are no layers."""
@@ -123,19 +134,20 @@ def draw_shadow_map(
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
     edges = None if edges is None else edges.padded(mesh.faces.shape[0])
-    clip, unwarped, tile = _drawn_vertices(mesh, light)
-    if unwarped is not None and (edges is not None or polygon_offset is not None):
+    view = light.view()
+    clip = view.clip_vertices(mesh.vertices)
+    if view.warp is not None and (edges is not None or polygon_offset is not None):
         raise ValueError(
             f"the shadow map is warped, and {'polygon_offset' if edges is None else 'edges'} was given; expected "
             "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
         )
     pages = light.pages if isinstance(light, PagedLight) else None
-    if tile is not None and edges is not None:
+    if view.tile is not None and edges is not None:
         what = "cascades of several sizes" if pages is None else "pages"
         raise ValueError(
             f"the shadow map has {what}, and edges were given; expected no edges: leave them out, or use another layout"
         )
-    viewports = None if tile is None or pages is not None else jnp.stack([tile.size, tile.size], axis=-1)
+    viewports = None if view.tile is None or pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -145,7 +157,7 @@ def draw_shadow_map(
             mesh.faces,
             resolution,
             cull=cull,
-            depth_test=test if unwarped is None else DepthTest(),
+            depth_test=test if view.warp is None else DepthTest(),
             polygon_offset=polygon_offset,
             behind=behind,
             pages=pages,
@@ -154,9 +166,9 @@ def draw_shadow_map(
         )
 
     def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:
-        if unwarped is not None:
-            return _unwarped_depth(seen.face, clip, unwarped, mesh.faces, test)
-        depth = _depth(seen.face, clip, mesh.faces, tile)
+        if view.warp is not None:
+            return _unwarped_depth(seen.face, clip, view.unwarped.clip_vertices(mesh.vertices), mesh.faces, test)
+        depth = _depth(seen.face, clip, mesh.faces, view.tile)
         return depth if is_plain else with_gradient_of(depth, seen.depth)
 
     if edges is None or crossings is None:
@@ -165,7 +177,7 @@ def draw_shadow_map(
         if depth_layer != "nearest":
             second = depth_of(draw(seen.face))
             depth = second if depth_layer == "second" else _midpoint(depth, second, test)
-        return ShadowMap(depth, light, depth_format)
+        return ShadowMap(depth, light, depth_format, view=view)
     seen, corners = _with_corners(clip, mesh.faces, resolution, test, polygon_offset)
     depth = depth_of(seen)
     silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
@@ -178,7 +190,7 @@ def draw_shadow_map(
             f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these "
             "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
         )
-    return ShadowMap(depth, light, depth_format, silhouettes)
+    return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
 # Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
@@ -254,7 +266,7 @@ def _with_corners(
         (height + 1, width + 1),
         depth_test=test,
         polygon_offset=polygon_offset,
-        viewports=jnp.asarray(sides),
+        viewports=as_array(sides),
     )
     return _parted(seen, clip.shape[:-2], resolution)
 
@@ -284,7 +296,7 @@ def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Floa
 
 @eqx.filter_jit
 def _crossings(mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution) -> Int[Array, ""]:
-    return jnp.sum(Outline.of(clip_vertices(mesh, light), mesh, light, edges, resolution).counts)
+    return jnp.sum(Outline.of(light.view().clip_vertices(mesh.vertices), mesh, light, edges, resolution).counts)
 
 
 @eqx.filter_jit
@@ -313,22 +325,6 @@ def _midpoint(nearest: Float[Array, "*n"], second: Float[Array, "*n"], test: Dep
 
 def _rounded(depth: Float[Array, "*n"], test: DepthTest) -> Float[Array, "*n"]:
     return with_gradient_of(depth, test.decode(test.encode(depth)))
-
-
-@eqx.filter_jit
-def clip_vertices(mesh: Mesh, light: AbstractLight) -> Float[Array, "*l v 4"]:
-    """Clip coordinates of a mesh's vertices in each of the light's views."""
-    return light.view().clip_vertices(mesh.vertices)
-
-
-@eqx.filter_jit
-def _drawn_vertices(
-    mesh: Mesh, light: AbstractLight
-) -> tuple[Float[Array, "*l v 4"], Float[Array, "*l v 4"] | None, Tile | None]:
-    """`clip_vertices`, the same without the warp of the light's view, and the view's tile; none for a view without."""
-    view = light.view()
-    unwarped = None if view.warp is None else view.unwarped.clip_vertices(mesh.vertices)
-    return view.clip_vertices(mesh.vertices), unwarped, view.tile
 
 
 @eqx.filter_jit

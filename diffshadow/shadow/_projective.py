@@ -13,11 +13,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, in_unit_range, normalize
+from .._misc import as_array, as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
-from ._map import clip_vertices
 from ._technique import AbstractTechnique
 from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
 from .kernels import Shape
@@ -38,7 +37,7 @@ class ProjectiveTexture(eqx.Module):
 
     coverage: Float[Array, "*l h w"]
     light: AbstractLight
-    casts: Bool[Array, " f"] = eqx.field(converter=jnp.asarray)
+    casts: Bool[Array, " f"] = eqx.field(converter=as_array)
     margin: int = eqx.field(static=True)
 
     @property
@@ -85,7 +84,7 @@ class ProjectiveShadow(AbstractTechnique):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ProjectiveTexture:
         """The silhouette of the scene's casters under its only light. It does not depend on `surface`."""
         casters, light = scene.casters.padded(), scene.light
-        face = rasterize(clip_vertices(casters, light), casters.faces, self.resolution).face
+        face = rasterize(light.view().clip_vertices(casters.vertices), casters.faces, self.resolution).face
         blurring = Blur(self.blur, self.max_blur, self.kernel)
         coverage = _blurred(as_float(face != NO_FACE), blurring)
         return ProjectiveTexture(coverage, light, scene.casting_faces, blurring.margin)

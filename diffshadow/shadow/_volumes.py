@@ -10,16 +10,26 @@ cancel, and each remaining edge is extruded as many times as it remains (Kim, Ki
 algorithm for opaque and transparent non-manifold casters").
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, normalize
+from .._misc import as_float, dot, in_float64, normalize
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Scalar, Vec3, Visibility
-from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, infinite_far, merge, transform_vectors
+from ..geometry import (
+    AbstractCamera,
+    AbstractLight,
+    Edges,
+    Mesh,
+    Scene,
+    View,
+    infinite_far,
+    merge,
+    transform_vectors,
+)
 from ..raster import (
     Surface,
     barycentrics,
@@ -128,10 +138,10 @@ class ShadowVolumes(AbstractTechnique):
     def _count(self, state: VolumeScene) -> "_Found":
         # The view is bitwise the one that surfaces are drawn with. All else is in double precision: a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
-        view = _view(state.camera)
+        view = state.camera.view()
         with jax.enable_x64(True):
             given = state.casters, state.light, state.camera.eye, view, state.receivers
-            casters, light, eye, view, receivers = _widened(given)
+            casters, light, eye, view, receivers = in_float64(given)
             drawing = _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
             clip = drawing.clip.astype(jnp.float32)
         face = rasterize(clip, drawing.faces, state.camera.resolution).face
@@ -186,16 +196,6 @@ class _Found(eqx.Module):
     counts: Int[Array, "h w"]
     lit_side: Mask
     seen: Mask
-
-
-def _widened(tree: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Converts all floating arrays of `tree` to float64; for use under `jax.enable_x64`."""
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, tree)
-
-
-@eqx.filter_jit
-def _view(camera: AbstractCamera) -> View:
-    return camera.view()
 
 
 @eqx.filter_jit

@@ -268,7 +268,7 @@ def test_differences_are_compared_under_a_gaussian(deviation):
     one = dataclasses.replace(problem(LIGHTS["directional"], moves=True), blur=deviation)
     sharp = np.random.default_rng(0).normal(size=(64, 80))
     blurred = gaussian_filter(sharp, deviation, mode="constant", truncate=8.0) if deviation else sharp
-    np.testing.assert_allclose(one.compared(jnp.asarray(sharp, jnp.float32)), blurred, atol=1e-5)
+    np.testing.assert_allclose(one.compared(jnp.asarray(sharp[None], jnp.float32))[0], blurred, atol=1e-5)
 
 
 def test_starts_are_the_first_and_an_even_spread():

@@ -32,12 +32,6 @@ TECHNIQUE = technique(Bilinear(), slope=1.0)
 NAMES = {"camera": MatrixCamera, "light": MatrixLight}
 
 
-@eqx.filter_jit
-def view_of(one):
-    # Compiled, as where it draws: single operations round otherwise.
-    return one.view()
-
-
 def matrices(view: View):
     return np.asarray(view.world_to_eye), np.asarray(view.eye_to_clip)
 
@@ -50,7 +44,7 @@ def same_to_the_bit(one, other):
 @pytest.mark.parametrize("kind", marked(CAMERAS, ["orthographic"]))
 def test_camera_of_anothers_matrices_draws_the_same_surface(kind):
     camera = CAMERAS[kind]
-    of_matrices = MatrixCamera(*matrices(view_of(camera)), camera.resolution)
+    of_matrices = MatrixCamera(*matrices(camera.view()), camera.resolution)
     same_to_the_bit(draw_surface(MESH, camera), draw_surface(MESH, of_matrices))
     for name in ("eye", "near", "far"):
         np.testing.assert_allclose(getattr(of_matrices, name), getattr(camera, name), rtol=1e-5, atol=1e-5)
@@ -77,7 +71,7 @@ def test_camera_off_the_centre_sees_its_part_of_the_image():
 @pytest.mark.parametrize("kind", marked(LIGHTS, ["directional"]))
 def test_light_of_anothers_matrices_casts_the_same_shadow(kind):
     light, surface = LIGHTS[kind](MESH), draw_surface(MESH, side_camera())
-    of_matrices = MatrixLight(*matrices(view_of(light)))
+    of_matrices = MatrixLight(*matrices(light.view()))
     assert of_matrices.is_directional == light.is_directional
     assert not of_matrices.has_size
     theirs, ours = (draw_shadow_map(MESH, each, (64, 64)) for each in (light, of_matrices))
@@ -91,7 +85,7 @@ def test_light_of_anothers_matrices_casts_the_same_shadow(kind):
 def test_light_off_the_centre_has_its_part_of_the_map(kind):
     """Of a frustum that is as high, and three quarters as wide with as many fewer texels."""
     light, surface = LIGHTS[kind](MESH), draw_surface(MESH, floor_camera(resolution=(64, 64)))
-    world_to_eye, eye_to_clip = matrices(view_of(light))
+    world_to_eye, eye_to_clip = matrices(light.view())
     right, top = 1 / eye_to_clip[0, 0], 1 / eye_to_clip[1, 1]
     make = orthographic if light.is_directional else perspective
     sides = jnp.array([-right / 2, right]), jnp.array([-top, top])
@@ -107,7 +101,7 @@ def test_light_off_the_centre_has_its_part_of_the_map(kind):
 
 def test_reference_is_that_of_the_camera_and_the_light_whose_matrices_they_have():
     camera, light = side_camera((32, 32)), LIGHTS["spot"](MESH)
-    given = MatrixCamera(*matrices(view_of(camera)), camera.resolution), MatrixLight(*matrices(view_of(light)))
+    given = MatrixCamera(*matrices(camera.view()), camera.resolution), MatrixLight(*matrices(light.view()))
     theirs, ours = trace_visibility(Scene(MESH, camera, light)), trace_visibility(Scene(MESH, *given))
     np.testing.assert_array_equal(ours.mask, theirs.mask)
     assert np.mean(ours.visibility != theirs.visibility) < 0.002

@@ -35,11 +35,11 @@ def test_every_point_of_a_part_of_the_view_is_found(how, share):
     with jax.enable_x64(True):
         strips = jax.jit(in_strips)(jnp.asarray(x), jnp.asarray(y), jnp.asarray(valid))
         order, margin = np.asarray(strips.order), 1e-8
-        first, count = map(np.asarray, strips.strips_between(jnp.asarray(low - margin), jnp.asarray(high + margin)))
+        first, count = map(np.asarray, jax.jit(type(strips).strips_between)(strips, low - margin, high + margin))
         query = np.repeat(np.arange(200), count)
         strip = np.concatenate([f + np.arange(c) for f, c in zip(first, count, strict=True)])
-        sides = (jnp.asarray(left[query] - margin), jnp.asarray(right[query] + margin))
-        block, blocks = map(np.asarray, strips.blocks_between(jnp.asarray(strip, jnp.int32), *sides))
+        given = strip.astype(np.int32), left[query] - margin, right[query] + margin
+        block, blocks = map(np.asarray, jax.jit(type(strips).blocks_between)(strips, *given))
     assert sorted(order.ravel()[order.ravel() < POINTS]) == list(range(POINTS))
     assert (first + count <= len(strips.low)).all()
     assert (block // strips.blocks == strip)[blocks > 0].all()

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffshadow._misc import as_float
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PinholeCamera, PointLight, SpotLight
 from diffshadow.raster import Surface
 from diffshadow.shading import AbstractShading, Attenuation, ModulatedShadow, Phong
@@ -36,8 +37,14 @@ def camera(eye=(0.0, 2.0, 0.0)) -> PinholeCamera:
     return PinholeCamera(eye, (0, 0, 0), up=(0, 0, 1), resolution=(1, 1))
 
 
+@eqx.filter_jit
+def shaded(shading, *given):
+    return shading(*given)
+
+
 def pixel(shading: AbstractShading, surface: Surface, light, *, visibility=1.0, eye=None) -> np.ndarray:
-    return np.asarray(shading(surface, jnp.full((1, 1), visibility), light, eye or camera()))[0, 0]
+    visibility = as_float(np.full((1, 1), visibility))
+    return np.asarray(shaded(shading, surface, visibility, light, eye or camera()))[0, 0]
 
 
 def test_facing_lit_plane_is_ambient_plus_diffuse_plus_specular():

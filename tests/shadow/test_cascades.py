@@ -446,7 +446,8 @@ def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     strength = np.clip((11.0 - depth) / 5.0 / 0.5, 0, 1)
     np.testing.assert_allclose(faded, 1 - strength * (1 - unfaded), atol=1e-5)
     points = jnp.asarray(np.stack([0 * depth, 0 * depth, -depth], axis=-1)[None], jnp.float32)
-    ending = given_slices(6.0, 11.0, fade=0.0).choose(state.light, points).strength
+    choose = eqx.filter_jit(lambda layout, light, points: layout.choose(light, points))
+    ending = choose(given_slices(6.0, 11.0, fade=0.0), state.light, points).strength
     np.testing.assert_array_equal(np.asarray(ending)[0], np.float32(depth) <= 11)
 
 

@@ -57,7 +57,8 @@ def share_below(kernel, radius, u):
 def test_numbers_of_a_bound_are_those_of_its_formula():
     """Of maps that hold the one depth 0.5, whose variance is 0, at a receiver that lies 0.1 deeper."""
     stored, receiver = jnp.array([[0.5]]), jnp.array([[0.6]])
-    bound = lambda filter, depth=receiver: np.asarray(filter.bound(filter.moments(stored), depth))
+    by_formula = eqx.filter_jit(lambda filter, stored, depth: filter.bound(filter.moments(stored), depth))
+    bound = lambda filter, depth=receiver: np.asarray(by_formula(filter, stored, depth))
     np.testing.assert_allclose(bound(VarianceShadowMap(least_variance=0.01)), 0.01 / (0.01 + 0.1**2), rtol=1e-4)
     np.testing.assert_allclose(bound(ExponentialShadowMap(exponent=10.0)), np.exp(-1), rtol=1e-5)
     # The warps are measured by the receiver's own, and the floor by their slopes 2 c there.

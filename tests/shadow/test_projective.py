@@ -12,7 +12,6 @@ from scenes import floor_surface, quad, side_camera
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, SpotLight
 from diffshadow.raster import draw_surface, rasterize
 from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture, _projective
-from diffshadow.shadow._map import clip_vertices
 
 DOWN = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -3, 3)
 """Straight down on a map 4 world units wide."""
@@ -139,7 +138,7 @@ def _compiled():
     """Two sums of visibility by the blur, in texels, and a shift of the receivers; and their derivatives (2, 2) by
     forward and by reverse mode. All by one program."""
     surface = floor_surface(1.5, (24, 24))
-    drawn = rasterize(clip_vertices(CARD, DOWN), CARD.faces, (32, 32))
+    drawn = rasterize(DOWN.view().clip_vertices(CARD.vertices), CARD.faces, (32, 32))
 
     def sums(at):
         technique = ProjectiveShadow((32, 32), at[0], max_blur=6.0)

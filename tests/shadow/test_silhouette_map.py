@@ -43,7 +43,7 @@ from diffshadow.shadow import (
     plan_crossings,
     stratified,
 )
-from diffshadow.shadow._map import _about_corners, _silhouettes, clip_vertices
+from diffshadow.shadow._map import _about_corners, _silhouettes
 from diffshadow.shadow.silhouettes import HalfPlanes, Rectangle, cut_area
 from diffshadow.shadow.silhouettes._padded import Pyramid
 
@@ -381,7 +381,7 @@ def _moving_outlines(shadow_map, corners, mesh, edges, by, way):
 
     def planes(by):
         light = _sun(by)
-        given = shadow_map.depth, corners, clip_vertices(mesh, light), mesh, light, edges, CROSSINGS
+        given = shadow_map.depth, corners, light.view().clip_vertices(mesh.vertices), mesh, light, edges, CROSSINGS
         return _silhouettes(*given)[0].planes
 
     return jax.jvp(planes, (by,), (way,))
@@ -391,7 +391,7 @@ def _moving_outlines(shadow_map, corners, mesh, edges, by, way):
 def test_half_planes_move_as_edges_do():
     shadow_map, mesh = _scene(), _square().padded()
     edges = Edges.of(_square()).padded(len(mesh.faces))
-    clip = _about_corners(clip_vertices(mesh, shadow_map.light), (TEXELS, TEXELS))
+    clip = _about_corners(shadow_map.view.clip_vertices(mesh.vertices), (TEXELS, TEXELS))
     corners = rasterize(clip, mesh.faces, (TEXELS + 1, TEXELS + 1)).depth
     step, way = 2e-3, np.float32([0.6, 0.8])
     at = lambda by: [np.asarray(x) for x in _moving_outlines(shadow_map, corners, mesh, edges, by * way, way)[0]]

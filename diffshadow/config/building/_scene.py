@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, io
+from ..._misc import as_float
 from ..._types import HostArray, Vec3
 from ..sections._lights import (
     DirectionalLightConfig,
@@ -57,7 +58,7 @@ class Stage(NamedTuple):
 
     def around(self, azimuth: float, elevation: float, distance: float) -> Vec3:
         """The point at `distance` radii from the centre, in the direction given by angles in degrees."""
-        return geometry.orbit_eye(jnp.asarray(self.middle), distance * self.radius, azimuth, elevation)
+        return geometry.orbit_eye(as_float(self.middle), distance * self.radius, azimuth, elevation)
 
 
 def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh) -> Stage:
@@ -105,14 +106,15 @@ def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: 
         raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
     up = single(config.up)
     # The scene's extent across the view, and along it.
-    rows = np.asarray(geometry.frame(target - eye, up), np.float64)
+    # By what the camera's view is made with, which is compiled anyway.
+    rows = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)[:3, :3]
     across, upwards, backward = ((stage.points - eye) @ rows.T).T
     near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
     near = near if config.near is None else config.near
     far = far if config.far is None else config.far
     if isinstance(config, PinholeCameraConfig):
         return geometry.PinholeCamera(
-            eye, target, up, fov_y=jnp.asarray(config.fov_y), near=near, far=far, resolution=config.resolution
+            eye, target, up, fov_y=as_float(config.fov_y), near=near, far=far, resolution=config.resolution
         )
     rows, columns = config.resolution
     needed = 2 * max(np.abs(upwards).max(), np.abs(across).max() * rows / columns) * (1 + _MARGIN)
@@ -144,9 +146,9 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
     """
     if isinstance(config, DirectionalLightConfig):
         return _directional(config, stage)
-    points = jnp.asarray(stage.points)
+    points = as_float(stage.points)
     if config.position is not None:
-        position = jnp.asarray(config.position)
+        position = as_float(config.position)
     else:
         assert config.orbit is not None
         position = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
@@ -167,10 +169,10 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
             tight = geometry.RectangleLight.around(
                 position,
                 points,
-                jnp.asarray(config.size),
+                as_float(config.size),
                 target=_vector(config.target),
                 outer_angle=config.outer_angle,
-                up=jnp.asarray(config.up),
+                up=as_float(config.up),
             )
     near = tight.near if config.near is None else config.near
     far = tight.far if config.far is None else config.far
@@ -180,18 +182,18 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
 
 def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.DirectionalLight:
     if config.direction is not None:
-        direction = jnp.asarray(config.direction)
+        direction = as_float(config.direction)
     else:
         assert config.azimuth is not None
         assert config.elevation is not None
-        centre = jnp.asarray(np.zeros(3, np.float32))
-        direction = jnp.asarray(-np.asarray(geometry.orbit_eye(centre, 1.0, config.azimuth, config.elevation)))
+        centre = as_float(np.zeros(3, np.float32))
+        direction = as_float(-np.asarray(geometry.orbit_eye(centre, 1.0, config.azimuth, config.elevation)))
     if config.shadow_camera is not None:
         return _seen_by(config.shadow_camera, direction, config.angular_radius, stage)
-    points, around = jnp.asarray(stage.points), geometry.DirectionalLight.around
+    points, around = as_float(stage.points), geometry.DirectionalLight.around
     if config.frame == "scene":
         return around(direction, points, config.angular_radius)
-    return around(direction, jnp.asarray(stage.casters), config.angular_radius, receivers=points)
+    return around(direction, as_float(stage.casters), config.angular_radius, receivers=points)
 
 
 def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage: Stage) -> geometry.DirectionalLight:
@@ -226,4 +228,4 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
 
 
 def _vector(value: tuple[float, float, float] | None) -> Vec3 | None:
-    return None if value is None else jnp.asarray(value)
+    return None if value is None else as_float(value)

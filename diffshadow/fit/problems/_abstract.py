@@ -49,8 +49,8 @@ class AbstractProblem(eqx.Module):
         """
 
     @abc.abstractmethod
-    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """The part of a difference that the fit makes small, such as its blur. Linear."""
+    def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
+        """The part of each difference that the fit makes small, such as its blur. Linear."""
 
     @abc.abstractmethod
     def laid_out(self, subject: Any) -> "AbstractProblem":

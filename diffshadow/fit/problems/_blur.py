@@ -54,17 +54,17 @@ def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
 
 
 @eqx.filter_jit
-def blurred(image: Float[Array, "h w"], deviation: Scalar | float) -> Float[Array, "h w"]:
-    """An image under a Gaussian of standard `deviation` σ in pixels, 0 or more; 0 beyond its border.
+def blurred(images: Float[Array, "*n h w"], deviation: Scalar | float) -> Float[Array, "*n h w"]:
+    """Images under a Gaussian of standard `deviation` σ in pixels, 0 or more; 0 beyond their borders.
 
     Its spectrum at f cycles per pixel is multiplied by that of the Gaussian, exp(-2 π² σ² f²): one program serves every
     σ, in the same time.
     """
-    height, width = image.shape
+    height, width = images.shape[-2:]
     # The padding keeps the blur from wrapping around to the opposite border.
     padding = math.ceil(REACH_OF_BLUR * widest_blur(height, width))
-    sides: Any = tuple(next_fast_len(side + padding, real=True) for side in image.shape)
+    sides: Any = tuple(next_fast_len(side + padding, real=True) for side in (height, width))
     gaussian = lambda frequency: jnp.exp(-2 * (math.pi * deviation * frequency) ** 2)
     rows, columns = gaussian(np.fft.fftfreq(sides[0])), gaussian(np.fft.rfftfreq(sides[1]))
-    spectrum = jnp.fft.rfft2(image, s=sides) * rows[:, None] * columns
-    return jnp.fft.irfft2(spectrum, s=sides)[:height, :width].astype(image.dtype)
+    spectrum = jnp.fft.rfft2(images, s=sides) * rows[:, None] * columns
+    return jnp.fft.irfft2(spectrum, s=sides)[..., :height, :width].astype(images.dtype)

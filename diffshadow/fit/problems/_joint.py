@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import array_module
+from ..._misc import array_module, as_array
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
@@ -78,20 +78,19 @@ class Joint(eqx.Module):
 
         **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem.
         """
-
-        def scaled(problem: AbstractProblem | Stack) -> Float[Array, "n h w"]:
-            if isinstance(problem, Stack):
-                difference, count = problem.difference(subject), problem.count[:, None, None]
-            else:
-                difference, count = problem.difference(subject, overflows)[None], problem.count
-            return _scaled(self.loss, difference, count)
-
-        return tuple(map(scaled, self.problems))
+        found = (
+            problem.difference(subject) if isinstance(problem, Stack) else problem.difference(subject, overflows)
+            for problem in self.problems
+        )
+        return tuple(
+            _scaled(self.loss, difference, problem.count)
+            for difference, problem in zip(found, self.problems, strict=True)
+        )
 
     def compared(self, differences: Images) -> Images:
         """The part of all differences that the fit makes small."""
         return tuple(
-            images if isinstance(problem, Stack) else problem.compared(images[0])[None]
+            images if isinstance(problem, Stack) else problem.compared(images)
             for problem, images in zip(self.problems, differences, strict=True)
         )
 
@@ -207,8 +206,10 @@ class Joint(eqx.Module):
 
 
 @eqx.filter_jit
-def _scaled(loss: Loss, difference: Float[Array, "n h w"], count: Array) -> Float[Array, "n h w"]:
-    return loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))
+def _scaled(loss: Loss, difference: Float[Array, "*n h w"], count: Float[Array, "*n"]) -> Float[Array, "m h w"]:
+    """One image or several, as several."""
+    scaled = loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))[..., None, None]
+    return scaled.reshape(-1, *scaled.shape[-2:])
 
 
 @eqx.filter_jit
@@ -228,19 +229,15 @@ def _errors(joint: Joint) -> Errors:
     return squares(joint.differences(joint.subject))
 
 
-@eqx.filter_jit
-def _sums(images: Float[Array, "n h w"], others: Float[Array, "n h w"]) -> Float[Array, " n"]:
-    return jnp.sum(images * others, axis=(1, 2))
-
-
 def squares(images: Images) -> Errors:
     """The sum of the squares of each image, (v,)."""
     return products(images, images)
 
 
+@eqx.filter_jit
 def products(images: Images, others: Images) -> Errors:
     """The sum of the products of each two images, (v,)."""
-    return jnp.concatenate([_sums(a, b) for a, b in zip(images, others, strict=True)])
+    return jnp.concatenate([jnp.sum(a * b, axis=(1, 2)) for a, b in zip(images, others, strict=True)])
 
 
 def multiplied(images: Images, factors: Errors) -> Images:
@@ -252,7 +249,7 @@ def multiplied(images: Images, factors: Errors) -> Images:
 def any_of(overflows: Sequence[Overflow]) -> Overflow:
     """Whether silhouettes are missing from any map."""
     xp = array_module(*overflows)
-    return jnp.asarray(xp.any(xp.asarray(overflows, bool)))
+    return as_array(xp.any(xp.asarray(overflows, bool)))
 
 
 def check_problem(joint: Joint, parameters: Parameters) -> None:
@@ -269,7 +266,7 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
     for end in (parameters.lower, parameters.upper):
         _check_allowed(joint.put(parameters, end).technique)
         _check_layout(joint, parameters, end)
-    if not any(bool(each.count > 0) for each in joint.problems):
+    if not any(float(each.count) > 0 for each in joint.problems):
         raise ValueError(
             "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
             "light to see the same part of the scene: move one of them"

@@ -76,7 +76,7 @@ class PoseProblem(AbstractProblem):
         - `surface`: what the camera sees, if no mesh in its sight moves. Left out, it is drawn again at every step.
         """
         lit = scene.lit_by(light)
-        reference = jnp.asarray(truth.visibility)
+        reference = as_float(truth.visibility)
         if truth.samples:
             seen = draw_surface(scene.mesh, scene.camera) if surface is None else surface
             reference = reference * cone_fraction(lit.light, seen)
@@ -126,9 +126,9 @@ class PoseProblem(AbstractProblem):
         image = self.image(*self.draw(subject, overflows), subject.technique)
         return _weighted_difference(image, self.reference, self.weight)
 
-    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """The blur of a difference."""
-        return blurred(difference, self.blur)
+    def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
+        """The blur of each difference."""
+        return blurred(differences, self.blur)
 
     def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement.

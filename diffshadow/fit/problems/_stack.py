@@ -7,11 +7,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_int
+from ..._misc import as_array, as_int
 from ...shadow import Atlas, ShadowMap
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
@@ -130,4 +129,4 @@ def _numbers_of_one_structure(problems: Sequence[Any]) -> list[list[int]]:
 def together(problems: Sequence[TechniqueProblem]) -> TechniqueProblem:
     """One problem whose arrays have a leading axis for the images."""
     # In NumPy, which dispatches nothing for each of the many small arrays.
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *problems)
+    return jax.tree.map(lambda *leaves: as_array(np.stack([np.asarray(leaf) for leaf in leaves])), *problems)

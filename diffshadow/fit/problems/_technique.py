@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_array, as_float
 from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
@@ -57,8 +57,8 @@ class TechniqueProblem(AbstractProblem):
         """
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
         shadow_map = technique.prepare(scene, surface)
-        mask = technique.covered(shadow_map, surface) & jnp.asarray(truth.mask)
-        return cls(technique, shadow_map, surface, jnp.asarray(truth.visibility), mask, scene)
+        mask = technique.covered(shadow_map, surface) & as_array(truth.mask)
+        return cls(technique, shadow_map, surface, as_float(truth.visibility), mask, scene)
 
     def residual(self, technique: FittableTechnique) -> Float[Array, "h w"]:
         """Visibility less reference at the pixels that count, 0 elsewhere.
@@ -79,9 +79,9 @@ class TechniqueProblem(AbstractProblem):
         visibility = subject.visibility(self.shadow_map, self.surface)
         return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
 
-    def compared(self, difference: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """All of a difference."""
-        return difference
+    def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
+        """All of them."""
+        return differences
 
     def technique_of(self, subject: FittableTechnique) -> FittableTechnique:
         """The subject itself."""
@@ -133,9 +133,9 @@ class TechniqueProblem(AbstractProblem):
         return TechniqueProblem(
             technique=self.technique,
             shadow_map=self.shadow_map,
-            surface=jax.tree.map(lambda image: jnp.asarray(gathered(image)), self.surface),
-            reference=jnp.asarray(gathered(self.reference)),
-            mask=jnp.asarray(in_tiles(np.arange(runs) < taken)),
+            surface=jax.tree.map(lambda image: as_array(gathered(image)), self.surface),
+            reference=as_float(gathered(self.reference)),
+            mask=as_array(in_tiles(np.arange(runs) < taken)),
             scene=self.scene,
             weight=gathered(weight) * in_tiles(lengths),
         )
@@ -157,7 +157,7 @@ class TechniqueProblem(AbstractProblem):
     @property
     def count(self) -> Scalar:
         """How many pixels count."""
-        return jnp.sum(jnp.where(self.mask, self.weight, 0))
+        return _counted(self.mask, self.weight)
 
     @property
     def blur_in_pixels(self) -> float:
@@ -169,6 +169,11 @@ def _runs(about: float) -> int:
     """A number of runs near `about`. XLA vectorizes stacks of samples with 1, 4 or a multiple of 8 of them; others take
     two to three times as long for each pixel."""
     return 1 if about < 2 else 4 if about < 8 else int(about // 8) * 8
+
+
+@eqx.filter_jit
+def _counted(mask: Mask, weight: Array) -> Scalar:
+    return jnp.sum(jnp.where(mask, weight, 0))
 
 
 @eqx.filter_jit

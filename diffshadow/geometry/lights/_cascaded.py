@@ -3,10 +3,12 @@
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._types import Mat4
 from .._pages import Tile
 from .._view import View
 from ._abstract import AbstractLight
@@ -54,11 +56,7 @@ class CascadedLight(AbstractFittedLight):
 
     def view(self) -> View:
         own = self.light.view()
-        # Rows x and y of the projection are scaled, and shifted by multiples of row w.
-        rows = own.eye_to_clip[:2]
-        cropped = self.scale[..., None] * rows + self.offset[..., None] * own.eye_to_clip[3]
-        others = jnp.broadcast_to(own.eye_to_clip[2:], (self.count, 2, 4))
-        eye_to_clip = jnp.concatenate([cropped, others], axis=-2)
+        eye_to_clip = _cropped(own.eye_to_clip, self.scale, self.offset)
         tile = None if self.sides is None else Tile(jnp.zeros((self.count, 2), jnp.int32), self.sides)
         return View(own.world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, self.steps, tile=tile)
 
@@ -81,3 +79,11 @@ class CascadedLight(AbstractFittedLight):
         at = self.scale[layer] * own[..., :2] + self.offset[layer]
         inside = 1 - self.margin[layer] - jnp.abs(at)
         return jnp.minimum(inside[..., 0], inside[..., 1])
+
+
+@jax.jit
+def _cropped(eye_to_clip: Mat4, scale: Float[Array, "l 2"], offset: Float[Array, "l 2"]) -> Float[Array, "l 4 4"]:
+    """The projection of each cascade: rows x and y are scaled, and shifted by multiples of row w."""
+    cropped = scale[..., None] * eye_to_clip[:2] + offset[..., None] * eye_to_clip[3]
+    others = jnp.broadcast_to(eye_to_clip[2:], (len(scale), 2, 4))
+    return jnp.concatenate([cropped, others], axis=-2)

@@ -4,13 +4,14 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
 from ..._misc import array_module, as_float, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
 from .._camera import check_near_far
-from .._transforms import frame, look_at, orthographic
+from .._transforms import centred_orthographic, look_at
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_direction
 from ._frustum import FLAT, MARGIN, on_plane
@@ -70,10 +71,11 @@ class DirectionalLight(AbstractLight):
         direction, up = as_float(direction), as_float(UP if up is None else up)
         check_direction("the directional light", direction)
         check_direction("the directional light", up, "up")
-        rows = frame(direction, up)
-        # In NumPy where it can be: nothing is compiled for the number of points.
-        xp = array_module(points, rows, receivers)
-        seen = lambda points: (xp.asarray(points)[:, None] * xp.asarray(rows)).sum(axis=-1)
+        # By what a view is made with, and in NumPy where it can be: nothing is compiled for the number of points.
+        turn = look_at(as_float(np.zeros(3)), direction, up)
+        xp = array_module(points, turn, receivers)
+        rows = xp.asarray(turn)[:3, :3]
+        seen = lambda points: (xp.asarray(points)[:, None] * rows).sum(axis=-1)
         local = seen(points)
         low, high = local.min(axis=0), local.max(axis=0)
         if receivers is not None:
@@ -84,7 +86,7 @@ class DirectionalLight(AbstractLight):
         size = xp.maximum(high - low, FLAT * xp.max(high - low)) * (1 + 2 * MARGIN)
         return cls(
             direction=direction,
-            center=((low + high) / 2 * xp.asarray(rows).T).sum(axis=-1),
+            center=((low + high) / 2 * rows.T).sum(axis=-1),
             extent=size[:2],
             near=-size[2] / 2,
             far=size[2] / 2,
@@ -106,11 +108,9 @@ class DirectionalLight(AbstractLight):
         return DirectionalLight(self.direction, *box, self.angular_radius, self.up)
 
     def view(self) -> View:
-        half = self.extent / 2
-        sides = jnp.array([-1.0, 1.0])
         return View(
             world_to_eye=look_at(self.center, self.direction, self.up),
-            eye_to_clip=orthographic(half[0] * sides, half[1] * sides, self.near, self.far),
+            eye_to_clip=centred_orthographic(self.extent, self.near, self.far),
             near=self.near,
             far=self.far,
             is_perspective=False,

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._misc import array_module, as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._camera import check_near_far, check_pose
-from .._transforms import frame, look_at, perspective, transform_points
+from .._transforms import centred_perspective, frame, look_at, transform_points
 from .._view import View
 from ._abstract import check_direction
 
@@ -77,18 +77,26 @@ class Frustum(NamedTuple):
         outside the frustum."""
         if direction is None:
             direction = _centre(points) - position
-        eye = transform_points(look_at(position, direction, up), points)[..., :3]
-        distance = -eye[..., 2]
-        ahead = distance > 0
-        tangent = jnp.max(
-            jnp.where(
-                ahead[..., None], jnp.abs(eye[..., :2]) / _sides(aspect) / jnp.where(ahead, distance, 1)[..., None], 0
-            )
+        return cls(*_framing(position, points, up, direction, as_float(aspect)))
+
+
+@jax.jit
+def _framing(
+    position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3, aspect: Scalar
+) -> tuple[Vec3, Scalar, Scalar, Scalar]:
+    eye = transform_points(look_at(position, direction, up), points)[..., :3]
+    distance = -eye[..., 2]
+    ahead = distance > 0
+    tangent = jnp.max(
+        jnp.where(
+            ahead[..., None], jnp.abs(eye[..., :2]) / _sides(aspect) / jnp.where(ahead, distance, 1)[..., None], 0
         )
-        angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
-        return cls(direction, jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance)))
+    )
+    angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
+    return direction, jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance))
 
 
+@jax.jit
 def distances_along(position: Vec3, direction: Vec3, points: Float[Array, "n 3"]) -> tuple[Scalar, Scalar]:
     """Near and far of a light at `position` that shines along `direction` on `points` (n, 3)."""
     return near_far(*_reach(dot(points - position, normalize(direction))))
@@ -148,8 +156,7 @@ def frustum_view(
     aspect: Scalar | float = 1.0,
 ) -> View:
     """The view of a frustum of vertical half-angle `outer_angle`, in degrees, `aspect` times as wide as high."""
-    sides = jnp.tan(jnp.deg2rad(outer_angle)) * jnp.array([-1.0, 1.0])
-    projection = perspective(aspect * sides, sides, near, far)
+    projection = centred_perspective(2 * outer_angle, near, far, as_float(aspect))
     return View(look_at(position, direction, up), projection, near, far, is_perspective=True)
 
 

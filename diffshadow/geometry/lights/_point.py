@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -71,9 +72,8 @@ class PointLight(AbstractLight):
         """
         position = as_float(position)
         check_position("the point light", position)
-        offset = points - position
-        parted = jnp.max(jnp.maximum(jnp.min(offset, axis=0), -jnp.max(offset, axis=0)))
-        return cls(position, *near_far(jnp.maximum(parted, 0), jnp.max(jnp.abs(offset))), radius, guard)
+        near, far = _near_far(position, points)
+        return cls(position, near, far, radius, guard)
 
     def pose(self) -> LightPose:
         return LightPose(Vector(*self.position), radius=self.radius)
@@ -92,17 +92,8 @@ class PointLight(AbstractLight):
         return guard / (1 + guard) * min(resolution) / 2
 
     def view(self) -> View:
-        faces = as_float(_FACES)
-        moved = -jnp.sum(faces * self.position, axis=-1)
-        world_to_eye = jnp.zeros((6, 4, 4), moved.dtype).at[:, :3, :3].set(faces).at[:, :3, 3].set(moved)
-        sides = (1 + self.guard) * jnp.array([-1.0, 1.0])
-        return View(
-            world_to_eye=world_to_eye.at[:, 3, 3].set(1),
-            eye_to_clip=perspective(sides, sides, self.near, self.far),
-            near=self.near,
-            far=self.far,
-            is_perspective=True,
-        )
+        world_to_eye, eye_to_clip = _matrices(self.position, self.near, self.far, self.guard)
+        return View(world_to_eye, eye_to_clip, self.near, self.far, is_perspective=True)
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
         offset = lax.stop_gradient(points - self.position)
@@ -141,3 +132,22 @@ class PointLight(AbstractLight):
     @property
     def has_size(self) -> bool:
         return float(self.radius) > 0
+
+
+@jax.jit
+def _near_far(position: Vec3, points: Float[Array, "n 3"]) -> tuple[Scalar, Scalar]:
+    offset = points - position
+    parted = jnp.max(jnp.maximum(jnp.min(offset, axis=0), -jnp.max(offset, axis=0)))
+    return near_far(jnp.maximum(parted, 0), jnp.max(jnp.abs(offset)))
+
+
+@jax.jit
+def _matrices(
+    position: Vec3, near: Scalar, far: Scalar, guard: Scalar
+) -> tuple[Float[Array, "6 4 4"], Float[Array, "4 4"]]:
+    """World space to the eye space of each face, and from there to clip space."""
+    faces = as_float(_FACES)
+    moved = -jnp.sum(faces * position, axis=-1)
+    world_to_eye = jnp.zeros((6, 4, 4), moved.dtype).at[:, :3, :3].set(faces).at[:, :3, 3].set(moved)
+    sides = (1 + guard) * jnp.array([-1.0, 1.0])
+    return world_to_eye.at[:, 3, 3].set(1), perspective(sides, sides, near, far)

@@ -1,9 +1,10 @@
 """A directional light whose shadow map is warped by a perspective."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..._types import Scalar, Vec2
+from ..._types import Mat4, Scalar, Vec2
 from .._view import View
 from .._warp import Warp
 from ._abstract import AbstractLight
@@ -35,11 +36,8 @@ class WarpedLight(AbstractFittedLight):
 
     def view(self) -> View:
         own = self.light.view()
-        (x, y), (first, second) = self.up, own.world_to_eye[:2]
-        world_to_eye = own.world_to_eye.at[:2].set(jnp.stack([y * first - x * second, x * first + y * second]))
-        window = jnp.concatenate([jnp.diag(self.scale), jnp.zeros((2, 1)), self.offset[:, None]], axis=1)
-        eye_to_clip = own.eye_to_clip.at[:2].set(window)
-        return View(world_to_eye, eye_to_clip, own.near, own.far, own.is_perspective, warp=self.warp)
+        turned, scaled = _turned_and_scaled(own.world_to_eye, own.eye_to_clip, self.up, self.scale, self.offset)
+        return View(turned, scaled, own.near, own.far, own.is_perspective, warp=self.warp)
 
     def layer(self, points: Float[Array, "*n 3"]) -> None:
         return None
@@ -47,3 +45,12 @@ class WarpedLight(AbstractFittedLight):
     def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
         """Which of `points` are no deeper than the map's end."""
         return self.depth(points) <= self.end
+
+
+@jax.jit
+def _turned_and_scaled(world_to_eye: Mat4, eye_to_clip: Mat4, up: Vec2, scale: Vec2, offset: Vec2) -> tuple[Mat4, Mat4]:
+    """Both matrices, with the window turned so that `up` points up, and with this scale and offset in its plane."""
+    (x, y), (first, second) = up, world_to_eye[:2]
+    turned = world_to_eye.at[:2].set(jnp.stack([y * first - x * second, x * first + y * second]))
+    window = jnp.concatenate([jnp.diag(scale), jnp.zeros((2, 1)), offset[:, None]], axis=1)
+    return turned, eye_to_clip.at[:2].set(window)

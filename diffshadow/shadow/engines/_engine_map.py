@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import as_float
+from ..._misc import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
 from ...raster import Surface, rasterize_depth
@@ -35,7 +35,7 @@ class EngineMap(eqx.Module):
     depth: Float[Array, "*l h w"]
     light: AbstractLight
     offset: Float[Array, " f"] = eqx.field(converter=as_float)
-    receives: Bool[Array, " f"] = eqx.field(converter=jnp.asarray)
+    receives: Bool[Array, " f"] = eqx.field(converter=as_array)
     blurred: Resolution | None = eqx.field(static=True, default=None)
 
     @property
@@ -70,7 +70,7 @@ class Casters(NamedTuple):
         # A back face becomes a front face if its corners go the other way round.
         drawn = np.concatenate([faces[side != "back"], faces[side != "front"][:, ::-1]])
         padding = np.zeros((-len(drawn) % len(whole.faces), 3), faces.dtype)
-        return cls(whole.vertices, jnp.asarray(np.concatenate([drawn, padding])))
+        return cls(whole.vertices, as_array(np.concatenate([drawn, padding])))
 
 
 def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
@@ -116,6 +116,11 @@ def map_of(
     # In a mirror, corners go the other way round.
     faces = casters.faces[:, ::-1] if is_mirrored else casters.faces
     depth = rasterize_depth(clip, faces, resolution, cull="back")
+    return _without_push(depth, push)
+
+
+@eqx.filter_jit
+def _without_push(depth: Float[Array, "*l h w"], push: Scalar) -> Float[Array, "*l h w"]:
     return jnp.where(depth < 1, depth - push / 2, 1)
 
 
@@ -151,6 +156,7 @@ CUBE = np.array(
 )
 
 
+@eqx.filter_jit
 def cube_view(light: PointLight, is_mirrored: bool = False) -> View:
     """The six views of a cube map, each of exactly 90 degrees; `is_mirrored`: with the world's y turned over."""
     rows = jnp.asarray(CUBE) * jnp.array([1.0, 1.0, -1.0])[:, None]

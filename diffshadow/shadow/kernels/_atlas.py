@@ -48,7 +48,9 @@ class Atlas(eqx.Module):
         own = lax.dynamic_slice(self.texels.reshape(-1, stride), (first, as_int(0)), (rows, stride))
         own = own.reshape(*layers, height + 2 * _MARGIN, stride)[..., _MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
         padded = PaddedMap(self.texels, height, width, _MARGIN, first=first)
-        return ShadowMap(jnp.minimum(own, 1), shadow_map.light, shadow_map.depth_format, padded=padded)
+        return ShadowMap(
+            jnp.minimum(own, 1), shadow_map.light, shadow_map.depth_format, padded=padded, view=shadow_map.view
+        )
 
 
 @eqx.filter_jit

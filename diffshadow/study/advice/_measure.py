@@ -5,12 +5,12 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from rich.console import Console
 
 from ... import fit, raster
+from ..._misc import as_float
 from ..._types import HostArray
 from ...config import Config, build_technique, fit_paths
 from ..runs import _record as record
@@ -126,7 +126,7 @@ def bias_for(config: Config, name: str, most: float) -> Enough:
     path, low, high = fit_paths(config)[name], config.initial(name), config.fit.parameters[name].upper
 
     def at(value: float) -> Enough:
-        changed: Any = fit.with_values(technique, [path], jnp.asarray([value]))  # type: ignore[arg-type]
+        changed: Any = fit.with_values(technique, [path], as_float([value]))  # type: ignore[arg-type]
         errors = record.combined([record.measured(visibility_of(changed, each), each) for each in drawn], drawn)
         return Enough(value, errors["false_shadow_rate"], errors["false_light_rate"])
 

@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32
 from rich.console import Console
 
 from ... import fit, shadow
+from ..._misc import as_array, as_float
 from ..._types import HostArray
 from ...config import Config, FitPlan, build_fit, build_fittable
 from ..files._run_folder import folder_of, write_whole
@@ -165,7 +165,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
-        paths, start = [p.where for p in plan.parameters], jnp.asarray(list(result.initial.values()))
+        paths, start = [p.where for p in plan.parameters], as_float(list(result.initial.values()))
         if result.arrangement is None:
             techniques = fit.with_values(result.technique, paths, start), result.technique
             laid_out = [*result.problems, *problems[views.seen :]]
@@ -187,7 +187,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
 
 
 def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
-    truth, mask = jnp.asarray(drawn.reference.visibility), jnp.asarray(drawn.mask)
+    truth, mask = as_float(drawn.reference.visibility), as_array(drawn.mask)
     return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask, drawn.scene)
 
 

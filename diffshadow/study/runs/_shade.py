@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from ... import metrics
+from ..._misc import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
 from ._setup import Drawn
@@ -20,7 +20,7 @@ def shade(
     config: Config, drawn: Sequence[Drawn], visibility: Sequence[Float[HostArray, "h w"]]
 ) -> Float[HostArray, "h w 3"]:
     """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB from 0 to 1."""
-    lights, seen = [each.scene.light for each in drawn], [jnp.asarray(image) for image in visibility]
+    lights, seen = [each.scene.light for each in drawn], [as_float(image) for image in visibility]
     linear = _shaded(build_shading(config), drawn[0].surface, seen, lights, drawn[0].scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 

@@ -1,10 +1,10 @@
 """Error messages for a camera or a light that sees nothing, with the likely cause."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, raster
+from ..._misc import as_float
 from ..._types import HostArray
 from ...config import Config
 
@@ -70,9 +70,9 @@ def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n
     position = getattr(light, "position", None)
     if position is not None and np.spacing(np.abs(points - np.asarray(position)).max()) > size_of(scene.mesh):
         return _NO_POINTS
-    layer = light.layer(jnp.asarray(points))
+    layer = light.layer(as_float(points))
     view = light.view() if layer is None else light.view().facing(layer)
-    x, y, z, w = np.moveaxis(np.asarray(view.clip(jnp.asarray(points)), np.float64), -1, 0)
+    x, y, z, w = np.moveaxis(np.asarray(view.clip(as_float(points)), np.float64), -1, 0)
     behind = w <= 0
     beyond = ~behind & (z > w)
     beside = ~(behind | beyond) & (np.maximum(np.abs(x), np.abs(y)) > w)
