@@ -1,6 +1,8 @@
-"""Derivatives where plain formulas have none, of a norm and a quotient at 0; powers of two; and the option that XLA
-reads."""
+"""Derivatives where plain formulas have none, of a norm and a quotient at 0; powers of two; arrays from the host; the
+option that XLA reads; and the garbage collector."""
 
+import atexit
+import gc
 import os
 import subprocess
 import sys
@@ -10,9 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import compiled_programs
 
 import diffshadow
-from diffshadow._misc import round_up_to_power_of_two, safe_divide, safe_norm
+from diffshadow._misc import as_array, as_float, round_up_to_power_of_two, safe_divide, safe_norm
 
 
 def test_a_norm_has_no_slope_at_zero_and_its_own_elsewhere():
@@ -64,3 +67,25 @@ def test_all_cores_come_too_late_once_jax_runs(monkeypatch):
         warnings.simplefilter("error")
         diffshadow.use_all_cores()
     assert os.environ["XLA_FLAGS"].endswith("disable_loop_unrolling")
+
+
+def test_the_collector_runs_rarely_and_searches_nothing_at_the_exit(monkeypatch):
+    at_exit, before = [], gc.get_threshold()
+    monkeypatch.setattr(atexit, "register", at_exit.append)
+    try:
+        diffshadow.collect_rarely()
+        assert gc.get_threshold()[0] > 10_000
+    finally:
+        gc.set_threshold(*before)
+    assert at_exit == [gc.freeze]
+
+
+@pytest.mark.parametrize("given", [np.ones((7, 11), np.float32), np.ones((11, 7)), np.ones((7, 11), bool), [0.5] * 77])
+def test_arrays_from_the_host_are_moved_and_nothing_is_compiled(given):
+    with compiled_programs() as compiled:
+        moved, number = as_array(given), as_float(given)
+    assert moved.dtype == jnp.result_type(np.asarray(given))
+    assert number.dtype == jnp.float32
+    np.testing.assert_array_equal(moved, given)
+    np.testing.assert_array_equal(number, given)
+    assert compiled == []
