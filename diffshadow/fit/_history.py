@@ -94,8 +94,13 @@ class Reporter:
         self.step = 0
 
     def add(self, loss: float, y: np.ndarray) -> None:
-        """One more evaluation, of `loss` at the free values `y` (a,) of the active parameters."""
-        self.record(loss / self.scale**2, self._values(y))
+        """One more evaluation, of `loss` at the free values `y` (a,) of the active parameters.
+
+        Values that are not finite are left out: dogleg tries such where the Jacobian is singular, as on a bound, and
+        goes on from the place before.
+        """
+        if np.isfinite(y).all():
+            self.record(loss / self.scale**2, self._values(y))
 
     def record(self, loss: float, values: tuple[float, ...]) -> None:
         """One more evaluation, of `loss` at `values` (p,) of all parameters."""

@@ -21,6 +21,7 @@ from diffshadow.fit import (
     resolve,
     with_values,
 )
+from diffshadow.fit._history import Reporter
 from diffshadow.fit.problems import Joint
 from diffshadow.geometry import Scene
 from diffshadow.reference import trace_visibility
@@ -113,6 +114,16 @@ def test_history_is_in_order_and_true(solver, known, results):
         mapping = disk(step.values[1], step.values[0], SoftCompare(step.width))
         assert step.loss == pytest.approx(float(known.mean_square_error(mapping)), rel=2e-3, abs=1e-7)
     assert result.steps == sum(phase.steps for phase in result.phases)
+
+
+def test_a_trial_at_no_place_is_no_step():
+    """Dogleg makes such trials on a bound, and goes on from where it was."""
+    history = []
+    reporter = Reporter(Parameters.of([BIAS]), history, None)
+    reporter.begin(0, 1.0, np.zeros(1), np.array([0]))
+    for y in (0.0, np.nan, np.pi / 2):
+        reporter.add(0.25, np.array([y]))
+    assert [(step.step, step.values) for step in history] == [(0, (3.0,)), (1, (6.0,))]
 
 
 @pytest.mark.parametrize("solver", EACH_SOLVER)
