@@ -312,11 +312,6 @@ class Waves(eqx.Module):
         return jnp.ones(surface.position.shape[:2], bool)
 
 
-def doubled(tree: Any) -> Any:
-    """A tree with numbers in double precision."""
-    return jax.tree.map(lambda x: as_float(x) if eqx.is_inexact_array(x) else x, tree)
-
-
 class Programs:
     """Stands for the compiled programs of phases of two numbers: each moves their free values by `step`, and takes only
     what it was made for.

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import Waves, doubled, problem, technique
+from scenes import Waves, problem, technique
 
+from diffshadow._misc import in_float64
 from diffshadow.fit import Anneal, Solver, TechniqueProblem, mean_square_error, train
 from diffshadow.fit._train import _compressed, _loss, _plain, _put, _stacked
 from diffshadow.shadow import Bias, HardCompare, LinearBias, Nearest, Separable, ShadowMapping
@@ -103,8 +104,8 @@ def losses(groups, technique, values):
 def test_compressed_residuals_have_the_loss_and_its_gradient(views):
     """Against central differences, in double precision, and against each view on its own."""
     with jax.enable_x64(True):
-        start = doubled(waves(START))
-        seen = [_plain(doubled(view), start) for view in views]
+        start = in_float64(waves(START))
+        seen = [_plain(in_float64(view), start) for view in views]
         groups = _stacked(seen)
         # Views with images of one size share a loop.
         assert len(groups) == 2

@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import Programs, Waves, covered, doubled, floor_and_card, lamp, problem, shadows, sun, technique
+from scenes import Programs, Waves, covered, floor_and_card, lamp, problem, shadows, sun, technique
 from scipy.optimize import minimize_scalar
 
+from diffshadow._misc import in_float64
 from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
@@ -202,9 +203,9 @@ def losses_and_gradients(joint, parameters, fraction):
 
 def test_gradients_of_the_losses_of_views_are_those_of_finite_differences(views):
     with jax.enable_x64(True):
-        problems = [eqx.tree_at(lambda p: p.technique, doubled(each), doubled(waves())) for each in views]
+        problems = [eqx.tree_at(lambda p: p.technique, in_float64(each), in_float64(waves())) for each in views]
         joint = Joint.of(problems, Loss(false_shadow=3.0, false_light=0.5)).stacked()
-        parameters = doubled(Parameters.of([FIRST, SECOND]))
+        parameters = in_float64(Parameters.of([FIRST, SECOND]))
         at = lambda fraction: tuple(map(np.asarray, losses_and_gradients(joint, parameters, fraction)))
         fraction, steps = np.array([0.5, 0.6]), 1e-6 * np.eye(2)
         _, gradients = at(fraction)

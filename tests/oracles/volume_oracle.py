@@ -2,10 +2,11 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from diffshadow._misc import in_float64
 
 _PAIRS = 1 << 19
 _TINY = 1e-12
@@ -32,8 +33,8 @@ class Truth:
     def __init__(self, mesh, light, camera, casters=None):
         self.directional = light.is_directional
         with jax.enable_x64(True):
-            self._clip_to_world = np.linalg.inv(np.asarray(_in_float64(camera).view().matrix))
-            self._light = np.asarray(_in_float64(light).towards(jnp.zeros((1, 3), jnp.float64)))[0]
+            self._clip_to_world = np.linalg.inv(np.asarray(in_float64(camera).view().matrix))
+            self._light = np.asarray(in_float64(light).towards(jnp.zeros((1, 3), jnp.float64)))[0]
         self.resolution = camera.resolution
         self._corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
         a, b, c = np.moveaxis(self._corners, 1, 0)
@@ -93,10 +94,6 @@ class Truth:
         ones = np.ones((len(ndc), 1))
         world = np.concatenate([ndc, z * ones, ones], axis=1) @ self._clip_to_world.T
         return world[:, :3] / world[:, 3:]
-
-
-def _in_float64(module):
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, module)
 
 
 def _distances(origin, direction, corners):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scenes import floor_and_card, jacfwd_and_value, quad, seen_by, side_camera, sun, surface_at
 
+from diffshadow._misc import in_float64
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -470,10 +471,7 @@ def test_blend_bias_and_radius_have_the_right_derivatives(grid_map):
     points = np.stack([rng.uniform(-2, 2, SIZE), np.zeros(SIZE), -rng.uniform(5, 9, SIZE)], axis=-1)
     technique = ShadowMapping(RandomDisk(1.3), Bias(0.7), SoftCompare(2.0), layout=given_slices(8.0, 30.0, blend=0.2))
     with jax.enable_x64(True):
-        to64 = lambda tree: jax.tree.map(
-            lambda x: jnp.asarray(np.asarray(x), jnp.float64) if eqx.is_inexact_array_like(x) else x, tree
-        )
-        given = (to64(technique), to64(grid_map), surface_at(points, (0, 1, 0)))
+        given = (*in_float64((technique, grid_map)), surface_at(points, (0, 1, 0)))
         values = np.array([0.2, 0.7, 1.3])
         found = lambda values: [np.asarray(x) for x in _mean_and_slopes(*given, jnp.asarray(values))]
         _, gradient = found(values)

@@ -22,6 +22,7 @@ from scenes import (
     surface_at,
 )
 
+from diffshadow._misc import in_float64
 from diffshadow.fit import TechniqueProblem
 from diffshadow.geometry import (
     DirectionalLight,
@@ -73,10 +74,6 @@ def at_angle(degrees, sideways=0.0):
 
 def warped(layout, light=NOON, camera=CORRIDOR, size=SIZE):
     return layout.light(light, camera, size)
-
-
-def double(tree):
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array_like(x) else x, tree)
 
 
 @eqx.filter_jit
@@ -205,7 +202,7 @@ def test_errors_along_the_view_are_those_of_each_method():
 def test_aliasing_follows_the_strength():
     surface, _ = drawn("directional", 64, 64)
     with jax.enable_x64(True):
-        surface, light, camera = double((surface, sun(floor_and_card()), side_camera((64, 64))))
+        surface, light, camera = in_float64((surface, sun(floor_and_card()), side_camera((64, 64))))
         empty = jnp.zeros(SIZE)
 
         def extent(strength):
@@ -288,7 +285,7 @@ def test_receivers_know_texels_and_slopes_of_a_warped_map(case):
     _, points = plane_at_texels(warped(TIGHT["lispsm"]), *slopes)
     # As seen from a light at noon, some of them lie beside the map.
     with jax.enable_x64(True):
-        shadow_map, normal = double(ShadowMap(jnp.zeros(SIZE), light)), normal_of(*slopes)
+        shadow_map, normal = in_float64(ShadowMap(jnp.zeros(SIZE), light)), normal_of(*slopes)
         surface = surface_at(points, normal)
         at = jax.tree.map(np.asarray, seen(shadow_map, surface))
         inside = ((at.texel > 0) & (at.texel < 64)).all(axis=-1) & at.in_front
@@ -420,7 +417,7 @@ def warped_problem_parts():
 @pytest.mark.exhaustive
 def test_gradients_of_bias_and_radius_match_central_differences():
     with jax.enable_x64(True):
-        surface, shadow_map = double(warped_problem_parts())
+        surface, shadow_map = in_float64(warped_problem_parts())
         technique = ShadowMapping(PercentageCloser(2.0, max_radius=4.0), Bias(0.5, 0.4, 0.3), SoftCompare(3.0))
         lit = jnp.ones_like(surface.position[..., 0])
         known = TechniqueProblem(technique, shadow_map, surface, lit, covered(technique, shadow_map, surface))

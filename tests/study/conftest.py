@@ -5,14 +5,6 @@ import pytest
 
 from diffshadow.study import style
 
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    """Runs draw no figures, which take most of their time."""
-    monkeypatch.setattr("diffshadow.study.pages._figures.write_figures", lambda *_: [])
-
-
-_DRAWN = style.save, style.inline_svg
 _ONE_PIXEL = {
     ".png": style.png(np.zeros((1, 1))),
     ".svg": b'<svg xmlns="http://www.w3.org/2000/svg"/>',
@@ -20,17 +12,7 @@ _ONE_PIXEL = {
 }
 
 
-@pytest.fixture(scope="module")
-def tiny_figures():
-    """Figures are made, and their files hold next to nothing: to lay them out and draw them takes longer than runs."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "save", lambda figure, path, dpi=style.DPI: path.write_bytes(_ONE_PIXEL[path.suffix]))
-        patch.setattr(style, "inline_svg", lambda figure, name: "<svg></svg>")
-        yield
-
-
 @pytest.fixture
-def drawn_figures(monkeypatch):
-    """Figures as they are, also where others are tiny."""
-    monkeypatch.setattr(style, "save", _DRAWN[0])
-    monkeypatch.setattr(style, "inline_svg", _DRAWN[1])
+def tiny_figures(monkeypatch):
+    """Figures are made, and their files hold next to nothing: to draw them takes most of the time of a small run."""
+    monkeypatch.setattr(style, "save", lambda figure, path, dpi=style.DPI: path.write_bytes(_ONE_PIXEL[path.suffix]))

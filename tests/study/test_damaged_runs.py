@@ -26,8 +26,6 @@ from diffshadow.config import load_sweep, parse_config
 from diffshadow.study.files._stored import read_result, read_run
 from diffshadow.study.sweeps import _work as sweep_work
 
-pytestmark = pytest.mark.usefixtures("tiny_figures")
-
 DELETED = object()
 WRONG = [
     *(DELETED, None, "text", "", {}, [], [[1]], {"a": 1}, True, -1, 0, 7, 0.5),
@@ -237,7 +235,7 @@ def test_member_that_is_larger_than_it_says_is_refused(runs, told, tmp_path):
     assert "arrays.npz is damaged" in told("report", folder)
 
 
-def test_history_that_is_not_finite_is_drawn(runs, told, tmp_path, drawn_figures):
+def test_history_that_is_not_finite_is_drawn(runs, told, tmp_path):
     """A fit may pass through places where nothing can be computed."""
     folder = copied(runs["fit"], tmp_path / "run")
     archive(lambda a: (a["history_loss"][:3].fill(np.nan), a["history_values"][2:5].fill(np.inf)))(folder)

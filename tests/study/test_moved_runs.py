@@ -83,7 +83,7 @@ def test_settings_of_every_shipped_configuration_are_read_from_the_run_alone(pat
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_every_shipped_configuration_renders_and_is_reported_from_its_folder(path, tmp_path, no_figures):
+def test_every_shipped_configuration_renders_and_is_reported_from_its_folder(path, tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     with staying_in(home):

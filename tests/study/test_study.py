@@ -324,7 +324,7 @@ def test_validate_begins_what_a_run_does_and_writes_nothing(monkeypatch, capsys,
     assert leftovers(tmp_path) == []
 
 
-def test_fit_to_a_reference_image_matches_the_traced_one(finished, no_figures, tmp_path):
+def test_fit_to_a_reference_image_matches_the_traced_one(finished, tiny_figures, tmp_path):
     folder, _, _ = finished
     with np.load(folder / "arrays.npz") as arrays:
         io.write_visibility(tmp_path / "truth.npy", arrays["reference"])
@@ -336,7 +336,7 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, no_figures, t
 
 
 @pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
-def test_flat_gradient_is_told_with_its_cause(really, no_figures, monkeypatch):
+def test_flat_gradient_is_told_with_its_cause(really, tiny_figures, monkeypatch):
     def flat(problems, *arguments, **settings):
         # By the program of other tests.
         bilinear = dataclasses.replace(problems[0].technique.filter, lookup="bilinear")
@@ -586,7 +586,7 @@ def test_fit_of_what_has_no_gradient_is_refused_before_any_work(monkeypatch, cap
         ),
     ],
 )
-def test_parameters_of_any_technique_can_be_fitted(technique, parameters, no_figures):
+def test_parameters_of_any_technique_can_be_fitted(technique, parameters, tiny_figures):
     made, _ = run(*SMALL, *technique, f"fit.parameters={parameters}", "fit.solver.max_steps=2", "fit.anneal.phases=1")
     result = result_of(made)
     assert result["solver"]["flat"] == []
@@ -612,7 +612,7 @@ def test_fits_of_an_engine_leave_its_code():
     assert (made / "shadow_map.png").exists()
 
 
-def test_progress_is_shown_to_a_terminal_only(finished, no_figures):
+def test_progress_is_shown_to_a_terminal_only(finished, tiny_figures):
     out = text_io.StringIO()
     watched = Console(file=out, width=100, force_terminal=True, force_interactive=True, color_system=None)
     study.run_render(tiny(), console=watched)

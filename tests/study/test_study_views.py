@@ -13,8 +13,6 @@ from stored_runs import TINY
 from diffshadow import io, study
 from diffshadow.config import ConfigError, parse_config
 
-pytestmark = pytest.mark.usefixtures("tiny_figures")
-
 VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
     "fit.validation={list: [{label: low, scene.light.elevation: 25}]}",

@@ -15,7 +15,7 @@ from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
 from .._parameters import Parameters, parameter_names, resolve
 from ._abstract import AbstractProblem
-from ._stack import Atlases, Stack, stacked, stacked_order
+from ._stack import Atlases, stacked, stacked_order
 
 Samples = dict[tuple[int, int], tuple[Any, Any]]
 """Problems and their samples, by the problem's id and the number of pixels."""
@@ -78,21 +78,11 @@ class Joint(eqx.Module):
 
         **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem.
         """
-        found = (
-            problem.difference(subject) if isinstance(problem, Stack) else problem.difference(subject, overflows)
-            for problem in self.problems
-        )
-        return tuple(
-            _scaled(self.loss, difference, problem.count)
-            for difference, problem in zip(found, self.problems, strict=True)
-        )
+        return tuple(_scaled(self.loss, each.difference(subject, overflows), each.count) for each in self.problems)
 
     def compared(self, differences: Images) -> Images:
         """The part of all differences that the fit makes small."""
-        return tuple(
-            images if isinstance(problem, Stack) else problem.compared(images)
-            for problem, images in zip(self.problems, differences, strict=True)
-        )
+        return tuple(each.compared(images) for each, images in zip(self.problems, differences, strict=True))
 
     @property
     def shares(self) -> Errors:

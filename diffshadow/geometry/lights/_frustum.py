@@ -77,13 +77,14 @@ class Frustum(NamedTuple):
         outside the frustum."""
         if direction is None:
             direction = _centre(points) - position
-        return cls(*_framing(position, points, up, direction, as_float(aspect)))
+        return cls(direction, *_framing(position, points, up, direction, as_float(aspect)))
 
 
 @jax.jit
 def _framing(
     position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3, aspect: Scalar
-) -> tuple[Vec3, Scalar, Scalar, Scalar]:
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The angle, near and far of the frustum along `direction`."""
     eye = transform_points(look_at(position, direction, up), points)[..., :3]
     distance = -eye[..., 2]
     ahead = distance > 0
@@ -93,7 +94,7 @@ def _framing(
         )
     )
     angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
-    return direction, jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance))
+    return jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance))
 
 
 @jax.jit

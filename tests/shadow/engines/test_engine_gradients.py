@@ -11,6 +11,7 @@ from engine_states import scene_of, surface_of
 from golden_engines import engine_golden
 from scenes import jacfwd_and_value
 
+from diffshadow._misc import in_float64
 from diffshadow.shadow import BabylonJs, SoftCompare, ThreeJs
 
 # Pictures whose lights and meshes are used.
@@ -55,11 +56,6 @@ CASES = [
 ]
 
 
-def as_float64(tree):
-    widened = lambda leaf: leaf.astype(jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-    return jax.tree.map(widened, tree)
-
-
 def title(case) -> str:
     engine, technique, light, _ = case
     return f"{engine}-{technique.shadow_type if engine == 'three' else technique.filter}-{light}"
@@ -88,7 +84,7 @@ def test_derivatives_agree_with_central_differences(engine, technique, light, na
     surface = dataclasses.replace(surface, face=jnp.asarray(faces[:-1])[jnp.maximum(surface.face, 0)])
     weights = np.random.default_rng(0).uniform(0.5, 1.5, surface.mask.shape)
     with jax.enable_x64(True):
-        given = as_float64((technique, state, surface))
+        given = in_float64((technique, state, surface))
         values = np.array([float(getattr(technique, name)) for name in names])
         at = lambda values: brightness(*given, weights, tuple(names), jnp.asarray(values))
         derivatives, _ = at(values)
