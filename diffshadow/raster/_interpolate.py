@@ -121,7 +121,8 @@ def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics
     weights = _fractions(areas)
     on_face = (weights[0] > -_OVERSHOOT) & (weights[1] > -_OVERSHOOT) & (weights[2] > -_OVERSHOOT)
     clamped = _fractions([jnp.clip(weight, 0, 1) for weight in weights])
-    weights = [jnp.where(on_face, weight, nearest) for weight, nearest in zip(weights, clamped, strict=True)]
+    # Behind a barrier, since XLA computes them again for each component of what is interpolated otherwise.
+    weights = _computed([jnp.where(on_face, weight, near) for weight, near in zip(weights, clamped, strict=True)])
     return Barycentrics(face, mask, jnp.stack(weights, axis=-1)), on_face
 
 

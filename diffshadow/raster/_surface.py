@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
@@ -77,7 +78,8 @@ def _surface(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertice
         normal = of_face(at, normals)
         # The direction to the camera: to its eye, or against its axis.
         to_camera = eye - position if view.is_perspective else view.world_to_eye[2, :3]
-        from_behind = dot(normal, to_camera) < 0
+        # Computed once, not for each component of the normal.
+        from_behind = lax.optimization_barrier(dot(normal, to_camera) < 0)
         return Surface(
             position=position,
             normal=jnp.where(from_behind[..., None], -normal, normal),
