@@ -69,7 +69,7 @@ def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> 
 
     Called outside of `by_bands`, so that what is the same for all bands is done once.
     """
-    # Columns of their own: gathers of whole rows do not vectorize, and cost ten times as much.
+    # Columns of their own: positions from gathers of whole rows take a tenth longer.
     values, vertices = ([array[:, k] for k in range(array.shape[1])] for array in (attribute, faces))
     values, vertices = _computed((values, vertices))
     if faces.shape[0] > pixels:
@@ -121,7 +121,7 @@ def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics
     weights = _fractions(areas)
     on_face = (weights[0] > -_OVERSHOOT) & (weights[1] > -_OVERSHOOT) & (weights[2] > -_OVERSHOOT)
     clamped = _fractions([jnp.clip(weight, 0, 1) for weight in weights])
-    # Behind a barrier, since XLA computes them again for each component of what is interpolated otherwise.
+    # Barrier: otherwise XLA computes the weights again for each component that is interpolated.
     weights = _computed([jnp.where(on_face, weight, near) for weight, near in zip(weights, clamped, strict=True)])
     return Barycentrics(face, mask, jnp.stack(weights, axis=-1)), on_face
 
@@ -156,7 +156,7 @@ def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> F
 
 def of_face(at: Barycentrics, attribute: Float[Array, "f c"]) -> Float[Array, "h w c"]:
     """An attribute of each face (f, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return _stacked(at, [take(attribute[:, c], at.face) for c in range(attribute.shape[1])])
+    return jnp.where(at.mask[..., None], take(attribute, at.face), 0)
 
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:

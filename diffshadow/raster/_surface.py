@@ -78,7 +78,7 @@ def _surface(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertice
         normal = of_face(at, normals)
         # The direction to the camera: to its eye, or against its axis.
         to_camera = eye - position if view.is_perspective else view.world_to_eye[2, :3]
-        # Computed once, not for each component of the normal.
+        # Barrier: otherwise XLA computes this again for each component of the normal.
         from_behind = lax.optimization_barrier(dot(normal, to_camera) < 0)
         return Surface(
             position=position,
