@@ -1,4 +1,4 @@
-"""Passes of OpenGL in software (Mesa's llvmpipe), with which the rasterizer is compared."""
+"""Passes of OpenGL with which the rasterizer is compared: in software (Mesa's llvmpipe), or on a GPU."""
 
 import os
 from typing import NamedTuple
@@ -71,12 +71,15 @@ class OpenGL:
     The depth pass writes depth alone; the surface pass also writes depth, position, normal and face to float targets,
     32 bytes a pixel, from vertices that have a normal each.
 
+    With `on_gpu` the machine's GPU draws, else llvmpipe.
+
     **Raises** moderngl's errors if there is no EGL, `ImportError` without moderngl, and `RuntimeError` if the driver is
-    not llvmpipe.
+    not of the asked kind.
     """
 
-    def __init__(self, triangles: Triangles, resolution: tuple[int, int], cull: str):
-        os.environ.update(SETTINGS)
+    def __init__(self, triangles: Triangles, resolution: tuple[int, int], cull: str, on_gpu: bool = False):
+        if not on_gpu:
+            os.environ.update(SETTINGS)
         import moderngl  # optional; it reads the environment when it is first used
 
         height, width = resolution
@@ -87,8 +90,9 @@ class OpenGL:
             require=330,
         )
         self.name = f"{gl.info['GL_RENDERER']}, {gl.info['GL_VERSION']}"
-        if "llvmpipe" not in self.name:
-            raise RuntimeError(f"OpenGL is {self.name}; expected Mesa's llvmpipe: install libgl1-mesa-dri")
+        if on_gpu == ("llvmpipe" in self.name):
+            expected = "a GPU's driver for EGL" if on_gpu else "Mesa's llvmpipe: install libgl1-mesa-dri"
+            raise RuntimeError(f"OpenGL is {self.name}; expected {expected}")
         self.resolution, self.mode = resolution, gl.TRIANGLES
 
         program = gl.program(*DEPTH_SHADERS)

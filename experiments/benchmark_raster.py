@@ -1,4 +1,4 @@
-"""Speed of the rasterizer and its gradients, compared with OpenGL in software (Mesa's llvmpipe).
+"""Speed of the rasterizer and its gradients, compared with OpenGL: in software (Mesa's llvmpipe), or on JAX's GPU.
 
 Each case, a number of triangles and of texels, runs in a separate process, so that its peak memory can be measured.
 Both sides draw the same clip-space triangles with back faces culled. Everything takes turns, so that a machine that
@@ -202,7 +202,7 @@ def open_opengl(case: Case) -> tuple[OpenGL | None, str]:
     try:
         mesh = case.mesh
         arrays = map(np.asarray, (case.clip, mesh.vertices, mesh.faces, mesh.corner_normals))
-        opengl = OpenGL(Triangles(*arrays), case.resolution, CULL)
+        opengl = OpenGL(Triangles(*arrays), case.resolution, CULL, on_gpu=jax.default_backend() != "cpu")
     except Exception as error:  # moderngl and its loader raise bare Exception
         return None, f"{type(error).__name__}: {error}"
     return opengl, opengl.name

@@ -44,12 +44,10 @@ class DepthTest(NamedTuple):
         if self.format == "float32":
             return stored
         steps = _STEPS[self.format]
-        inverse = jnp.asarray(1 / steps, stored.dtype)
         # XLA compiles division by a constant as multiplication by its inverse, which misses the nearest float for half
-        # of the steps. The remainder corrects it. `steps` is a power of two less one, so the remainder is exact.
-        quotient = stored * inverse
-        remainder = (stored - quotient * (steps + 1)) + quotient
-        return quotient + remainder * inverse
+        # of the steps. But u / n = u / (n + 1) + u / (n (n + 1)): the first is exact, since n + 1 is a power of two,
+        # and the second is so small that only the sum is rounded.
+        return stored * (1 / (steps + 1)) + stored * (1 / (steps * (steps + 1)))
 
     def passes_clear(self, stored: Float[Array, "*n"]) -> Array:
         """Whether the value `stored` passes the comparison against an empty buffer."""

@@ -18,14 +18,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import safe_divide, take, with_gradient_of
+from .._misc import a_step, safe_divide, take, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
 from ..geometry import Tile
 
 # A pixel centre may lie outside its face by the half sub-pixel of snapping. For a sliver that can be many times its
 # width; beyond this share of the face's height the point is pulled back onto the face.
 _OVERSHOOT = 0.1
-# Images of more pixels are interpolated in bands, whose attributes fit in a processor's cache.
+# Images of more pixels are interpolated in bands on a CPU, so that their attributes fit in its cache.
 _BAND = 1 << 16
 
 CornerValues = Callable[[FaceMap], list[list[Array]]]
@@ -42,19 +42,20 @@ class Rows(NamedTuple):
 
 
 def by_bands(
-    function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int = _BAND, tile: Tile | None = None
+    function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int | None = None, tile: Tile | None = None
 ) -> Any:
     """`function` of a face map (h, w), evaluated in bands of rows, one after the other.
 
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
-    - `band`: the most pixels of a band of several rows.
+    - `band`: the most pixels of a band of several rows; if left out, as many as a processor's cache has room for.
     - `tile`: of an image of square tiles, see `Rows`.
 
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
+    band = band or a_step(_BAND)
     if height * width <= band:
         return function(face, Rows(0, height, tile))
     # The most rows that divide the height.

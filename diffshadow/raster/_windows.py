@@ -21,7 +21,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take, take_last
+from .._misc import a_step, take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
@@ -36,10 +36,8 @@ SCATTER = lax.ScatterDimensionNumbers(
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
-# How many faces are clipped at once, and how many triangles or blocks are drawn at once. These are as many as clipping
-# makes, since XLA compiles equal kernels of a program once.
+# How many faces a CPU clips at once.
 _CLIPPED_AT_ONCE = 64
-_AT_ONCE = FAN * _CLIPPED_AT_ONCE
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -98,6 +96,9 @@ class DrawPass(Drawing):
     ):
         self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
+        # As many triangles or blocks are drawn at once as clipping makes, since XLA compiles equal kernels once.
+        self.clipped_at_once = a_step(_CLIPPED_AT_ONCE)
+        self.at_once = FAN * self.clipped_at_once
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
         height, width = self.buffer
@@ -151,12 +152,12 @@ class DrawPass(Drawing):
 
     def _small(self, buffer: Array, write: Write) -> Array:
         """Writes the triangles of all size classes."""
-        chunks = _ceil_div(self._counts[:LARGE], _AT_ONCE)
+        chunks = _ceil_div(self._counts[:LARGE], self.at_once)
         ends = sums_up_to(chunks)
 
         def chunk(number: Array, buffer: Array) -> Array:
             size_class = jnp.sum(number >= ends, dtype=jnp.int32)
-            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], _AT_ONCE)
+            face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], self.at_once)
             corners = self.triangles.corners(face)
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
@@ -170,15 +171,15 @@ class DrawPass(Drawing):
 
     def _large(self, buffer: Array, write: Write) -> Array:
         """Writes large triangles, and then what clipping leaves of others, block by block."""
-        large = _ceil_div(self._counts[LARGE], _AT_ONCE)
+        large = _ceil_div(self._counts[LARGE], self.at_once)
 
         def whole(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(LARGE, number, _AT_ONCE)
+            face, used, layer = self._chunk(LARGE, number, self.at_once)
             corners = self.triangles.corners(face)
             return corners, plane_of_corners(corners), jnp.where(used, face, -1), layer
 
         def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
-            face, used, layer = self._chunk(CLIPPED, number - large, _CLIPPED_AT_ONCE)
+            face, used, layer = self._chunk(CLIPPED, number - large, self.clipped_at_once)
             corners = take(self.triangles.clip, take(self.triangles.faces, face)).T
             parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
             each = lambda values: jnp.tile(values, FAN)
@@ -189,7 +190,7 @@ class DrawPass(Drawing):
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
 
-        return self._loop(large + _ceil_div(self._counts[CLIPPED], _CLIPPED_AT_ONCE), batch, buffer)
+        return self._loop(large + _ceil_div(self._counts[CLIPPED], self.clipped_at_once), batch, buffer)
 
     def _blocks(
         self,
@@ -211,7 +212,7 @@ class DrawPass(Drawing):
         ends = jnp.cumsum(lengths, dtype=jnp.int32)
 
         def candidates(number: Array, buffer: Array) -> Array:
-            block = number * _AT_ONCE + jnp.arange(_AT_ONCE, dtype=jnp.int32)
+            block = number * self.at_once + jnp.arange(self.at_once, dtype=jnp.int32)
             exists = block < ends[-1]
             owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
             within, across = block - take(ends - lengths, owner), take(columns, owner)
@@ -224,7 +225,7 @@ class DrawPass(Drawing):
             of_block = lax.optimization_barrier(jnp.where(exists, take(source, owner), -1))
             return write(buffer, form, of_block, BLOCK)
 
-        return self._loop(_ceil_div(ends[-1], _AT_ONCE), candidates, buffer)
+        return self._loop(_ceil_div(ends[-1], self.at_once), candidates, buffer)
 
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:

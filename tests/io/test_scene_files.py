@@ -220,7 +220,8 @@ FAULTS = {
     "a lone geometry": ('{"metadata": {"type": "BufferGeometry"}}', "its metadata.type is 'BufferGeometry'"),
     "an old format": ('{"metadata": {"version": 3}, "object": {}}', "is of three.js' format 3"),
     "a broken matrix": ('{"object": {"matrix": [1, 2]}}', "matrix"),
-    "deep": ('{"object": ' + '{"children": [' * 3000 + "]}" * 3000 + "}", "deep"),
+    "deep": ('{"object": ' + '{"children": [' * 3000 + "]}" * 3000 + "}", "is nested too deeply"),
+    "too deep to be validated": ('{"object": ' + '{"children": [' * 400 + "]}" * 400 + "}", "is nested too deeply"),
 }
 
 

@@ -270,11 +270,18 @@ def test_half_planes_that_end_on_a_side_of_the_rectangle():
 
 
 def test_one_half_plane_twice():
-    # As many as above, so that nothing is compiled anew.
-    pair = lambda *signs: HalfPlanes(*np.multiply.outer(np.float32([0.6, 0.8, 0.0]), np.tile(signs, (72, 1)).T))
-    # A line through the middle halves a texel.
-    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), pair(1, 1)) == pytest.approx(0.5, abs=1e-7)
-    assert _cut(Rectangle(-0.5, 0.5, -0.5, 0.5), pair(1, -1)) == pytest.approx(0, abs=1e-7)
+    # As many as above, so that nothing is compiled anew; the second differs by roundings, as where edges are collinear.
+    rng = np.random.default_rng(0)
+    angles, offsets = rng.uniform(0, 2 * np.pi, 72), rng.uniform(-0.4, 0.4, 72)
+    one = np.stack([np.cos(angles), np.sin(angles), offsets])
+    pair = lambda other: HalfPlanes(*np.stack([one, other], axis=1).astype(np.float32))
+    texel = Rectangle(-0.5, 0.5, -0.5, 0.5)
+    once = np.asarray(_cut(texel, pair(np.broadcast_to([[0], [0], [-1e3]], one.shape))))
+    for noise in (0, 1e-7, 1e-6):
+        twice = _cut(texel, pair(one + rng.uniform(-noise, noise, one.shape)))
+        np.testing.assert_allclose(twice, once, atol=1e-5)
+    # The other side of the line has nothing in common with it.
+    np.testing.assert_allclose(_cut(texel, pair(-one)), 0, atol=1e-6)
 
 
 def _clip(polygon, normal, offset):

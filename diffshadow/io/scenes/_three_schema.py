@@ -185,7 +185,8 @@ class Document(_Part):
 def parse(content: Mapping[str, Any]) -> Document:
     """The file's parts.
 
-    **Raises** `MeshError` if it is none of three.js' files, or breaks their format.
+    **Raises** `MeshError` if it is none of three.js' files, or breaks their format, and `RecursionError` if its objects
+    are nested too deeply.
     """
     # The editor's file of a project holds its scene and its camera apart.
     inner, camera = content.get("scene"), content.get("camera")
@@ -205,10 +206,10 @@ def parse(content: Mapping[str, Any]) -> Document:
         document = Document.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
+        if first["type"] == "recursion_depth_exceeded":
+            raise RecursionError from error
         where = ".".join(map(str, first["loc"]))
         raise damaged(f"{excerpt(where)}: {first['msg']}") from error
-    except RecursionError as error:
-        raise damaged("its objects are nested too deeply") from error
     if document.metadata.version < 4:
         raise MeshError(
             f"is of three.js' format {document.metadata.version:g}, which cannot be read; save it with a newer release"

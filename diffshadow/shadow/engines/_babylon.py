@@ -27,7 +27,6 @@ from ._babylon_filters import (
     tent,
 )
 from ._babylon_maps import (
-    as_half,
     box_blurred,
     exponential,
     kernel_blurred,
@@ -36,7 +35,7 @@ from ._babylon_maps import (
 )
 from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
 from ._engine_map import EngineMap, Side, each_of
-from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 BabylonFilter = Literal[
     "NONE",

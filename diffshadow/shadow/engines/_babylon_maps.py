@@ -7,7 +7,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import with_gradient_of
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import PointLight, View
 from ._textures import bilinear
@@ -31,11 +30,6 @@ def metric_in_cube(depth: Float[Array, "6 n n"], light: PointLight) -> Float[Arr
     # Of the texel's centre, per unit of distance along the face's axis.
     length = jnp.sqrt(1 + across * across + across[:, None] ** 2)
     return (near * far / (far - depth * (far - near)) * length + near) / (far + near)
-
-
-def as_half(x: Array) -> Array:
-    """Rounded to a half float, with the derivative of `x`."""
-    return with_gradient_of(x, x.astype(jnp.float16).astype(x.dtype))
 
 
 def exponential(metric: Array, depth_scale: Scalar, is_drawn: Array) -> Array:

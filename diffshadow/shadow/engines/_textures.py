@@ -8,11 +8,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._misc import with_gradient_of
 from ..._types import HostArray
 from ._engine_map import CUBE
 
 Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
 """What is averaged over texels, of each texel's value."""
+
+
+def as_half(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """`x` as a texture of half floats holds it, with the derivative of `x`."""
+    # XLA may leave out a conversion to half floats and back. Its `reduce_precision` knows no subnormal numbers.
+    subnormal = jnp.round(x * 2.0**24) * 2.0**-24
+    return with_gradient_of(x, jnp.where(jnp.abs(x) < 2.0**-14, subnormal, lax.reduce_precision(x, 5, 10)))
 
 
 def nearest(texture: Float[Array, "h w"], u: Float[Array, "*n"], v: Float[Array, "*n"]) -> Float[Array, "*n"]:

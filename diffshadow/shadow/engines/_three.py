@@ -15,7 +15,7 @@ from .._compare import AbstractCompare, HardCompare
 from ..biases._abstract import check_choice
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._engine_map import EngineMap, Side, Sides, each_of
-from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 
@@ -190,11 +190,7 @@ def _as_stored(total: Array, squares: Array, samples: int) -> tuple[Array, Array
     mean, square = total / samples, squares / samples
     variance = square - mean * mean
     deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 0)
-    return _half(mean), _half(deviation)
-
-
-def _half(x: Array) -> Array:
-    return x.astype(jnp.float16).astype(jnp.float32)
+    return as_half(mean), as_half(deviation)
 
 
 def _chebyshev(mean: Array, deviation: Array, z: Array) -> Array:

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import round_up_to_power_of_two, take
+from ..._misc import a_step, round_up_to_power_of_two, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ._kernel import AbstractKernel
 from ._padded_map import PaddedMap
 
-# Pixels per iteration of the loop over active pixels.
+# Pixels per iteration of the loop over active pixels, on a CPU.
 _PIXELS_A_STEP = 8192
 
 At = tuple[AbstractKernel, Lookup]
@@ -109,12 +109,12 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
     rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
     most = jnp.max(rank) + 1
-    a_step = min(i * j, round_up_to_power_of_two(max(1, _PIXELS_A_STEP // (p * q))))
-    capacity = math.ceil(i * j / a_step) * a_step
+    at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(_PIXELS_A_STEP) // (p * q))))
+    capacity = math.ceil(i * j / at_once) * at_once
     # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
     queue = jnp.full((p, capacity + 1), runs, jnp.int32)
     queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)].set(number, mode="promise_in_bounds")
-    queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // a_step, a_step), 1, 0)
+    queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // at_once, at_once), 1, 0)
 
     @jax.checkpoint
     def some(own: Int[Array, "p n"]) -> Any:
@@ -123,8 +123,8 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
 
     like = jax.eval_shape(some, queue[0])
     none = lambda own: jax.tree.map(zeros_like, like)
-    step = lambda at_step: lax.cond(at_step[0] * a_step < most, some, none, at_step[1])
-    values = lax.map(step, (jnp.arange(capacity // a_step, dtype=jnp.int32), queue))
+    step = lambda at_step: lax.cond(at_step[0] * at_once < most, some, none, at_step[1])
+    values = lax.map(step, (jnp.arange(capacity // at_once, dtype=jnp.int32), queue))
     # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
     put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
     return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import take
+from ..._misc import a_step, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ..kernels._kernel import Footprint, Span
@@ -23,7 +23,7 @@ from ._half_planes import Rectangle
 from ._set_bits import SetBits, empty_words, put_bits
 from ._silhouette_map import NO_SILHOUETTE
 
-# Texels with silhouettes per iteration of the loop over them.
+# Texels with silhouettes per iteration of the loop over them, on a CPU.
 _TEXELS_A_STEP = 16384
 
 
@@ -53,7 +53,7 @@ class Corrections(AbstractTerms):
         )
         at, steps = rearranged(at, lambda a: a.reshape(-1)), jax.tree.map(wide, steps)
         found, texels = _find(padded, at, steps)
-        pixels = at[1].depth.size
+        pixels, at_once = at[1].depth.size, a_step(_TEXELS_A_STEP)
 
         def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
             number = row // texels
@@ -63,8 +63,8 @@ class Corrections(AbstractTerms):
 
         @jax.checkpoint
         def add(total: Any, first: Int[Array, ""]) -> Any:
-            exists = first + jnp.arange(_TEXELS_A_STEP, dtype=jnp.int32) < found.count
-            row, pixel = lax.optimization_barrier(found.locate(first, _TEXELS_A_STEP))
+            exists = first + jnp.arange(at_once, dtype=jnp.int32) < found.count
+            row, pixel = lax.optimization_barrier(found.locate(first, at_once))
             values = values_at(row, pixel)
             put = lambda total, values: total.at[pixel].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
             return jax.tree.map(put, total, values)
@@ -75,7 +75,7 @@ class Corrections(AbstractTerms):
         most = jax.tree.leaves(steps)[0].shape[0] * texels * pixels
         all_pixels = jnp.zeros(pixels, jnp.int32)
         total = jax.tree.map(zeros_like, jax.eval_shape(values_at, all_pixels, all_pixels))
-        total, _ = lax.scan(step, total, jnp.arange(0, most, _TEXELS_A_STEP, dtype=jnp.int32))
+        total, _ = lax.scan(step, total, jnp.arange(0, most, at_once, dtype=jnp.int32))
         return jax.tree.map(lambda a: a.reshape(shape), total)
 
 

@@ -1,13 +1,18 @@
 """Area of a rectangle cut by two half-planes, in closed form."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
-# Below this a line counts as parallel to another.
+# Below this a line counts as parallel to a side.
 _PARALLEL = 1e-12
+# Below this the two lines count as parallel, and as the same if they are no further apart. Rounding would otherwise
+# decide which part of each is beyond the other.
+_SAME = 1e-5
 
 
 class Rectangle(NamedTuple):
@@ -23,15 +28,18 @@ WHOLE_TEXEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 """A texel, relative to its centre."""
 
 
+Pair = Float[Array, "..."] | Sequence[Float[Array, "..."]]
+
+
 class HalfPlanes(NamedTuple):
     """Points p with `x · p_x + y · p_y >= offset`; (x, y) has unit length, or is zero for the whole plane.
 
-    Each texel has a pair, (2, n).
+    Each texel has a pair: (2, n), or two arrays (n,).
     """
 
-    x: Float[Array, "..."]
-    y: Float[Array, "..."]
-    offset: Float[Array, "..."]
+    x: "Pair"
+    y: "Pair"
+    offset: "Pair"
 
 
 def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
@@ -46,13 +54,14 @@ def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
 
 @jax.custom_jvp
 def _cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
-    return _area_and_sides(rectangle, planes)[0]
+    # Barriers, here and below: otherwise XLA puts all into a kernel that gathers too, and does not vectorize it.
+    return lax.optimization_barrier(_area_and_sides(rectangle, planes)[0])
 
 
 @_cut_area.defjvp
 def _cut_area_jvp(primals, tangents):
     """Reynolds' transport theorem: the area grows by each side's length times its midpoint's speed outwards."""
-    area, (right, left, above, below), parts = _area_and_sides(*primals)
+    area, (right, left, above, below), parts = lax.optimization_barrier(_area_and_sides(*primals))
     d, d_planes = tangents
     growth = right * d.right - left * d.left + above * d.above - below * d.below
     for (length, x, y), d_x, d_y, d_offset in zip(parts, *d_planes, strict=True):
@@ -72,26 +81,38 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
     width, height = rectangle.right - rectangle.left, rectangle.above - rectangle.below
     # Signed distances of the centre, positive inside. A list, since XLA would not fuse stacked arrays.
     lines = [(a, b, a * x + b * y - offset) for a, b, offset in zip(*planes, strict=True)]
+    # Each division once, since XLA makes a kernel of it.
+    inverses = [(_inverse(a), _inverse(b)) for a, b, _ in lines]
     sides = []
-    for horizontal, sign in ((True, 1), (True, -1), (False, 1), (False, -1)):
-        if horizontal:
+    for is_upright, sign in ((True, 1), (True, -1), (False, 1), (False, -1)):
+        if is_upright:
             start, along, half = (sign * width / 2, 0), (0, -sign), height / 2
         else:
             start, along, half = (0, sign * height / 2), (sign, 0), width / 2
         low, high = -half, half
-        for line in lines:
-            low, high = _clip(low, high, start, along, line, wins_ties=False)
+        for line, (of_a, of_b) in zip(lines, inverses, strict=True):
+            inverse = -sign * of_b if is_upright else sign * of_a
+            value, above = _against(line, start, along)
+            inside = (value > 0) | ((value == 0) & above)
+            low, high = _clip(low, high, value, inside, inverse)
         sides.append(jnp.maximum(high - low, 0))
     right, left, above, below = sides
     doubled = width / 2 * (right + left) + height / 2 * (above + below)
 
     parts = []
-    for (a, b, s), other, is_first in zip(lines, lines[::-1], (True, False), strict=True):
+    (a, b, _), (other_a, other_b, _) = lines
+    of_cross = _inverse(a * other_b - b * other_a, _SAME)
+    for k in (0, 1):
+        (a, b, s), (of_a, of_b) = lines[k], inverses[k]
         # From the foot of the perpendicular, which is -s (a, b) from the centre.
         start, along = (-s * a, -s * b), (-b, a)
-        low, high = _clip(-(width + height), width + height, start, along, other, wins_ties=not is_first)
-        for axis, half in enumerate((width / 2, height / 2)):
-            low, high = _clip_to_slab(low, high, start[axis], along[axis], half)
+        low, high = -(width + height), width + height
+        value, alike = _against(lines[1 - k], start, along)
+        inside = (value > _SAME) | ((jnp.abs(value) <= _SAME) & alike & (k == 0))
+        low, high = _clip(low, high, value, inside, -of_cross if k else of_cross)
+        for at, half, inverse in zip(start, (width / 2, height / 2), (-of_b, of_a), strict=True):
+            low, high = _clip(low, high, half + at, half + at > 0, inverse)
+            low, high = _clip(low, high, half - at, half - at > 0, -inverse)
         # A zero normal is the whole plane, which has no line.
         length = jnp.where(a * a + b * b > 0.25, jnp.maximum(high - low, 0), 0)
         t = (low + high) / 2
@@ -100,29 +121,23 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
     return doubled / 2, sides, parts
 
 
-def _clip(low: Any, high: Any, start: Any, along: Any, line: Any, wins_ties: bool) -> tuple[Any, Any]:
-    """The part of `start + t · along`, t in [low, high], inside a half-plane `a x + b y + s >= 0`.
+def _inverse(rise: Any, least: float = _PARALLEL) -> Any:
+    """1 / `rise`, or 0 if that is below `least`."""
+    parallel = jnp.abs(rise) < least
+    return jnp.where(parallel, 0, 1 / jnp.where(parallel, 1, rise))
 
-    If the half-plane's line coincides with this one and faces the same way, this line is inside unless the half-plane
-    `wins_ties`.
-    """
+
+def _against(line: Any, start: Any, along: Any) -> tuple[Any, Any]:
+    """How far `start` is inside a half-plane `a x + b y + s >= 0`, and whether its inner side is that to the left of
+    `along`."""
     a, b, s = line
-    rise, value = a * along[0] + b * along[1], a * start[0] + b * start[1] + s
-    parallel = jnp.abs(rise) < _PARALLEL
-    t = -value / jnp.where(parallel, 1, rise)
-    low = jnp.where(~parallel & (rise > 0), jnp.maximum(low, t), low)
-    high = jnp.where(~parallel & (rise < 0), jnp.minimum(high, t), high)
-    inside = value > 0
-    if not wins_ties:
-        inside = inside | ((value == 0) & (a * along[1] > b * along[0]))
-    return low, jnp.where(parallel & ~inside, low, high)
+    return a * start[0] + b * start[1] + s, a * along[1] > b * along[0]
 
 
-def _clip_to_slab(low: Any, high: Any, start: Any, along: Any, half: Any) -> tuple[Any, Any]:
-    """The part of `start + t · along`, t in [low, high], between -half and half."""
-    parallel = jnp.abs(along) < _PARALLEL
-    safe = jnp.where(parallel, 1, along)
-    one, other = (-half - start) / safe, (half - start) / safe
-    low = jnp.where(parallel, low, jnp.maximum(low, jnp.minimum(one, other)))
-    high = jnp.where(parallel, high, jnp.minimum(high, jnp.maximum(one, other)))
-    return low, jnp.where(parallel & ~(jnp.abs(start) < half), low, high)
+def _clip(low: Any, high: Any, value: Any, inside: Any, inverse: Any) -> tuple[Any, Any]:
+    """The part of [low, high] where `value + t · rise >= 0`, given the `inverse` of the rise; if that is 0, whether all
+    is `inside`."""
+    t = -value * inverse
+    low = jnp.where(inverse > 0, jnp.maximum(low, t), low)
+    high = jnp.where(inverse < 0, jnp.minimum(high, t), high)
+    return low, jnp.where((inverse == 0) & ~inside, low, high)

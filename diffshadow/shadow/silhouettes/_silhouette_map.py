@@ -62,10 +62,13 @@ class SilhouetteMap(eqx.Module):
 
         `part` is relative to the texel's centre. Half-planes that follow edges are moved by `motion` (texels) if given.
         """
-        x, y, offset = (jnp.stack([take(one, slot) for one in values]) for values in self.planes)
+        # The two apart, since XLA would write a stacked array to memory.
+        of_slot = lambda values: [take(one, slot) for one in values]
+        x, y, offset = map(of_slot, self.planes)
         if motion is not None:
-            along = x * motion[0] + y * motion[1]
-            offset = offset + jnp.where(take(self.follows, slot), along, 0)
+            follows = take(self.follows, slot)
+            along = lambda a, b: jnp.where(follows, a * motion[0] + b * motion[1], 0)
+            offset = [o + along(a, b) for a, b, o in zip(x, y, offset, strict=True)]
         return cut_area(part, HalfPlanes(x, y, offset))
 
 
