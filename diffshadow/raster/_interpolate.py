@@ -26,7 +26,7 @@ from ..geometry import Tile
 # width; beyond this share of the face's height the point is pulled back onto the face.
 _OVERSHOOT = 0.1
 # Images of more pixels are interpolated in bands on a CPU, so that their attributes fit in its cache.
-_BAND = 1 << 16
+_BAND, _BAND_ON_GPU = 1 << 16, 1 << 22
 
 CornerValues = Callable[[FaceMap], list[list[Array]]]
 """Of the faces at the pixels (h, w), each component's values at the three corners, (h, w) each."""
@@ -55,7 +55,7 @@ def by_bands(
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
-    band = band or a_step(_BAND)
+    band = band or a_step(_BAND, _BAND_ON_GPU)
     if height * width <= band:
         return function(face, Rows(0, height, tile))
     # The most rows that divide the height.

@@ -113,7 +113,8 @@ class _LevelPass(DrawPass):
         size = self.pages.size(level.level)
         self.origins = self.pages.tile.origin
         self.level, self.table = level.level, whole.table
-        super().__init__(triangles, (size, size), whole.facing, whole.test, whole.polygon_offset)
+        layers = self.pages.level.shape[0] * self.pages.side, self.pages.side
+        super().__init__(triangles, (size, size), whole.facing, whole.test, whole.polygon_offset, layers)
 
     @property
     def _counts(self) -> Int[Array, " c"]:

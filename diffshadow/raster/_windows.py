@@ -12,6 +12,7 @@ positive floats are ordered as their bits are, so the least number is the neares
 face. That takes half the time of a second pass that looks for the face whose depth has settled.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -36,8 +37,10 @@ SCATTER = lax.ScatterDimensionNumbers(
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _FACE_BITS = 32
-# How many faces a CPU clips at once.
-_CLIPPED_AT_ONCE = 64
+# How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
+_CLIPPED_AT_ONCE = 64, 256, 2048
+# Drawings of so many pixels or faces are large.
+_LARGE_PIXELS, _LARGE_FACES = 1 << 20, 1 << 14
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -96,8 +99,10 @@ class DrawPass(Drawing):
     ):
         self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
+        in_small, in_large, on_gpu = _CLIPPED_AT_ONCE
+        is_large = math.prod(self.buffer) >= _LARGE_PIXELS or triangles.faces.shape[0] >= _LARGE_FACES
         # As many triangles or blocks are drawn at once as clipping makes, since XLA compiles equal kernels once.
-        self.clipped_at_once = a_step(_CLIPPED_AT_ONCE)
+        self.clipped_at_once = a_step(in_large if is_large else in_small, on_gpu)
         self.at_once = FAN * self.clipped_at_once
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
@@ -214,7 +219,8 @@ class DrawPass(Drawing):
         def candidates(number: Array, buffer: Array) -> Array:
             block = number * self.at_once + jnp.arange(self.at_once, dtype=jnp.int32)
             exists = block < ends[-1]
-            owner = jnp.where(exists, jnp.searchsorted(ends, block, side="right").astype(jnp.int32), 0)
+            found = jnp.searchsorted(ends, block, side="right", method="scan_unrolled").astype(jnp.int32)
+            owner = lax.optimization_barrier(jnp.where(exists, found, 0))
             within, across = block - take(ends - lengths, owner), take(columns, owner)
             x = take(left, owner) + lax.rem(within, across) * BLOCK
             y = take(bottom, owner) + lax.div(within, across) * BLOCK

@@ -914,6 +914,21 @@ _SHADOW = (
         "test_fit_pose.py",
     ),
     _fault(
+        "texels with silhouettes: the depths of their parts alike",
+        "shadow/silhouettes/_padded.py",
+        "of_parts(jnp.minimum), of_parts(jnp.maximum)",
+        "of_parts(jnp.maximum), of_parts(jnp.maximum)",
+        "test_silhouette_map.py",
+    ),
+    _fault(
+        "texels with silhouettes: compared at the look-up's depth, not the receiver plane's",
+        "shadow/silhouettes/_corrections.py",
+        "depth = footprint.depth(lookup, right, up)",
+        "depth = lookup.depth",
+        "test_silhouette_map.py",
+        "test_bias.py",
+    ),
+    _fault(
         "cut area: parallel lines all inside",
         "shadow/silhouettes/_half_planes.py",
         "(inverse == 0) & ~inside",

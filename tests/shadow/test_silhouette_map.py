@@ -481,6 +481,26 @@ def test_receivers_that_move_see_outlines_pass_and_no_steps_between_texels():
     assert slope_and_value(beyond, shadow_map)[0] == pytest.approx((ahead - behind) / (2 * step), rel=0.05)
 
 
+class _Everywhere(HardCompare):
+    """A hard compare that is taken for a soft one, under which all texels with silhouettes are corrected."""
+
+    @property
+    def has_depth_derivative(self) -> bool:
+        return True
+
+
+def test_texels_whose_parts_compare_alike_need_no_correction():
+    shadow_map, rng = _scene(), np.random.default_rng(0)
+    x, y = rng.uniform(4, 44, (2, 120, 120))
+    depths = np.asarray(shadow_map.depth)
+    lookup = lookups_at(x, y, float(np.median(depths[depths < 1])))
+    # Planes so steep that some texels of a look-up shadow it, and others do not.
+    slope = tuple(jnp.asarray(rng.uniform(-0.2, 0.2, x.shape), jnp.float32) for _ in range(2))
+    lookup = eqx.tree_at(lambda at: at.slope, lookup, slope, is_leaf=lambda leaf: leaf is None)
+    lit = eqx.filter_jit(lambda compare: PercentageCloser(1.5)(shadow_map, lookup, compare))
+    np.testing.assert_array_equal(lit(HardCompare()), lit(_Everywhere()))
+
+
 def test_hard_shadows_end_where_casters_do():
     shadow_map, surface = _scene(), _ground(WIDE)
     visibility, plain = (

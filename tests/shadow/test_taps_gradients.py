@@ -171,7 +171,9 @@ def test_a_sum_counts_each_step_once_however_many_there_are():
     """Some are written out in each turn of a loop, and what is left after it."""
     kernel, _, _, lookup, _ = sum_arguments(0, "nearest")
     numbers = (1, 7, 23, 25, 37, 64)
-    total = lambda n: _Plain().add_up(lambda at, step: 0 * at[1].x + step, None, (kernel, lookup), jnp.arange(n))
+    total = lambda n: _Plain().add_up(
+        lambda at, step: 0 * at[1].x + step, None, HardCompare(), (kernel, lookup), jnp.arange(n)
+    )
     found = jax.jit(lambda: [total(n)[0, 0] for n in numbers])()
     np.testing.assert_array_equal(found, [n * (n - 1) / 2 for n in numbers])
 

@@ -15,8 +15,8 @@ from ...shadow import Atlas, Overflow, ShadowMap
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
 
-# The most pixels of images that a CPU evaluates at once.
-_AT_ONCE = 1 << 14
+# The most pixels of images that are evaluated at once, on a CPU and on a GPU.
+_AT_ONCE = 1 << 14, 1 << 19
 # The most texels of an atlas, whose indices are 32-bit numbers, and the most atlases that are kept: a fit of a layout
 # draws its maps again and again.
 _MOST_TEXELS, _MOST_ATLASES = (1 << 31) - 1, 4
@@ -49,7 +49,7 @@ class Stack(eqx.Module):
         """Those of all problems. Nothing is drawn that could overflow."""
         images, *sides = self.problems.reference.shape
         # Several small ones keep all cores busy, and none is left over, which would be a second program.
-        most = max(a_step(_AT_ONCE) // math.prod(sides), 1)
+        most = max(a_step(*_AT_ONCE) // math.prod(sides), 1)
         at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
 
         def difference(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Float[Array, "h w"]:

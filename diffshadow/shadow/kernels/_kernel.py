@@ -42,12 +42,6 @@ class Footprint(NamedTuple):
     rows: Sequence[Span]
     up: Int[Array, "*n"] | int = 0
 
-    def places(self, padded: PaddedMap, lookup: Lookup) -> list[tuple[Array, Array | int]]:
-        """Where all texels are stored, row by row: the index of the first, and the offset from it to each."""
-        first = padded.place(self.column, self.row, lookup.layer)
-        texels = [(i, j) for j in range(len(self.rows)) for i in range(len(self.columns))]
-        return [(first, (self.up + j) * padded.stride + i) for i, j in texels]
-
     def lit(self, padded: PaddedMap, compare: AbstractCompare, lookup: Lookup) -> Float[Array, "*n"]:
         """The weighted sum of compares with the texels' stored depths."""
         first = padded.place(self.column, self.row, lookup.layer)

@@ -97,5 +97,6 @@ def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
         return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
 
     found = shadow_map.silhouettes
-    silhouettes = None if found is None else PaddedSilhouettes.of(found, padded, hides)
-    return PaddedMap(padded(hides(shadow_map.depth), _NOTHING), height, width, margin, silhouettes)
+    depth = padded(hides(shadow_map.depth), _NOTHING)
+    silhouettes = None if found is None else PaddedSilhouettes.of(found, depth, padded, hides)
+    return PaddedMap(depth, height, width, margin, silhouettes)

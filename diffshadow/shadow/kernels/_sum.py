@@ -82,7 +82,7 @@ class _Plain(AbstractTerms):
         kernel, lookup = at
         return kernel.footprint(lookup, step).lit(padded, compare, lookup)
 
-    def add_up(self, function, padded, at, steps):
+    def add_up(self, function, padded, compare, at, steps):
         kernel, _ = at
         like = jax.eval_shape(function, at, jax.tree.map(itemgetter(0), steps))
         with_derivatives = len(jax.tree.leaves(like)) > 1

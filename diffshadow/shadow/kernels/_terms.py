@@ -18,8 +18,8 @@ from .._lookup import Lookup, rearranged
 from ._kernel import AbstractKernel
 from ._padded_map import PaddedMap
 
-# Pixels per iteration of the loop over active pixels, on a CPU.
-_PIXELS_A_STEP = 8192
+# Pixels per iteration of the loop over active pixels, on a CPU and on a GPU.
+_PIXELS_A_STEP = 1 << 13, 1 << 17
 
 At = tuple[AbstractKernel, Lookup]
 """Where a sum is evaluated: look-ups, and a kernel whose arrays have one value per look-up."""
@@ -33,7 +33,9 @@ class AbstractTerms(eqx.Module):
         """The terms of all look-ups at a step."""
 
     @abc.abstractmethod
-    def add_up(self, function: Callable[[At, Any], Any], padded: PaddedMap, at: At, steps: Any) -> Any:
+    def add_up(
+        self, function: Callable[[At, Any], Any], padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any
+    ) -> Any:
         """The sum of `function(at, step)`, arrays with one value per look-up, over all steps."""
 
 
@@ -47,7 +49,7 @@ def _sum(
 ) -> Any:
     """The sum of all terms where look-ups are `active`, and 0 elsewhere."""
     one = lambda at, step: terms.term(padded, compare, at, step)
-    some = lambda at: terms.add_up(one, padded, at, steps)
+    some = lambda at: terms.add_up(one, padded, compare, at, steps)
     return some(at) if active is None else _where_active(some, at, active)
 
 
@@ -82,7 +84,7 @@ def _total_jvp(primals, tangents):
         change = eqx.filter_jvp(of_map, (padded, compare), (d_padded, d_compare))[1]
         return value, pull(jnp.ones_like(value))[0], change
 
-    some = lambda at: terms.add_up(one, padded, at, steps)
+    some = lambda at: terms.add_up(one, padded, compare, at, steps)
     value, slopes, change = some(at) if active is None else _where_active(some, at, active)
     tangent = jnp.zeros_like(value) if change is None else change
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_at), strict=True):
@@ -109,7 +111,7 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
     rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
     most = jnp.max(rank) + 1
-    at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(_PIXELS_A_STEP) // (p * q))))
+    at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(*_PIXELS_A_STEP) // (p * q))))
     capacity = math.ceil(i * j / at_once) * at_once
     # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
     queue = jnp.full((p, capacity + 1), runs, jnp.int32)

@@ -19,22 +19,32 @@ class PaddedSilhouettes(eqx.Module):
     """Silhouettes of a padded map, and which texels have one.
 
     - `map`: its slots are padded as the depths are.
+    - `nearest`, `farthest`: the depths within each texel, padded too; equal where there is no silhouette.
     """
 
     map: SilhouetteMap
     texels: "Pyramid"
+    nearest: Float[Array, " n"]
+    farthest: Float[Array, " n"]
 
     @classmethod
     def of(
         cls,
         silhouettes: SilhouetteMap,
+        depth: Float[Array, " n"],
         pad: Callable[[Array, int], Array],
         hides: Callable[[Array], Array],
     ) -> "PaddedSilhouettes":
-        """Pads the slots by `pad`, and replaces depths of empty parts by `hides`."""
-        where = lambda found: (found.slot, found.inner, found.outer)
-        new = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
-        return cls(eqx.tree_at(where, silhouettes, new), Pyramid.of(silhouettes.slot != NO_SILHOUETTE))
+        """Pads the slots by `pad`, as `depth` is, and replaces depths of empty parts by `hides`."""
+        has_one = silhouettes.slot != NO_SILHOUETTE
+        slot, inner, outer = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
+        padded = eqx.tree_at(lambda found: (found.slot, found.inner, found.outer), silhouettes, (slot, inner, outer))
+        depth, inner, outer = lax.stop_gradient((depth, inner, outer))
+        # Barriers, as the depth's: otherwise each look-up finds them again.
+        of_parts = lambda choose: lax.optimization_barrier(
+            jnp.where(slot == NO_SILHOUETTE, depth, choose(depth, take(choose(inner, outer), jnp.maximum(slot, 0))))
+        )
+        return cls(padded, Pyramid.of(has_one), of_parts(jnp.minimum), of_parts(jnp.maximum))
 
     def change(
         self,
