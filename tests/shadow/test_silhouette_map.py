@@ -498,7 +498,8 @@ def test_texels_whose_parts_compare_alike_need_no_correction():
     slope = tuple(jnp.asarray(rng.uniform(-0.2, 0.2, x.shape), jnp.float32) for _ in range(2))
     lookup = eqx.tree_at(lambda at: at.slope, lookup, slope, is_leaf=lambda leaf: leaf is None)
     lit = eqx.filter_jit(lambda compare: PercentageCloser(1.5)(shadow_map, lookup, compare))
-    np.testing.assert_array_equal(lit(HardCompare()), lit(_Everywhere()))
+    # The order in which a sum is taken is not fixed on GPUs.
+    np.testing.assert_allclose(lit(HardCompare()), lit(_Everywhere()), atol=1e-6)
 
 
 def test_hard_shadows_end_where_casters_do():
