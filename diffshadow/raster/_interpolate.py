@@ -49,7 +49,7 @@ def by_bands(
     **Arguments:**
 
     - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
-    - `band`: the most pixels of a band of several rows; if left out, as many as a processor's cache has room for.
+    - `band`: the most pixels of a band of several rows; if left out, what suits the device.
     - `tile`: of an image of square tiles, see `Rows`.
 
     **Returns:** the arrays for the whole image.
