@@ -71,10 +71,10 @@ class OpenGL:
     The depth pass writes depth alone; the surface pass also writes depth, position, normal and face to float targets,
     32 bytes a pixel, from vertices that have a normal each.
 
-    With `on_gpu` the machine's GPU draws, else llvmpipe.
+    The GPU draws with `on_gpu`, and llvmpipe without.
 
     **Raises** moderngl's errors if there is no EGL, `ImportError` without moderngl, and `RuntimeError` if the driver is
-    not of the asked kind.
+    not the one asked for.
     """
 
     def __init__(self, triangles: Triangles, resolution: tuple[int, int], cull: str, on_gpu: bool = False):

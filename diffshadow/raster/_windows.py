@@ -40,7 +40,7 @@ _FACE_BITS = 32
 # How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
 _CLIPPED_AT_ONCE = 64, 256, 2048
 # Drawings of so many pixels or faces are large.
-_LARGE_PIXELS, _LARGE_FACES = 1 << 20, 1 << 14
+_MANY_PIXELS, _MANY_FACES = 1 << 20, 1 << 14
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -100,7 +100,7 @@ class DrawPass(Drawing):
         self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
         in_small, in_large, on_gpu = _CLIPPED_AT_ONCE
-        is_large = math.prod(self.buffer) >= _LARGE_PIXELS or triangles.faces.shape[0] >= _LARGE_FACES
+        is_large = math.prod(self.buffer) >= _MANY_PIXELS or triangles.faces.shape[0] >= _MANY_FACES
         # As many triangles or blocks are drawn at once as clipping makes, since XLA compiles equal kernels once.
         self.clipped_at_once = a_step(in_large if is_large else in_small, on_gpu)
         self.at_once = FAN * self.clipped_at_once

@@ -911,7 +911,6 @@ _SHADOW = (
         "_SAME = 1e-5",
         "_SAME = 0.0",
         "test_silhouette_map.py",
-        "test_fit_pose.py",
     ),
     _fault(
         "texels with silhouettes: the depths of their parts alike",

@@ -44,7 +44,7 @@ from diffshadow.shadow import (
     stratified,
 )
 from diffshadow.shadow._map import _about_corners, _silhouettes
-from diffshadow.shadow.silhouettes import HalfPlanes, Rectangle, cut_area
+from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
 from diffshadow.shadow.silhouettes._padded import Pyramid
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
@@ -270,18 +270,26 @@ def test_half_planes_that_end_on_a_side_of_the_rectangle():
 
 
 def test_one_half_plane_twice():
-    # As many as above, so that nothing is compiled anew; the second differs by roundings, as where edges are collinear.
+    # 72 pairs, as in the test above, so that both tests share a program.
+    through_middle = np.float32([0.6, 0.8, 0.0])
+    of_signs = lambda *signs: HalfPlanes(*np.multiply.outer(through_middle, np.tile(signs, (72, 1)).T))
+    # A line through the middle halves a texel.
+    assert _cut(WHOLE_TEXEL, of_signs(1, 1)) == pytest.approx(0.5, abs=1e-7)
+    assert _cut(WHOLE_TEXEL, of_signs(1, -1)) == pytest.approx(0, abs=1e-7)
+
+
+def test_two_half_planes_of_nearly_one_line():
     rng = np.random.default_rng(0)
     angles, offsets = rng.uniform(0, 2 * np.pi, 72), rng.uniform(-0.4, 0.4, 72)
     one = np.stack([np.cos(angles), np.sin(angles), offsets])
     pair = lambda other: HalfPlanes(*np.stack([one, other], axis=1).astype(np.float32))
-    texel = Rectangle(-0.5, 0.5, -0.5, 0.5)
-    once = np.asarray(_cut(texel, pair(np.broadcast_to([[0], [0], [-1e3]], one.shape))))
+    once = np.asarray(_cut(WHOLE_TEXEL, pair(np.broadcast_to([[0], [0], [-1e3]], one.shape))))
+    # Lines of collinear edges differ by rounding.
     for noise in (0, 1e-7, 1e-6):
-        twice = _cut(texel, pair(one + rng.uniform(-noise, noise, one.shape)))
+        twice = _cut(WHOLE_TEXEL, pair(one + rng.uniform(-noise, noise, one.shape)))
         np.testing.assert_allclose(twice, once, atol=1e-5)
     # The other side of the line has nothing in common with it.
-    np.testing.assert_allclose(_cut(texel, pair(-one)), 0, atol=1e-6)
+    np.testing.assert_allclose(_cut(WHOLE_TEXEL, pair(-one)), 0, atol=1e-6)
 
 
 def _clip(polygon, normal, offset):

@@ -29,6 +29,7 @@ WHOLE_TEXEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 
 
 Pair = Float[Array, "..."] | Sequence[Float[Array, "..."]]
+"""Of two half-planes: their first axis, or an array for each."""
 
 
 class HalfPlanes(NamedTuple):
@@ -37,9 +38,9 @@ class HalfPlanes(NamedTuple):
     Each texel has a pair: (2, n), or two arrays (n,).
     """
 
-    x: "Pair"
-    y: "Pair"
-    offset: "Pair"
+    x: Pair
+    y: Pair
+    offset: Pair
 
 
 def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
@@ -111,8 +112,9 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
         inside = (value > _SAME) | ((jnp.abs(value) <= _SAME) & alike & (k == 0))
         low, high = _clip(low, high, value, inside, -of_cross if k else of_cross)
         for at, half, inverse in zip(start, (width / 2, height / 2), (-of_b, of_a), strict=True):
-            low, high = _clip(low, high, half + at, half + at > 0, inverse)
-            low, high = _clip(low, high, half - at, half - at > 0, -inverse)
+            for sign in (1, -1):
+                within = half + sign * at
+                low, high = _clip(low, high, within, within > 0, sign * inverse)
         # A zero normal is the whole plane, which has no line.
         length = jnp.where(a * a + b * b > 0.25, jnp.maximum(high - low, 0), 0)
         t = (low + high) / 2
