@@ -27,7 +27,7 @@ from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._compact import sums_up_to
-from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
+from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, span, window_depth
 from ._depth_test import DepthTest
 
 PADDING = max(*WINDOWS, BLOCK)
@@ -41,6 +41,8 @@ _FACE_BITS = 32
 _CLIPPED_AT_ONCE = 64, 256, 2048
 # Drawings of so many pixels or faces are large.
 _MANY_PIXELS, _MANY_FACES = 1 << 20, 1 << 14
+# How many rows of blocks are cut into blocks at once, for each block that is drawn at once.
+_ROWS_TO_BLOCKS = 2
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
@@ -206,32 +208,73 @@ class DrawPass(Drawing):
         source: Int[Array, " n"],
         layer: Int[Array, " n"] | None,
     ) -> Array:
-        """Writes triangles block by block."""
-        fixed, box = corners.snapped(), self._box(corners, layer)
-        drawn = (source >= 0) & draws(*fixed, box, self.facing)
-        origin_x, origin_y = self._origin(layer)
-        left, bottom = box.left - origin_x, box.bottom - origin_y
-        columns = jnp.maximum((box.right - box.left) // BLOCK + 1, 1)
-        # The blocks of all boxes are numbered: a triangle's numbers end before its entry of `ends`.
-        lengths = jnp.where(drawn, columns * ((box.top - box.bottom) // BLOCK + 1), 0)
-        ends = jnp.cumsum(lengths, dtype=jnp.int32)
+        """Writes triangles block by block.
 
-        def candidates(number: Array, buffer: Array) -> Array:
-            block = number * self.at_once + jnp.arange(self.at_once, dtype=jnp.int32)
-            exists = block < ends[-1]
-            found = jnp.searchsorted(ends, block, side="right", method="scan_unrolled").astype(jnp.int32)
-            owner = lax.optimization_barrier(jnp.where(exists, found, 0))
-            within, across = block - take(ends - lengths, owner), take(columns, owner)
-            x = take(left, owner) + lax.rem(within, across) * BLOCK
-            y = take(bottom, owner) + lax.div(within, across) * BLOCK
-            x, y = (jnp.where(exists, low, 0) for low in (x, y))
-            own, own_plane, of_layer = jax.tree.map(lambda values: take_last(values, owner), (corners, plane, layer))
-            form = self._form(own, own_plane, x, y, of_layer)
-            # Nor is the face looked up again for every pixel.
-            of_block = lax.optimization_barrier(jnp.where(exists, take(source, owner), -1))
-            return write(buffer, form, of_block, BLOCK)
+        A triangle's box is cut into rows of blocks. Each row has only the blocks between the triangle's left and right
+        there: of a long thin triangle far fewer than its box.
+        """
+        box = self._box(corners, layer)
+        drawn = (source >= 0) & draws(*corners.snapped(), box, self.facing)
+        rows = _Items.of(jnp.where(drawn, (box.top - box.bottom) // BLOCK + 1, 0))
+        rows_at_once = _ROWS_TO_BLOCKS * self.at_once
 
-        return self._loop(_ceil_div(ends[-1], self.at_once), candidates, buffer)
+        def some_rows(number: Array, buffer: Array) -> Array:
+            triangle, row, exists = rows.chunk(number, rows_at_once)
+            own, own_box = _of((corners, box), triangle)
+            bottom = own_box.bottom + row * BLOCK
+            left, right = span(own, bottom, jnp.minimum(bottom + (BLOCK - 1), own_box.top))
+            left, right = jnp.maximum(left, own_box.left), jnp.minimum(right, own_box.right)
+            blocks = _Items.of(jnp.where(exists & (left <= right), (right - left) // BLOCK + 1, 0))
+
+            def some_blocks(number: Array, buffer: Array) -> Array:
+                row, column, exists = blocks.chunk(number, self.at_once)
+                x, y, owner = _of((left, bottom, triangle), row)
+                own, own_plane, own_source, own_layer = _of((corners, plane, source, layer), owner)
+                origin_x, origin_y = self._origin(own_layer)
+                x, y = (jnp.where(exists, at, 0) for at in (x + column * BLOCK - origin_x, y - origin_y))
+                form = self._form(own, own_plane, x, y, own_layer)
+                # Nor is the face looked up again for every pixel.
+                own_source = lax.optimization_barrier(jnp.where(exists, own_source, -1))
+                return write(buffer, form, own_source, BLOCK)
+
+            return self._loop(blocks.chunks(self.at_once), some_blocks, buffer)
+
+        return self._loop(rows.chunks(rows_at_once), some_rows, buffer)
+
+
+class _Items(NamedTuple):
+    """Items that belong to owners, numbered through.
+
+    - `lengths`: (n,), how many items each owner has.
+    - `ends`: (n,), the number of items up to each owner and with it.
+    """
+
+    lengths: Int[Array, " n"]
+    ends: Int[Array, " n"]
+
+    @classmethod
+    def of(cls, lengths: Int[Array, " n"]) -> "_Items":
+        return cls(lengths, jnp.cumsum(lengths, dtype=jnp.int32))
+
+    def chunks(self, length: int) -> Int[Array, ""]:
+        """The number of chunks of `length` items."""
+        return _ceil_div(self.ends[-1], length)
+
+    def chunk(self, number: Array, length: int) -> tuple[Array, Array, Array]:
+        """Each item's owner, its place among those of its owner, and whether it is one, (length,) each: the last chunk
+        is filled up."""
+        item = number * length + jnp.arange(length, dtype=jnp.int32)
+        exists = item < self.ends[-1]
+        # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
+        method = "scan" if jax.default_backend() == "cpu" else "scan_unrolled"
+        found = jnp.searchsorted(self.ends, item, side="right", method=method).astype(jnp.int32)
+        owner = lax.optimization_barrier(jnp.where(exists, found, 0))
+        return owner, item - take(self.ends - self.lengths, owner), exists
+
+
+def _of(tree: Any, owner: Int[Array, " n"]) -> Any:
+    """The values in `tree`, (..., m) each, of these owners: (..., n) each."""
+    return jax.tree.map(lambda values: take_last(values, owner), tree)
 
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:

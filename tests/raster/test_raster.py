@@ -275,13 +275,16 @@ def test_a_face_larger_than_the_view_fills_any_resolution(resolution):
 
 
 def test_large_faces_have_as_many_blocks_as_they_need():
-    # Two halves of the view, each with a box of 256 blocks.
-    corners = np.array([[0, 0], [256, 0], [256, 256], [0, 256]])
-    clip = from_window(corners, np.full(4, 0.5), np.ones(4), (256, 256))
-    face, _ = draw(clip, np.array([[0, 1, 2], [0, 2, 3]]), (256, 256))
+    # Two halves of the view, each of 16 rows of up to 16 blocks, in many layers of which the last is the nearest.
+    layers = 64
+    corners = np.tile([[0, 0], [256, 0], [256, 256], [0, 256]], (layers, 1))
+    depth = np.repeat(np.linspace(0.9, 0.1, layers), 4)
+    clip = from_window(corners, depth, np.ones(4 * layers), (256, 256))
+    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(layers)[:, None, None]
+    face, seen = draw(clip, faces.reshape(-1, 3), (256, 256))
     row, column = np.indices(face.shape)
-    np.testing.assert_array_equal(face[row != column], (row > column)[row != column])
-    assert (face != NO_FACE).all()
+    np.testing.assert_array_equal((face - 2 * (layers - 1))[row != column], (row > column)[row != column])
+    np.testing.assert_allclose(seen, 0.1, rtol=1e-6)
 
 
 def test_nothing_is_seen_where_no_face_is():
