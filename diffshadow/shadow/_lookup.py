@@ -69,6 +69,11 @@ class Lookup(eqx.Module):
         """Without derivatives with respect to the position."""
         return self.at(*lax.stop_gradient((self.x, self.y)))
 
+    def with_depths_detached(self) -> "Lookup":
+        """Without derivatives with respect to what is compared."""
+        depths = lambda lookup: (lookup.depth, lookup.depth_per_texel, lookup.slope, lookup.deepest)
+        return eqx.tree_at(depths, self, lax.stop_gradient(depths(self)), is_leaf=lambda leaf: leaf is None)
+
 
 def rearranged(tree: Any, function: Callable[[Array], Array]) -> Any:
     """Applies `function` to all arrays of a look-up or a kernel that have one value per pixel."""

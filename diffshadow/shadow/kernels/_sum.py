@@ -49,6 +49,9 @@ def sum_over(
     Differentiable with respect to all but `steps`.
     """
     silhouettes = padded.silhouettes
+    if not compare.has_depth_derivative:
+        # Otherwise derivatives of zero are found for every pixel.
+        lookup = lookup.with_depths_detached()
     if active is None and silhouettes is None:
         return total(_Plain(), padded, compare, (kernel, lookup), steps, None)
     if lookup.depth.ndim == 2:

@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -20,6 +21,9 @@ from ._padded_map import PaddedMap
 
 # Pixels per iteration of the loop over active pixels, on a CPU and on a GPU.
 _PIXELS_A_STEP = 1 << 13, 1 << 17
+
+KEPT = "kept"
+"""The name of what reverse mode keeps of an iteration, by `checkpoint_name`; all else it computes again."""
 
 At = tuple[AbstractKernel, Lookup]
 """Where a sum is evaluated: look-ups, and a kernel whose arrays have one value per look-up."""
@@ -118,7 +122,7 @@ def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i 
     queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)].set(number, mode="promise_in_bounds")
     queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // at_once, at_once), 1, 0)
 
-    @jax.checkpoint
+    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(KEPT))
     def some(own: Int[Array, "p n"]) -> Any:
         run = jnp.minimum(own, runs - 1)
         return function(rearranged(at, lambda a: take(a.reshape(runs, q), run)))

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._misc import a_step, take
@@ -19,10 +20,10 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ..kernels._kernel import Footprint, Span
 from ..kernels._padded_map import PaddedMap
-from ..kernels._terms import AbstractTerms, At, zeros_like
+from ..kernels._terms import KEPT, AbstractTerms, At, zeros_like
 from ._half_planes import Rectangle
+from ._padded import may_part
 from ._set_bits import SetBits, empty_words, put_bits
-from ._silhouette_map import NO_SILHOUETTE
 
 # Texels with silhouettes per iteration of the loop over them, on a CPU and on a GPU.
 _TEXELS_A_STEP = 1 << 14, 1 << 18
@@ -81,8 +82,8 @@ class Corrections(AbstractTerms):
 
 
 def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tuple[SetBits, int]:
-    """Which of the texels that each look-up reads in all steps do not compare alike in all of their parts, and how many
-    texels a step reads."""
+    """Which of the texels that each look-up reads in all steps may not compare alike in all of their parts, and how
+    many texels a step reads."""
     kernel, lookup = at
     silhouettes = padded.silhouettes
     assert silhouettes is not None
@@ -91,13 +92,9 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
         footprint = kernel.footprint(lookup, step)
 
         def in_texel(place: Array, right: int, up: Array | int) -> Bool[Array, " n"]:
-            part = lambda stored: padded.read(stored, place, up * padded.stride + right)
-            if compare.has_depth_derivative:
-                # Under a soft compare, the parts of nearly all texels differ.
-                return part(silhouettes.map.slot) != NO_SILHOUETTE
-            depth = footprint.depth(lookup, right, up)
-            lit = lambda stored: compare(part(stored), depth, lookup.depth_per_texel)
-            return lit(silhouettes.nearest) != lit(silhouettes.farthest)
+            # Under a soft compare, the parts of nearly all texels differ.
+            depth = None if compare.has_depth_derivative else footprint.depth(lookup, right, up)
+            return may_part(padded.read(silhouettes.bounds, place, up * padded.stride + right), depth)
 
         first = padded.place(footprint.column, footprint.row, lookup.layer)
         texels = [(i, j) for j in range(len(footprint.rows)) for i in range(len(footprint.columns))]
@@ -112,7 +109,7 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
 
     words = empty_words(count * texels, lookup.depth.size)
     words, _ = lax.scan(mark, words, (jnp.arange(count, dtype=jnp.int32), steps))
-    return SetBits(words), texels
+    return SetBits(checkpoint_name(words, KEPT)), texels
 
 
 def _correction(

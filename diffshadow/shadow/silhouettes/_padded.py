@@ -5,7 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ..._misc import take
 from ._half_planes import Rectangle
@@ -13,19 +13,21 @@ from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
 
 # Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
 _LEAST_AREA = 1e-9
+# Bounds of depths are numbers of steps, two in a word.
+_STEP_BITS = 16
+_STEPS = (1 << _STEP_BITS) - 1
 
 
 class PaddedSilhouettes(eqx.Module):
     """Silhouettes of a padded map, and which texels have one.
 
     - `map`: its slots are padded as the depths are.
-    - `nearest`, `farthest`: the depths within each texel, padded too; equal where there is no silhouette.
+    - `bounds`: of the depths within each texel with one, padded too; see `may_part`.
     """
 
     map: SilhouetteMap
     texels: "Pyramid"
-    nearest: Float[Array, " n"]
-    farthest: Float[Array, " n"]
+    bounds: UInt32[Array, " n"]
 
     @classmethod
     def of(
@@ -40,11 +42,11 @@ class PaddedSilhouettes(eqx.Module):
         slot, inner, outer = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
         padded = eqx.tree_at(lambda found: (found.slot, found.inner, found.outer), silhouettes, (slot, inner, outer))
         depth, inner, outer = lax.stop_gradient((depth, inner, outer))
-        # Barriers, as the depth's: otherwise each look-up finds them again.
-        of_parts = lambda choose: lax.optimization_barrier(
-            jnp.where(slot == NO_SILHOUETTE, depth, choose(depth, take(choose(inner, outer), jnp.maximum(slot, 0))))
-        )
-        return cls(padded, Pyramid.of(has_one), of_parts(jnp.minimum), of_parts(jnp.maximum))
+        of_parts = lambda choose: choose(depth, take(choose(inner, outer), jnp.maximum(slot, 0)))
+        bounds = _in_steps(of_parts(jnp.minimum)) << _STEP_BITS | _in_steps(of_parts(jnp.maximum))
+        # Barrier, as the depth's: otherwise each look-up finds them again.
+        bounds = lax.optimization_barrier(jnp.where(slot == NO_SILHOUETTE, jnp.uint32(_STEPS << _STEP_BITS), bounds))
+        return cls(padded, Pyramid.of(has_one), bounds)
 
     def change(
         self,
@@ -63,6 +65,24 @@ class PaddedSilhouettes(eqx.Module):
         area = (part.right - part.left) * (part.above - part.below)
         fraction = self.map.area_within(slot, part, motion) / jnp.maximum(area, _LEAST_AREA)
         return outer + fraction * (inner - outer) - function(depth)
+
+
+def may_part(bounds: UInt32[Array, "*n"], depth: Float[Array, "*n"] | None = None) -> Bool[Array, "*n"]:
+    """Whether receivers at `depth` may lie between the parts of texels with these bounds; at any depth if left out.
+
+    Bounds are the depths of the nearest and the farthest part in one word, in steps, rounded down as the receivers'
+    depth is: some that lie close to a part may be taken for between. Of a texel without parts, the bounds are those of
+    no depth.
+    """
+    nearest, farthest = bounds >> _STEP_BITS, bounds & _STEPS
+    if depth is None:
+        return nearest <= farthest
+    step = _in_steps(depth)
+    return (nearest <= step) & (step <= farthest)
+
+
+def _in_steps(depth: Float[Array, "*n"]) -> UInt32[Array, "*n"]:
+    return jnp.clip(depth * _STEPS, 0, _STEPS).astype(jnp.uint32)
 
 
 class Pyramid(eqx.Module):
