@@ -11,22 +11,11 @@ from .._misc import safe_divide
 from .._types import Viewport
 from ._bins import Corners
 from ._depth_test import DepthTest
-from ._fixed import (
-    MOST_VIRTUAL,
-    SUBPIXEL_BITS,
-    SUBPIXELS,
-    edge_at_pixel,
-    first_centre,
-    last_centre,
-    owns_edge,
-    signed_area,
-)
+from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
 
 # A centre may lie outside its unsnapped triangle by half a sub-pixel, and its depth beyond the corners' by this share
 # of their range; a sliver's would run far further, and is held back.
 _OVERSHOOT = 0.02
-# A span is this much wider on both sides than it is found to be, in sub-pixels: more than what rounding can lose.
-_SLACK = SUBPIXELS // 8
 
 
 class DepthPlane(NamedTuple):
@@ -137,27 +126,6 @@ def plane_of_clip(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Depth
     height, width = resolution
     slope_x, slope_y = along_x * (2.0 / width), along_y * (2.0 / height)
     return DepthPlane(middle + 0.5 + slope_x * (0.5 - width * 0.5) + slope_y * (0.5 - height * 0.5), slope_x, slope_y)
-
-
-def span(
-    corners: Corners, bottom: Int[Array, " n"], top: Int[Array, " n"]
-) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """The first and last column of pixels that triangles may cover in the rows from `bottom` to `top`.
-
-    They are those of the leftmost and rightmost points of the edges there. The last column is before the first where
-    there are none.
-    """
-    x, y = lax.optimization_barrier([[at.astype(jnp.float32) for at in corner] for corner in corners.snapped()])
-    low, high = (((row << SUBPIXEL_BITS) + SUBPIXELS // 2).astype(jnp.float32) for row in (bottom, top))
-    beyond = float(2 * MOST_VIRTUAL * SUBPIXELS)
-    left, right = jnp.full_like(low, beyond), jnp.full_like(low, -beyond)
-    for k, following in enumerate((1, 2, 0)):
-        meets = (jnp.minimum(y[k], y[following]) <= high) & (jnp.maximum(y[k], y[following]) >= low)
-        inverse = safe_divide(jnp.ones_like(low), y[following] - y[k])
-        for row in (low, high):
-            at = x[k] + jnp.clip((row - y[k]) * inverse, 0, 1) * (x[following] - x[k])
-            left, right = jnp.where(meets, jnp.minimum(left, at), left), jnp.where(meets, jnp.maximum(right, at), right)
-    return first_centre(left.astype(jnp.int32) - _SLACK), last_centre(right.astype(jnp.int32) + _SLACK)
 
 
 def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: DepthTest) -> Float[Array, "n side side"]:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
+from ._items import Items
 
 
 class Crossings(eqx.Module):
@@ -41,10 +42,8 @@ def grid_crossings(
     - `capacity`: the maximum number of crossings; further ones are left out.
     """
     each = counts.reshape(-1)
-    last = jnp.cumsum(each, dtype=jnp.int32)
-    number = jnp.arange(capacity, dtype=jnp.int32)
-    owner = jnp.repeat(jnp.arange(each.shape[0], dtype=jnp.int32), each, total_repeat_length=capacity)
+    owner, number, exists = Items.of(each).chunk(0, capacity)
     segment, axis = owner // 2, owner % 2
     low = jnp.floor(jnp.minimum(start, end)).astype(jnp.int32).reshape(-1)
-    line = take(low, owner) + 1 + number - take(last - each, owner)
-    return Crossings(jnp.where(number < last[-1], segment, -1), axis, line)
+    line = take(low, owner) + 1 + number
+    return Crossings(jnp.where(exists, segment, -1), axis, line)

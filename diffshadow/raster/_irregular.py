@@ -22,6 +22,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import dot, in_float64, safe_divide, take
 from ..geometry import AbstractLight, Mesh, View
+from ._items import Items
+from ._span import extent
 from ._strips import BLOCK, Strips, in_strips
 
 # As fractions of the scene's size: a point that passes an edge by less is hidden by both of its faces, and faces that
@@ -316,47 +318,39 @@ def _test(
     boxes = _boxes(places, strips)
 
     first, count = strips.strips_between(outlines.low, outlines.high)
-    ends = jnp.cumsum(count.astype(jnp.int64))
-    items = ends[-1]
+    items = Items.of(count, jnp.int64)
     blocks = strips.left.shape[0]
 
     def of_items(state: tuple[Array, Array]) -> tuple[Array, Array]:
         """Looks at some pairs of triangle and strip."""
         start, hidden = state
-        item = start + jnp.arange(_ITEMS)
-        owner = jnp.minimum(jnp.searchsorted(ends, item, side="right"), ends.shape[0] - 1).astype(jnp.int32)
-        strip = take(first, owner) + (item - (take(ends, owner) - take(count, owner))).astype(jnp.int32)
-        valid = item < items
-        strip = jnp.where(valid, strip, 0)
+        owner, number, valid = items.chunk(start, _ITEMS)
+        strip = jnp.where(valid, take(first, owner) + number.astype(jnp.int32), 0)
         face = owner % faces
         left, right = _extent(outlines, owner, take(strips.low, strip), take(strips.high, strip))
         valid = valid & _reaches([take(values, face) for values in shadows.face], boxes, strip, tiny)
         block, length = strips.blocks_between(strip, left, right)
-        length = jnp.where(valid, length, 0)
-        until = jnp.cumsum(length)
-        pairs = until[-1]
+        pairs = Items.of(jnp.where(valid, length, 0), jnp.int64)
 
         def of_pairs(state: tuple[Array, Array]) -> tuple[Array, Array]:
             """Tests some triangles against blocks of points."""
             start, hidden = state
-            pair = start + jnp.arange(_PAIRS)
-            which = jnp.minimum(jnp.searchsorted(until, pair, side="right"), _ITEMS - 1).astype(jnp.int32)
-            at = (take(block, which) + (pair - (take(until, which) - take(length, which)))).astype(jnp.int32)
-            at = jnp.where(pair < pairs, at, 0)
+            which, number, exists = pairs.chunk(start, _PAIRS)
+            at = jnp.where(exists, take(block, which) + number.astype(jnp.int32), 0)
             triangle = take(face, which)
             x, y, z = (take(place, at) for place in places)
             heights = [_height([take(values, triangle)[:, None] for values in plane], x, y, z) for plane in planes]
             inside = (heights[0] >= -tiny) & (heights[1] >= -tiny) & (heights[2] >= -tiny)
             behind = (heights[3] < -tiny) & (heights[3] >= -take(shadows.reach, triangle)[:, None])
             hit = inside & behind & (take(own, at) != triangle[:, None])
-            hidden = hidden.at[jnp.where(pair < pairs, at, blocks)].max(hit, mode="drop")
+            hidden = hidden.at[jnp.where(exists, at, blocks)].max(hit, mode="drop")
             return start + _PAIRS, hidden
 
-        _, hidden = lax.while_loop(lambda state: state[0] < pairs, of_pairs, (jnp.zeros_like(pairs), hidden))
+        _, hidden = lax.while_loop(lambda state: state[0] < pairs.total, of_pairs, (jnp.int64(0), hidden))
         return start + _ITEMS, hidden
 
     start = jnp.zeros((blocks, BLOCK), bool)
-    _, hidden = lax.while_loop(lambda state: state[0] < items, of_items, (jnp.zeros_like(items), start))
+    _, hidden = lax.while_loop(lambda state: state[0] < items.total, of_items, (jnp.int64(0), start))
     return jnp.zeros(n, bool).at[strips.order.reshape(-1)].set(hidden.reshape(-1), mode="drop")
 
 
@@ -383,18 +377,6 @@ def _extent(outlines: Outlines, owner: Array, low: Array, high: Array) -> tuple[
     """From where to where along x triangles reach between y `low` and `high`, (n,) each."""
     xs, ys = ([take(values, owner) for values in part] for part in (outlines.x, outlines.y))
     left, right, cut = (take(values, owner) for values in (outlines.left, outlines.right, outlines.cut))
-    low, high = low - 2 * _MARGIN, high + 2 * _MARGIN
-    lows, highs = [], []
-    for k in range(3):
-        x, y, other_x, other_y = xs[k], ys[k], xs[(k + 1) % 3], ys[(k + 1) % 3]
-        inside = (low <= y) & (y <= high)
-        places = [(x, inside)]
-        for level in (low, high):
-            crosses = (y < level) != (other_y < level)
-            t = jnp.clip(safe_divide(level - y, other_y - y), 0, 1)
-            places.append((x + t * (other_x - x), crosses))
-        lows += [jnp.where(counts, place, jnp.inf) for place, counts in places]
-        highs += [jnp.where(counts, place, -jnp.inf) for place, counts in places]
-    least = jnp.min(jnp.stack(lows), axis=0) - _MARGIN
-    most = jnp.max(jnp.stack(highs), axis=0) + _MARGIN
+    least, most = extent(xs, ys, low - 2 * _MARGIN, high + 2 * _MARGIN)
+    least, most = least - _MARGIN, most + _MARGIN
     return jnp.where(cut, jnp.maximum(left, least), left), jnp.where(cut, jnp.minimum(right, most), right)

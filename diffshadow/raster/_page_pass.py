@@ -20,6 +20,7 @@ from ..geometry import Pages
 from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Facing, Triangles, classify
 from ._compact import Groups, group
 from ._depth_test import DepthTest
+from ._items import Items
 from ._windows import PADDING, Chunk, DrawPass, Write
 
 # Where the pages that a face touches may be resident is known for so many cells a side.
@@ -31,9 +32,8 @@ class Pairs(NamedTuple):
 
     - `left`, `bottom`, `columns`: (f,), of each face the first column and row of pages that its box touches, and how
         many columns.
-    - `lengths`: (f,), its number of pairs: pages that its box touches, resident or not, or all resident pages of the
-        level if these are fewer.
-    - `ends`: (f,), the number of pairs up to each face and with it, in the order of the level's groups.
+    - `items`: the pairs of each face, in the order of the level's groups: pages that its box touches, resident or not,
+        or all resident pages of the level if these are fewer.
     - `starts`, `counts`: (c,), where the pairs of each class begin, and how many they are.
     - `first`, `resident`: the first layer of the level, and how many layers it has.
     """
@@ -41,8 +41,7 @@ class Pairs(NamedTuple):
     left: Int[Array, " f"]
     bottom: Int[Array, " f"]
     columns: Int[Array, " f"]
-    lengths: Int[Array, " f"]
-    ends: Int[Array, " f"]
+    items: Items
     starts: Int[Array, " c"]
     counts: Int[Array, " c"]
     first: Int[Array, ""]
@@ -124,14 +123,9 @@ class _LevelPass(DrawPass):
         pairs = self.pairs
         rank = number * length + jnp.arange(length, dtype=jnp.int32)
         used = rank < pairs.counts[of_class]
-        pair = jnp.where(used, pairs.starts[of_class] + rank, 0)
-        owner = jnp.searchsorted(pairs.ends, pair, side="right").astype(jnp.int32)
-        owner = jnp.minimum(owner, pairs.ends.shape[0] - 1)
-        face = take(self.triangles.groups.elements, owner)
-        left, bottom, columns, count = (
-            take(values, face) for values in (pairs.left, pairs.bottom, pairs.columns, pairs.lengths)
-        )
-        within = pair - (take(pairs.ends, owner) - count)
+        owner, within, _ = pairs.items.chunk(pairs.starts[of_class] + number * length, length)
+        face, count = take(self.triangles.groups.elements, owner), take(pairs.items.lengths, owner)
+        left, bottom, columns = (take(values, face) for values in (pairs.left, pairs.bottom, pairs.columns))
         row, column = bottom + within // columns, left + within % columns
         page = Pages.number(self.pages.levels, self.level, row, column)
         # Faces that touch more pages than are resident go through those.
@@ -198,12 +192,12 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     lengths = jnp.where(clipped, resident, jnp.minimum(columns * (top - bottom + 1), resident))
     order = jnp.arange(faces.shape[0], dtype=jnp.int32)
     in_order = jnp.where(order < jnp.sum(groups.counts, dtype=jnp.int32), take(lengths, groups.elements), 0)
-    ends = jnp.cumsum(in_order, dtype=jnp.int32)
-    before = jnp.concatenate([jnp.zeros(1, jnp.int32), ends])
+    items = Items.of(in_order)
+    before = jnp.concatenate([jnp.zeros(1, jnp.int32), items.ends])
     starts = take(before, groups.starts)
     counts = take(before, groups.starts + groups.counts) - starts
     first = jnp.argmax(mine).astype(jnp.int32)
-    pairs = Pairs(left, bottom, columns, lengths, ends, starts, counts, first, resident)
+    pairs = Pairs(left, bottom, columns, items, starts, counts, first, resident)
     return Level(level, x, y, z, groups, pairs)
 
 

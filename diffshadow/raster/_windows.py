@@ -27,8 +27,10 @@ from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._compact import sums_up_to
-from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, span, window_depth
+from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
+from ._items import Items
+from ._span import span
 
 PADDING = max(*WINDOWS, BLOCK)
 SCATTER = lax.ScatterDimensionNumbers(
@@ -215,19 +217,19 @@ class DrawPass(Drawing):
         """
         box = self._box(corners, layer)
         drawn = (source >= 0) & draws(*corners.snapped(), box, self.facing)
-        rows = _Items.of(jnp.where(drawn, (box.top - box.bottom) // BLOCK + 1, 0))
+        rows = Items.of(jnp.where(drawn, (box.top - box.bottom) // BLOCK + 1, 0))
         rows_at_once = _ROWS_TO_BLOCKS * self.at_once
 
         def some_rows(number: Array, buffer: Array) -> Array:
-            triangle, row, exists = rows.chunk(number, rows_at_once)
+            triangle, row, exists = rows.chunk(number * rows_at_once, rows_at_once)
             own, own_box = _of((corners, box), triangle)
             bottom = own_box.bottom + row * BLOCK
             left, right = span(own, bottom, jnp.minimum(bottom + (BLOCK - 1), own_box.top))
             left, right = jnp.maximum(left, own_box.left), jnp.minimum(right, own_box.right)
-            blocks = _Items.of(jnp.where(exists & (left <= right), (right - left) // BLOCK + 1, 0))
+            blocks = Items.of(jnp.where(exists & (left <= right), (right - left) // BLOCK + 1, 0))
 
             def some_blocks(number: Array, buffer: Array) -> Array:
-                row, column, exists = blocks.chunk(number, self.at_once)
+                row, column, exists = blocks.chunk(number * self.at_once, self.at_once)
                 x, y, owner = _of((left, bottom, triangle), row)
                 own, own_plane, own_source, own_layer = _of((corners, plane, source, layer), owner)
                 origin_x, origin_y = self._origin(own_layer)
@@ -237,39 +239,9 @@ class DrawPass(Drawing):
                 own_source = lax.optimization_barrier(jnp.where(exists, own_source, -1))
                 return write(buffer, form, own_source, BLOCK)
 
-            return self._loop(blocks.chunks(self.at_once), some_blocks, buffer)
+            return self._loop(_ceil_div(blocks.total, self.at_once), some_blocks, buffer)
 
-        return self._loop(rows.chunks(rows_at_once), some_rows, buffer)
-
-
-class _Items(NamedTuple):
-    """Items that belong to owners, numbered through.
-
-    - `lengths`: (n,), how many items each owner has.
-    - `ends`: (n,), the number of items up to each owner and with it.
-    """
-
-    lengths: Int[Array, " n"]
-    ends: Int[Array, " n"]
-
-    @classmethod
-    def of(cls, lengths: Int[Array, " n"]) -> "_Items":
-        return cls(lengths, jnp.cumsum(lengths, dtype=jnp.int32))
-
-    def chunks(self, length: int) -> Int[Array, ""]:
-        """The number of chunks of `length` items."""
-        return _ceil_div(self.ends[-1], length)
-
-    def chunk(self, number: Array, length: int) -> tuple[Array, Array, Array]:
-        """Each item's owner, its place among those of its owner, and whether it is one, (length,) each: the last chunk
-        is filled up."""
-        item = number * length + jnp.arange(length, dtype=jnp.int32)
-        exists = item < self.ends[-1]
-        # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
-        method = "scan" if jax.default_backend() == "cpu" else "scan_unrolled"
-        found = jnp.searchsorted(self.ends, item, side="right", method=method).astype(jnp.int32)
-        owner = lax.optimization_barrier(jnp.where(exists, found, 0))
-        return owner, item - take(self.ends - self.lengths, owner), exists
+        return self._loop(_ceil_div(rows.total, rows_at_once), some_rows, buffer)
 
 
 def _of(tree: Any, owner: Int[Array, " n"]) -> Any:

@@ -17,7 +17,8 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 class AbstractCompare(eqx.Module):
     """Compares stored depth with receiver depth.
 
-    - `has_depth_derivative`: whether the result has a derivative with respect to depth.
+    - `has_depth_derivative`: whether the result has a derivative with respect to depth. If not, it changes only where
+        `receiver` passes `stored`: elsewhere, texels with silhouettes count as compared alike in all of their parts.
     """
 
     @property

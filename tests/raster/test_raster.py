@@ -284,6 +284,7 @@ def test_large_faces_have_as_many_blocks_as_they_need():
     face, seen = draw(clip, faces.reshape(-1, 3), (256, 256))
     row, column = np.indices(face.shape)
     np.testing.assert_array_equal((face - 2 * (layers - 1))[row != column], (row > column)[row != column])
+    assert (face != NO_FACE).all()
     np.testing.assert_allclose(seen, 0.1, rtol=1e-6)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffshadow.raster._bins import Corners
-from diffshadow.raster._coverage import span
+from diffshadow.raster._span import span
 
 COUNT = 4096
 BLOCK = 16

@@ -61,6 +61,12 @@ class PaddedMap(eqx.Module):
         depth = self.read(self.depth, place, skip)
         return lax.optimization_barrier(depth) if self.apart else depth
 
+    def with_depths_detached(self) -> "PaddedMap":
+        """Without derivatives with respect to the stored depths."""
+        maps = lambda padded: [] if padded.silhouettes is None else [padded.silhouettes.map]
+        depths = lambda padded: (padded.depth, *(values for own in maps(padded) for values in (own.inner, own.outer)))
+        return eqx.tree_at(depths, self, lax.stop_gradient(depths(self)))
+
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         """As `depth_at`, from another flat array with the same layout."""
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))

@@ -50,8 +50,8 @@ def sum_over(
     """
     silhouettes = padded.silhouettes
     if not compare.has_depth_derivative:
-        # Otherwise derivatives of zero are found for every pixel.
-        lookup = lookup.with_depths_detached()
+        # Derivatives with respect to depths are zero, and XLA would compute them for all pixels and the whole map.
+        padded, lookup = padded.with_depths_detached(), lookup.with_depths_detached()
     if active is None and silhouettes is None:
         return total(_Plain(), padded, compare, (kernel, lookup), steps, None)
     if lookup.depth.ndim == 2:

@@ -72,8 +72,6 @@ def _total_jvp(primals, tangents):
     spread = lambda leaf: jnp.broadcast_to(leaf, lookup.depth.shape) if eqx.is_inexact_array(leaf) else leaf
     at = jax.tree.map(spread, kernel), lookup
     moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
-    if not compare.has_depth_derivative:
-        d_padded = _without_depths(d_padded)
 
     def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
         # XLA does not vectorize the derivatives of a soft compare in a kernel that gathers depths too, and compiles it
@@ -94,13 +92,6 @@ def _total_jvp(primals, tangents):
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_at), strict=True):
         tangent = tangent + slope * d
     return value, tangent
-
-
-def _without_depths(change: Any) -> Any:
-    """A map's tangent without that of its depths, which is unused but would be evaluated for the whole map."""
-    outlined = change.silhouettes is not None
-    of_outline = lambda d: (d.silhouettes.map.inner, d.silhouettes.map.outer) if outlined else ()
-    return eqx.tree_at(lambda d: (d.depth, *of_outline(d)), change, replace_fn=lambda _: None, is_leaf=_is_none)
 
 
 def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i p j q"]) -> Any:
