@@ -39,16 +39,24 @@ BLOCK = 16
 NOTHING = -1
 
 
-class Corners(NamedTuple):
-    """Corners of triangles in window coordinates: `x`, `y` in pixels, not snapped, and depth `z`; (3, n) each."""
+Window = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
+"""Window coordinates: x and y in pixels, not snapped, and depth."""
 
-    x: Float[Array, "3 n"]
-    y: Float[Array, "3 n"]
+
+class Corners(NamedTuple):
+    """Corners of triangles: `x`, `y` in whole sub-pixels, and depth `z`; (3, n) each."""
+
+    x: Int[Array, "3 n"]
+    y: Int[Array, "3 n"]
     z: Float[Array, "3 n"]
 
-    def snapped(self) -> tuple[Int[Array, "3 n"], Int[Array, "3 n"]]:
-        """x and y in sub-pixels."""
-        return snap(self.x), snap(self.y)
+    @classmethod
+    def snapped(cls, window: Window) -> "Corners":
+        """Corners at window coordinates, (3, n) each, snapped."""
+        x, y, z = window
+        # The barrier keeps XLA from rounding them again for all that uses them.
+        x, y = lax.optimization_barrier((snap(x), snap(y)))
+        return cls(x, y, z)
 
 
 class Box(NamedTuple):
@@ -75,13 +83,13 @@ class Triangles(eqx.Module):
     faces: Int[Array, "f 3"]
     groups: Groups
 
-    def corners(self, face: Int[Array, " n"]) -> Corners:
-        """The corners of the faces `face`."""
+    def window(self, face: Int[Array, " n"]) -> Window:
+        """The corners of the faces `face`, (3, n) each."""
         vertices = take(self.faces, face).T
-        return Corners(*(take(values, vertices) for values in (self.x, self.y, self.z)))
+        return take(self.x, vertices), take(self.y, vertices), take(self.z, vertices)
 
 
-def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> tuple[Array, Array, Array]:
+def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> Window:
     """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (*n,); `w = 0` maps to the middle."""
     height, width = resolution
     w = clip[3]

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._misc import safe_divide
@@ -42,7 +41,7 @@ def span(
 
     The last column is before the first where there are none.
     """
-    x, y = lax.optimization_barrier([[at.astype(jnp.float32) for at in corner] for corner in corners.snapped()])
+    x, y = ([at.astype(jnp.float32) for at in along] for along in (corners.x, corners.y))
     low, high = (((row << SUBPIXEL_BITS) + SUBPIXELS // 2).astype(jnp.float32) for row in (bottom, top))
     beyond = 2 * MOST_VIRTUAL * SUBPIXELS
     left, right = (jnp.clip(side, -beyond, beyond).astype(jnp.int32) for side in extent(x, y, low, high))

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
@@ -42,7 +43,7 @@ _FACE_BITS = 32
 # How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
 _CLIPPED_AT_ONCE = 64, 256, 2048
 # Drawings of so many pixels or faces are large.
-_MANY_PIXELS, _MANY_FACES = 1 << 20, 1 << 14
+_MANY_PIXELS, _MANY_FACES = 1 << 22, 1 << 16
 # How many rows of blocks are cut into blocks at once, for each block that is drawn at once.
 _ROWS_TO_BLOCKS = 2
 
@@ -128,6 +129,12 @@ class DrawPass(Drawing):
     def _loop(self, steps: Int[Array, ""], body: Callable[[Array, Array], Array], buffer: Array) -> Array:
         return lax.fori_loop(jnp.int32(0), steps.astype(jnp.int32), body, buffer)
 
+    def _corners(self, face: Int[Array, " n"]) -> tuple[Corners, DepthPlane]:
+        """Corners of faces that need no clipping, and the planes that they lie in."""
+        window = self.triangles.window(face)
+        corners = Corners.snapped(window)
+        return corners, plane_of_corners(window, corners)
+
     def _form(self, corners: Corners, plane: DepthPlane, x: Array, y: Array, layer: Array | None) -> EdgeForm:
         """Edge functions of triangles about the pixels (`x`, `y`) of their layers."""
         left, bottom = self._origin(layer)
@@ -149,7 +156,7 @@ class DrawPass(Drawing):
 
     def _box(self, corners: Corners, layer: Array | None) -> Box:
         """The pixel boxes of triangles within their layers."""
-        return pixel_box(*corners.snapped(), self.resolution)
+        return pixel_box(corners.x, corners.y, self.resolution)
 
     def _origin(self, layer: Array | None) -> tuple[Any, Any]:
         """x and y of the first pixels of layers in the image."""
@@ -167,12 +174,12 @@ class DrawPass(Drawing):
         def chunk(number: Array, buffer: Array) -> Array:
             size_class = jnp.sum(number >= ends, dtype=jnp.int32)
             face, used, layer = self._chunk(size_class, number - (ends - chunks)[size_class], self.at_once)
-            corners = self.triangles.corners(face)
+            corners, plane = self._corners(face)
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
                 used = used & (box.left <= box.right) & (box.bottom <= box.top)
             x, y = (jnp.where(used, low, 0) for low in (box.left - left, box.bottom - bottom))
-            form, source = self._form(corners, plane_of_corners(corners), x, y, layer), jnp.where(used, face, -1)
+            form, source = self._form(corners, plane, x, y, layer), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
 
@@ -184,8 +191,7 @@ class DrawPass(Drawing):
 
         def whole(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
             face, used, layer = self._chunk(LARGE, number, self.at_once)
-            corners = self.triangles.corners(face)
-            return corners, plane_of_corners(corners), jnp.where(used, face, -1), layer
+            return *self._corners(face), jnp.where(used, face, -1), layer
 
         def clipped(number: Array) -> tuple[Corners, DepthPlane, Array, Array | None]:
             face, used, layer = self._chunk(CLIPPED, number - large, self.clipped_at_once)
@@ -193,7 +199,7 @@ class DrawPass(Drawing):
             parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
             each = lambda values: jnp.tile(values, FAN)
             plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
-            window = Corners(*to_window(parts, self.resolution))
+            window = Corners.snapped(to_window(parts, self.resolution))
             return window, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
 
         def batch(number: Array, buffer: Array) -> Array:
@@ -216,7 +222,7 @@ class DrawPass(Drawing):
         there: of a long thin triangle far fewer than its box.
         """
         box = self._box(corners, layer)
-        drawn = (source >= 0) & draws(*corners.snapped(), box, self.facing)
+        drawn = (source >= 0) & draws(corners.x, corners.y, box, self.facing)
         rows = Items.of(jnp.where(drawn, (box.top - box.bottom) // BLOCK + 1, 0))
         rows_at_once = _ROWS_TO_BLOCKS * self.at_once
 
@@ -251,8 +257,10 @@ def _of(tree: Any, owner: Int[Array, " n"]) -> Any:
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:
     """The least depth at every pixel, infinite where there is none."""
-    stored = lambda form, source, side: window_depth(form, source >= 0, side, drawing.test)
-    return _least(drawing, stored, jnp.inf, jnp.float32)
+    bits = lambda depth: lax.bitcast_convert_type(depth, jnp.int32)
+    stored = lambda form, source, side: bits(window_depth(form, source >= 0, side, drawing.test))
+    least = _least(drawing, stored, int(np.float32(np.inf).view(np.int32)), jnp.int32)
+    return lax.bitcast_convert_type(least, jnp.float32)
 
 
 def least_depth_and_face(

@@ -11,7 +11,7 @@ from diffshadow.raster._span import span
 COUNT = 4096
 BLOCK = 16
 
-_span = jax.jit(lambda x, y, bottom, top: span(Corners(x, y, jnp.zeros_like(x)), bottom, top))
+_span = jax.jit(lambda x, y, bottom, top: span(Corners.snapped((x, y, jnp.zeros_like(x))), bottom, top))
 
 _on_device = lambda x, y, bottom, top: map(np.asarray, _span(x.astype(np.float32), y.astype(np.float32), bottom, top))
 
