@@ -10,6 +10,9 @@ from jaxtyping import Array, Bool, Int
 
 from .._misc import take
 
+# With no more owners than this to an item, a CPU takes less time to mark where each one's items end than to search.
+_MOST_MARKS = 8
+
 
 class Items(NamedTuple):
     """Items of owners: first all of the first owner, then all of the second, and so on.
@@ -37,9 +40,17 @@ class Items(NamedTuple):
         """Of the `length` items from number `first`: each one's owner, its place among those of its owner, and whether
         there is such an item. For one that there is not, owner and place mean nothing; the owner exists."""
         item = first + jnp.arange(length, dtype=self.ends.dtype)
-        # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
-        method = "scan" if jax.default_backend() == "cpu" else "scan_unrolled"
-        found = jnp.searchsorted(self.ends, item, side="right", method=method).astype(jnp.int32)
         # The barrier keeps XLA from searching again for each value that is looked up.
-        owner = lax.optimization_barrier(jnp.minimum(found, self.ends.shape[0] - 1))
+        owner = lax.optimization_barrier(jnp.minimum(self._ended(item), self.ends.shape[0] - 1))
         return owner, item - take(self.ends - self.lengths, owner), item < self.total
+
+    def _ended(self, item: Int[Array, " length"]) -> Int[Array, " length"]:
+        """How many owners' items end at or before each of these consecutive ones: the number of its owner."""
+        if jax.default_backend() != "cpu":
+            # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
+            return jnp.searchsorted(self.ends, item, side="right", method="scan_unrolled").astype(jnp.int32)
+        count = item.shape[0]
+        if self.ends.shape[0] > _MOST_MARKS * count:
+            return jnp.searchsorted(self.ends, item, side="right").astype(jnp.int32)
+        marks = jnp.zeros(count + 1, jnp.int32).at[jnp.clip(self.ends - item[0], 0, count)].add(1)
+        return jnp.cumsum(marks[:-1], dtype=jnp.int32)
