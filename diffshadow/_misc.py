@@ -91,9 +91,9 @@ def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
 
 
 @jax.jit
-def components(vectors: Float[Array, "*n 2"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """x and y of vectors in two arrays."""
-    return vectors[..., 0], vectors[..., 1]
+def components(vectors: Float[Array, "*n c"]) -> tuple[Float[Array, "*n"], ...]:
+    """x, y and so on of vectors in an array each."""
+    return tuple(vectors[..., k] for k in range(vectors.shape[-1]))
 
 
 def round_up_to_power_of_two(n: int) -> int:

@@ -29,6 +29,9 @@ class Lookup(eqx.Module):
         (h, w, 2).
     - `layer`: (h, w), which of the light's maps is read; none if there is only one.
     - `deepest`: (h, w), upper bound on the window depth of the receiver plane; none for no bound.
+    - `position`: the points in the world that x and y are the projections of, x, y and z, (h, w) each; none if not
+        known. With it, derivatives by x and y under a hard compare are found only where silhouettes cause some.
+        `Lookup(...)` takes one array (h, w, 3).
     """
 
     # Separate arrays for x and y: XLA does not vectorize them when they are interleaved in memory.
@@ -40,6 +43,7 @@ class Lookup(eqx.Module):
     slope: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None
     layer: Int[Array, "*n"] | None
     deepest: Float[Array, "*n"] | None
+    position: tuple[Float[Array, "*n"], ...] | None
 
     def __init__(
         self,
@@ -50,11 +54,13 @@ class Lookup(eqx.Module):
         slope: Float[Array, "*n 2"] | None = None,
         layer: Int[Array, "*n"] | None = None,
         deepest: Float[Array, "*n"] | None = None,
+        position: Float[Array, "*n 3"] | None = None,
     ):
         self.x, self.y = components(texel)
         self.depth, self.depth_per_texel, self.inside = depth, depth_per_texel, inside
         self.slope = None if slope is None else components(slope)
         self.layer, self.deepest = layer, deepest
+        self.position = None if position is None else components(position)
 
     @property
     def texel(self) -> Float[Array, "*n 2"]:
@@ -62,11 +68,16 @@ class Lookup(eqx.Module):
         return jnp.stack([self.x, self.y], axis=-1)
 
     def at(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> "Lookup":
-        """The same look-up at another position."""
-        return eqx.tree_at(lambda lookup: (lookup.x, lookup.y), self, (x, y))
+        """The same look-up elsewhere."""
+        moved = lambda lookup: (lookup.x, lookup.y, lookup.position)
+        return eqx.tree_at(moved, self, (x, y, None), is_leaf=lambda leaf: leaf is None)
+
+    def of(self, position: tuple[Float[Array, "*n"], ...]) -> "Lookup":
+        """The same look-up, of points whose projections are at x and y."""
+        return eqx.tree_at(lambda lookup: lookup.position, self, position, is_leaf=lambda leaf: leaf is None)
 
     def detached(self) -> "Lookup":
-        """Without derivatives with respect to the position."""
+        """Without derivatives with respect to where it is."""
         return self.at(*lax.stop_gradient((self.x, self.y)))
 
     def with_depths_detached(self) -> "Lookup":
@@ -82,9 +93,10 @@ def rearranged(tree: Any, function: Callable[[Array], Array]) -> Any:
 
 def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
     """The look-ups of receivers under a bias."""
-    texel, depth, in_front = at.texel, at.depth, at.in_front
+    position, texel, depth, in_front = at.position, at.texel, at.depth, at.in_front
     if terms.displacement is not None:
-        texel, depth, in_front = project(shadow_map, at.position + terms.displacement, at.layer)
+        position = position + terms.displacement
+        texel, depth, in_front = project(shadow_map, position, at.layer)
     inside = in_front & (depth <= 1)
     depth = depth - terms.depth
     slope = deepest = None
@@ -97,7 +109,7 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
             depth = jnp.clip(depth, 0, 1)
         else:
             deepest = jnp.ones_like(depth) if deepest is None else jnp.minimum(deepest, 1)
-    return Lookup(texel, depth, at.depth_per_texel, inside, slope, at.layer, deepest)
+    return Lookup(texel, depth, at.depth_per_texel, inside, slope, at.layer, deepest, position)
 
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:

@@ -103,7 +103,8 @@ def _visibility(
         faces_away = surface.mask & ~(cosine > 0)
         active = surface.mask & lookup.inside & ~faces_away
         # Inactive pixels look far outside the map, where no work is done.
-        lookup = lookup.at(*(jnp.where(active, place, _NOWHERE) for place in (lookup.x, lookup.y)))
+        place = lambda lookup: (lookup.x, lookup.y)
+        lookup = eqx.tree_at(place, lookup, [jnp.where(active, at, _NOWHERE) for at in place(lookup)])
         # Barrier: otherwise XLA recomputes the projection for every tap. One barrier per array, so that arrays without
         # a derivative do not get one.
         lookup = jax.tree.map(lax.optimization_barrier, lookup)

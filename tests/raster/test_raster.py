@@ -297,6 +297,23 @@ def test_nothing_is_seen_where_no_face_is():
 # However many triangles
 
 
+def test_slivers_are_no_deeper_and_no_nearer_than_their_corners():
+    """Thinner than a sub-pixel: snapped, they hold centres at which their own planes run far off."""
+    rng = np.random.default_rng(0)
+    count, size = 1300, np.array(RESOLUTION[::-1])
+    # Along lines through centres.
+    centre, way = rng.integers(0, size, (count, 2)) + 0.5, rng.normal(size=(count, 2)) * 10
+    start = centre - rng.uniform(0.2, 0.8, (count, 1)) * way
+    across = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1, keepdims=True)
+    middle = start + rng.uniform(0.2, 0.8, (count, 1)) * way + rng.uniform(-2e-3, 2e-3, (count, 1)) * across
+    corners, z = np.stack([start, start + way, middle], axis=1).reshape(-1, 2), rng.uniform(0.4, 0.6, 3 * count)
+    face, depth = draw_window(corners, z, np.arange(3 * count))
+    depth = depth[face >= 0]
+    assert len(depth) > 100
+    assert depth.min() > 0.4 - 0.02 * 0.2
+    assert depth.max() < 0.6 + 0.02 * 0.2
+
+
 def test_many_triangles_of_every_size_are_drawn_as_few_are():
     """So many that every loop runs several times: small ones, large ones, and those that are clipped."""
     times = MOST_FACES // COUNT // 3

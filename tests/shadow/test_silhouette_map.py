@@ -36,6 +36,7 @@ from diffshadow.shadow import (
     PercentageCloserSoft,
     RandomDisk,
     ReceiverPlane,
+    ShadowMap,
     ShadowMapping,
     Tent,
     VarianceShadowMap,
@@ -43,8 +44,11 @@ from diffshadow.shadow import (
     plan_crossings,
     stratified,
 )
+from diffshadow.shadow._lookup import look_up
 from diffshadow.shadow._map import _about_corners, _silhouettes
+from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
+from diffshadow.shadow.silhouettes._crossings import BEGIN, END, Grid, _outermost
 from diffshadow.shadow.silhouettes._padded import Pyramid
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
@@ -422,6 +426,25 @@ def test_half_planes_move_as_edges_do():
     assert np.abs(differences[2]).max() > 10
 
 
+def test_of_several_crossings_of_a_side_the_outermost_counts():
+    """First of those that lie on it, then of those near its corners; and of several at one place the first."""
+    grid, count = Grid(1, 3, 4), 60
+    rng = np.random.default_rng(0)
+    # Few sides and places, so that several crossings share both; the last side stands for none.
+    side, begins = rng.integers(grid.sides - 6, grid.sides + 1, (2, count)), rng.integers(0, 2, count) > 0
+    offset = rng.integers(-1, 5, (2, count)) / 4
+    found = np.asarray(_outermost(*map(jnp.asarray, (side.astype(np.int32), begins, offset.astype(np.float32))), grid))
+    for role in (END, BEGIN):
+        for one in range(grid.sides):
+            of_side = [
+                (row, offset[row, k] if begins[k] else -offset[row, k], row * count + k)
+                for row in range(2)
+                for k in range(count)
+                if side[row, k] == one and begins[k] == (role == BEGIN)
+            ]
+            assert found[role, one] == min(of_side, default=(0, 0, 2 * count))[2]
+
+
 def _without_silhouettes(shadow_map):
     """The map as if it had none, for the same programs."""
     slot = shadow_map.silhouettes.slot
@@ -495,6 +518,32 @@ class _Everywhere(HardCompare):
     @property
     def has_depth_derivative(self) -> bool:
         return True
+
+
+@pytest.mark.parametrize(("light", "mode"), [("spot", jax.jacfwd), ("point", jax.jacrev)])
+def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
+    """Derivatives by the light are found for the points near outlines alone: those that the projection of all has."""
+    make, parameters, _ = LIGHTS[light]
+    mesh, surface = _caster("fence"), surface_at(_spread(64**2).reshape(64, 64, 3), UP)
+    weights = jnp.asarray(np.random.default_rng(0).uniform(0, 1, (64, 64)), jnp.float32)
+    drawn = _draw(mesh, make(jnp.zeros(parameters)))
+    bias = Bias(0.01, 0, 0.3)
+
+    @eqx.filter_jit
+    def slope(by, has_points):
+        def lit(by):
+            shadow_map = ShadowMap(drawn.depth, make(by), silhouettes=drawn.silhouettes)
+            at = receiver(shadow_map, surface)
+            lookup = look_up(shadow_map, at, bias(at))
+            # At another place the points are not known.
+            lookup = lookup if has_points else lookup.at(lookup.x, lookup.y)
+            return jnp.sum(weights * Bilinear()(shadow_map, lookup, HardCompare()))
+
+        return mode(lit)(by)
+
+    by_points, by_places = (slope(jnp.zeros(parameters), has_points) for has_points in (True, False))
+    assert np.abs(by_places).min() > 0.1
+    np.testing.assert_allclose(by_points, by_places, rtol=2e-3)
 
 
 def test_texels_whose_parts_compare_alike_need_no_correction():

@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ...geometry import View
 from .._map import ShadowMap
 from ..silhouettes._padded import PaddedSilhouettes
 
@@ -25,6 +26,7 @@ class PaddedMap(eqx.Module):
     - `silhouettes`: the casters' outlines within texels, or none.
     - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
     - `apart`: whether the depths of all look-ups are read before any is compared.
+    - `view`: the map's, where derivatives follow it; see `Lookup.position`.
     """
 
     depth: Float[Array, " n"]
@@ -34,6 +36,7 @@ class PaddedMap(eqx.Module):
     silhouettes: PaddedSilhouettes | None = None
     first: Int[Array, ""] | None = None
     apart: bool = eqx.field(static=True, default=False)
+    view: View | None = None
 
     @property
     def stride(self) -> int:
@@ -60,6 +63,22 @@ class PaddedMap(eqx.Module):
         """
         depth = self.read(self.depth, place, skip)
         return lax.optimization_barrier(depth) if self.apart else depth
+
+    def texel(
+        self, position: tuple[Float[Array, "*n"], ...], layer: Int[Array, "*n"] | None
+    ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+        """x and y of points in the world, where `view` sees them.
+
+        In arrays of their own: in reverse mode, XLA is slow to add up axes of three coordinates.
+        """
+        assert self.view is not None
+        matrix = (self.view if layer is None else self.view.facing(layer)).matrix
+        x, y, w = (
+            sum((matrix[..., row, k] * at for k, at in enumerate(position)), start=matrix[..., row, 3])
+            for row in (0, 1, 3)
+        )
+        w = jnp.where(w > 0, w, 1)
+        return (x / w * 0.5 + 0.5) * self.width, (y / w * 0.5 + 0.5) * self.height
 
     def with_depths_detached(self) -> "PaddedMap":
         """Without derivatives with respect to the stored depths."""
@@ -105,4 +124,4 @@ def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
     found = shadow_map.silhouettes
     depth = padded(hides(shadow_map.depth), _NOTHING)
     silhouettes = None if found is None else PaddedSilhouettes.of(found, depth, padded, hides)
-    return PaddedMap(depth, height, width, margin, silhouettes)
+    return PaddedMap(depth, height, width, margin, silhouettes, view=None if found is None else shadow_map.view)

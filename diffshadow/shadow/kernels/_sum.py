@@ -1,5 +1,6 @@
 """Sums of compares over the texels that kernels read: the basis of every filter."""
 
+import dataclasses
 import math
 from operator import itemgetter
 from typing import Any
@@ -52,21 +53,27 @@ def sum_over(
     if not compare.has_depth_derivative:
         # Derivatives with respect to depths are zero, and XLA would compute them for all pixels and the whole map.
         padded, lookup = padded.with_depths_detached(), lookup.with_depths_detached()
-    if active is None and silhouettes is None:
-        return total(_Plain(), padded, compare, (kernel, lookup), steps, None)
-    if lookup.depth.ndim == 2:
+    if lookup.depth.ndim == 2 and not (active is None and silhouettes is None):
         blocks = Blocks.of(lookup.depth.shape)
         at = rearranged((kernel, lookup), blocks.cut)
         return blocks.join(sum_over(at[0], padded, compare, at[1], steps))
+    position, lookup = lookup.position, lookup.at(lookup.x, lookup.y)
+    # Derivatives by what is not read would be zero, but computed.
+    depths = dataclasses.replace(padded, silhouettes=None, view=None)
     if silhouettes is None:
-        return total(_Plain(), padded, compare, (kernel, lookup), steps, active)
+        return total(_Plain(), depths, compare, (kernel, lookup), steps, active)
     # With a hard compare, the derivative by a receiver's position comes from outlines alone: steps between texels have
     # none.
     follows_outlines = not compare.has_depth_derivative
-    plain_lookup = lookup.detached() if follows_outlines else lookup
-    plain = total(_Plain(), padded, compare, (kernel, plain_lookup), steps, active)
+    still = lookup.detached() if follows_outlines else lookup
+    plain = total(_Plain(), depths, compare, (kernel, still), steps, active)
     near = silhouettes.texels.any_within(lookup.x, lookup.y, lookup.layer, kernel.reach(lookup, steps))
     near = near if active is None else near & active
+    if follows_outlines and position is not None:
+        # So that it is differentiated for the few look-ups that are near, not for all.
+        lookup = still.of(position)
+    else:
+        padded = dataclasses.replace(padded, view=None)
     return plain + total(Corrections(follows_outlines), padded, compare, (kernel, lookup), steps, near)
 
 

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._misc import a_step, round_up_to_power_of_two, take
@@ -52,6 +53,7 @@ def _sum(
     active: Bool[Array, "i p j q"] | None,
 ) -> Any:
     """The sum of all terms where look-ups are `active`, and 0 elsewhere."""
+    at, _ = _position_apart(*at)
     one = lambda at, step: terms.term(padded, compare, at, step)
     some = lambda at: terms.add_up(one, padded, compare, at, steps)
     return some(at) if active is None else _where_active(some, at, active)
@@ -65,13 +67,18 @@ def _total_jvp(primals, tangents):
     """Computes each term's derivatives with respect to the look-up's numbers in reverse mode, and sums them like the
     terms. The cost of a Jacobian then does not depend on the number of parameters. Derivatives with respect to the map
     and the compare are not per look-up, and are summed separately, in forward mode."""
-    terms, padded, compare, at, steps, active = primals
-    _, d_padded, d_compare, d_at, _, _ = tangents
-    kernel, lookup = at
+    terms, padded, compare, (kernel, lookup), steps, active = primals
+    _, d_padded, d_compare, (d_kernel, d_lookup), _, _ = tangents
     # A scalar that all look-ups share has a derivative at each.
     spread = lambda leaf: jnp.broadcast_to(leaf, lookup.depth.shape) if eqx.is_inexact_array(leaf) else leaf
-    at = jax.tree.map(spread, kernel), lookup
+    at, position = _position_apart(jax.tree.map(spread, kernel), lookup)
+    d_at, d_position = _position_apart(d_kernel, d_lookup)
+    # Where look-ups are given as points in the world, x and y follow these and the map's view.
+    follows = bool(jax.tree.leaves((d_padded.view, d_position)))
     moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
+    place = lambda at: (at[1].x, at[1].y)
+    if follows:
+        moves = eqx.tree_at(place, moves, (True, True))
 
     def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
         # XLA does not vectorize the derivatives of a soft compare in a kernel that gathers depths too, and compiles it
@@ -86,16 +93,34 @@ def _total_jvp(primals, tangents):
         change = eqx.filter_jvp(of_map, (padded, compare), (d_padded, d_compare))[1]
         return value, pull(jnp.ones_like(value))[0], change
 
-    some = lambda at: terms.add_up(one, padded, compare, at, steps)
-    value, slopes, change = some(at) if active is None else _where_active(some, at, active)
+    def some(given: Any) -> Any:
+        at, position, d_position = given
+        value, slopes, change = terms.add_up(one, padded, compare, at, steps)
+        if follows:
+            texel = lambda view, position: dataclasses.replace(padded, view=view).texel(position, at[1].layer)
+            _, motion = eqx.filter_jvp(texel, (padded.view, position), (d_padded.view, d_position))
+            for slope, d in zip(checkpoint_name(place(slopes), KEPT), motion, strict=True):
+                if d is not None:
+                    change = slope * d if change is None else change + slope * d
+            slopes = eqx.tree_at(place, slopes, (None, None))
+        return value, slopes, change
+
+    given = at, position, d_position
+    value, slopes, change = some(given) if active is None else _where_active(some, given, active)
     tangent = jnp.zeros_like(value) if change is None else change
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_at), strict=True):
         tangent = tangent + slope * d
     return value, tangent
 
 
-def _where_active(function: Callable[[At], Any], at: At, active: Bool[Array, "i p j q"]) -> Any:
-    """`function` of the active look-ups, laid out by `Blocks`; 0 elsewhere.
+def _position_apart(kernel: AbstractKernel, lookup: Lookup) -> tuple[At, Any]:
+    """A kernel with its look-up, or their tangents, and the look-up's position apart from both."""
+    apart = eqx.tree_at(lambda lookup: lookup.position, lookup, None, is_leaf=_is_none)
+    return (kernel, apart), lookup.position
+
+
+def _where_active(function: Callable[[Any], Any], at: Any, active: Bool[Array, "i p j q"]) -> Any:
+    """`function` of a tree of arrays for the active look-ups, laid out by `Blocks`; 0 elsewhere.
 
     Runs of `q` pixels that contain an active one are gathered, and processed a fixed number at a time. Each row of a
     block has its own queue, so that a table of offsets still broadcasts. Iterations without runs are skipped.

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -138,9 +139,13 @@ def _outermost(side: Int[Array, "2 c"], begins: Array, offset: Float[Array, "2 c
     """
     count = side.shape[1]
     role, row = jnp.where(begins, BEGIN, END), jnp.arange(2, dtype=jnp.int32)[:, None]
-    key = jnp.where(begins, -offset, offset)
-    greatest = jnp.full((2, 2, grid.sides + 1), -2, key.dtype).at[role, row, side].max(key)
-    wins = jnp.where(key == greatest[role, row, side], side, grid.sides)
     number = jnp.arange(2 * count, dtype=jnp.int32).reshape(2, count)
-    found = jnp.full((2, 2, grid.sides + 1), 2 * count, jnp.int32).at[role, row, wins].min(number)[..., :-1]
-    return jnp.where(found[:, 0] < 2 * count, found[:, 0], found[:, 1])
+    bits = lax.bitcast_convert_type(jnp.where(begins, offset, -offset).astype(jnp.float32), jnp.int32)
+    # Ordered as the numbers that the bits stand for.
+    rank = jnp.where(bits < 0, bits ^ jnp.iinfo(jnp.int32).max, bits)
+    with jax.enable_x64(True):
+        # The least of one number for all three: the row, how far out, and which of several at one place.
+        key = (row.astype(jnp.int64) << 62) | ((rank.astype(jnp.int64) + (1 << 31)) << 30) | number
+        none = jnp.iinfo(jnp.int64).max
+        least = jnp.full((2, grid.sides + 1), none, jnp.int64).at[role, side].min(key)[..., :-1]
+        return jnp.where(least < none, least & ((1 << 30) - 1), 2 * count).astype(jnp.int32)

@@ -35,13 +35,19 @@ class Outline(eqx.Module):
         first, last = _clip(lax.stop_gradient(corners), resolution)
         used = jnp.tile(found.multiplicity != 0, clip.shape[0]) & (first < last)
         edge = corners[:, 1] - corners[:, 0]
-        clipped = corners[:, :1] + jnp.stack([first, last], axis=1)[..., None] * edge[:, None]
-        window = clipped[..., :3] / jnp.where(used[:, None, None], clipped[..., 3:], 1) * 0.5 + 0.5
         height, width = resolution
-        texel = window[..., :2] * jnp.array([width, height], window.dtype)
-        counts = count_crossings(*lax.stop_gradient((texel[:, 0], texel[:, 1])), used)
+
+        def place(fraction: Float[Array, " n"]) -> tuple[Float[Array, "n 2"], Float[Array, " n"]]:
+            """Where edges are in the map after this fraction of their length, and the window depth there."""
+            # One coordinate at a time: in reverse mode, XLA is slow to add up such short axes.
+            x, y, z, w = jnp.moveaxis(corners[:, 0] + fraction[:, None] * edge, -1, 0)
+            x, y, z = (of_clip / jnp.where(used, w, 1) * 0.5 + 0.5 for of_clip in (x, y, z))
+            return jnp.stack([x * width, y * height], axis=-1), z
+
+        (start, nearest), (end, farthest) = place(first), place(last)
+        counts = count_crossings(*lax.stop_gradient((start, end)), used)
         layer = jnp.repeat(jnp.arange(clip.shape[0], dtype=jnp.int32), ends.shape[0])
-        return cls(texel[:, 0], texel[:, 1], window[..., 2], layer, counts)
+        return cls(start, end, jnp.stack([nearest, farthest], axis=-1), layer, counts)
 
 
 def _clip(corners: Float[Array, "n 2 4"], resolution: Resolution) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
