@@ -6,10 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_array, round_up_to_power_of_two, with_gradient_of
+from .._misc import a_step, as_array, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
@@ -349,5 +350,9 @@ def _unwarped_depth(
 def _depth(
     face: Int[Array, "*l h w"], clip: Float[Array, "*m v 4"], faces: Faces, tile: Tile | None
 ) -> Float[Array, "*l h w"]:
-    of_view = lambda face, clip, tile: visible_depth(face, clip, faces, tile)
-    return jax.vmap(of_view)(face, clip, tile) if clip.ndim > 2 else of_view(face, clip, tile)
+    of_view = lambda view: visible_depth(view[0], view[1], faces, view[2])
+    views = face, clip, tile
+    if clip.ndim == 2:
+        return of_view(views)
+    # On a CPU one after the other: bands of several images at once do not fit into the cache.
+    return lax.map(of_view, views, batch_size=a_step(1, clip.shape[0]))
