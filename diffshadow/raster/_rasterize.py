@@ -158,10 +158,10 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
         rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
         behind = jnp.pad(behind, rest, constant_values=NO_FACE)
 
-    # In NumPy, since to make an array on the device takes longer than a small image.
-    size, draws = lambda viewport: tuple(map(np.int32, viewport)), tuple(map(np.bool_, FACING[cull]))
+    # In one array and in NumPy, since to make one on the device takes longer than a small image.
+    numbers = lambda viewport: np.array([*viewport, *FACING[cull]], np.int32)
     view = lambda clip, behind, viewport: _shared(
-        clip, faces, size(viewport), buffer, draws, test, polygon_offset, behind, with_face, None
+        clip, faces, numbers(viewport), buffer, test, polygon_offset, behind, with_face
     )
     # Nothing here depends on the default precision: programs are shared by both.
     with jax.enable_x64(False):
@@ -213,5 +213,11 @@ def _rasterize(
 
 # In a trace, a viewport and culling that are known shorten the program.
 _traced = eqx.filter_jit(_rasterize)
+
+
 # Equinox's takes a tenth of a millisecond longer to call.
-_shared = jax.jit(_rasterize, static_argnames=("resolution", "test", "with_face", "pages"))
+@partial(jax.jit, static_argnames=("buffer", "test", "with_face"))
+def _shared(clip, faces, numbers, buffer, test, polygon_offset, behind, with_face) -> Any:
+    height, width, front, back = numbers
+    facing = front > 0, back > 0
+    return _rasterize(clip, faces, (height, width), buffer, facing, test, polygon_offset, behind, with_face, None)
