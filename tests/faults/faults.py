@@ -1542,8 +1542,8 @@ _SHADOW = (
     _fault(
         "shares: depth at places in the layer",
         "shadow/_map.py",
-        "jax.vmap(of_view)(face, clip, tile) if",
-        "jax.vmap(of_view)(face, clip, None) if",
+        "views = face, clip, tile",
+        "views = face, clip, None",
         "test_cascades.py",
     ),
     _fault(

@@ -48,18 +48,20 @@ class Corrections(AbstractTerms):
         return _correction(kernel.footprint(here, step), padded, compare, here, number, motion)
 
     def add_up(self, function, padded, compare, at, steps):
-        shape = at[1].depth.shape
-        # Steps are numbers, or tables, which are expanded to one row per step with all look-ups.
-        wide = lambda s: (
-            jnp.asarray(s) if s.ndim == 1 else jnp.broadcast_to(s, (s.shape[0], *shape)).reshape(s.shape[0], -1)
-        )
-        at, steps = rearranged(at, lambda a: a.reshape(-1)), jax.tree.map(wide, steps)
+        shape, steps = at[1].depth.shape, jax.tree.map(jnp.asarray, steps)
         found, texels = _find(padded, compare, at, steps)
+        at = rearranged(at, lambda a: a.reshape(-1))
         pixels, at_once = at[1].depth.size, a_step(*_TEXELS_A_STEP)
 
         def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
             number = row // texels
-            at_step = lambda s: s[number] if s.ndim == 1 else s[number, pixel]
+            place = jnp.unravel_index(pixel, shape)
+
+            def at_step(s: Array) -> Array:
+                """Steps are numbers, or tables, which are repeated along axes of length 1."""
+                index = (0 if size == 1 else i for i, size in zip(place, s.shape[1:], strict=False))
+                return s.at[number, *index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
             here = rearranged(at, lambda a: take(a, pixel))
             return function(here, (jax.tree.map(at_step, steps), row % texels))
 
@@ -88,13 +90,13 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
     silhouettes = padded.silhouettes
     assert silhouettes is not None
 
-    def differs(step: Any) -> list[Bool[Array, " n"]]:
+    def differs(step: Any) -> list[Bool[Array, "*n"]]:
         footprint = kernel.footprint(lookup, step)
 
-        def in_texel(place: Array, right: int, up: Array | int) -> Bool[Array, " n"]:
+        def in_texel(place: Array, right: int, up: Array | int) -> Bool[Array, "*n"]:
             # Under a soft compare, the parts of nearly all texels differ.
             depth = None if compare.has_depth_derivative else footprint.depth(lookup, right, up)
-            return may_part(padded.read(silhouettes.bounds, place, up * padded.stride + right), depth)
+            return may_part(take(silhouettes.bounds, place + (up * padded.stride + right)), depth)
 
         first = padded.place(footprint.column, footprint.row, lookup.layer)
         texels = [(i, j) for j in range(len(footprint.rows)) for i in range(len(footprint.columns))]
@@ -105,7 +107,7 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
 
     def mark(words: Any, at_step: Any) -> tuple[Any, None]:
         number, step = at_step
-        return put_bits(words, number * texels, differs(step)), None
+        return put_bits(words, number * texels, [bits.reshape(-1) for bits in differs(step)]), None
 
     words = empty_words(count * texels, lookup.depth.size)
     words, _ = lax.scan(mark, words, (jnp.arange(count, dtype=jnp.int32), steps))
