@@ -1035,6 +1035,13 @@ _SHADOW = (
         "test_silhouette_map.py",
     ),
     _fault(
+        "silhouettes: texels are corrected at the first pixel's offsets",
+        "shadow/silhouettes/_corrections.py",
+        "0 if size == 1 else i for",
+        "0 * i for",
+        "test_silhouette_map.py",
+    ),
+    _fault(
         "silhouettes: points of look-ups move across their way",
         "shadow/kernels/_padded_map.py",
         "for row in (0, 1, 3)",

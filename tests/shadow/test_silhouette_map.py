@@ -32,6 +32,7 @@ from diffshadow.shadow import (
     FourTap,
     HardCompare,
     Nearest,
+    Pattern,
     PercentageCloser,
     PercentageCloserSoft,
     RandomDisk,
@@ -544,6 +545,25 @@ def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
     by_points, by_places = (slope(jnp.zeros(parameters), has_points) for has_points in (True, False))
     assert np.abs(by_places).min() > 0.1
     np.testing.assert_allclose(by_points, by_places, rtol=2e-3)
+
+
+def test_texels_are_corrected_where_each_pixel_of_a_tile_taps():
+    """A pixel in a tile of four sees what it sees where all pixels have its own offsets."""
+    shadow_map, rng = _scene(), np.random.default_rng(0)
+    # Behind the square, whose outline all taps are near.
+    x, y = rng.uniform(8, 40, (2, 32, 64))
+    lookup = lookups_at(x, y, 0.9)
+    offsets = rng.uniform(-0.7, 0.7, (3, 2, 2, 2)).astype(np.float32)
+    lit = lambda own: np.asarray(_disk(shadow_map, lookup, RandomDisk(2.0, Pattern(jnp.asarray(own)))))
+    together = lit(offsets)
+    assert np.sum((together % (1 / 3) > 0.01) & (together % (1 / 3) < 0.32)) > 100
+    for i in range(2):
+        for j in range(2):
+            alone = lit(offsets[:, i : i + 1, j : j + 1])
+            np.testing.assert_allclose(together[i::2, j::2], alone[i::2, j::2], atol=1e-5)
+
+
+_disk = eqx.filter_jit(lambda shadow_map, lookup, filter_: filter_(shadow_map, lookup, HardCompare()))
 
 
 def test_texels_whose_parts_compare_alike_need_no_correction():
