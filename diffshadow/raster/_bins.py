@@ -39,7 +39,7 @@ BLOCK = 16
 NOTHING = -1
 
 
-Window = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
+WindowCoordinates = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
 """Window coordinates: x and y in pixels, not snapped, and depth."""
 
 
@@ -51,7 +51,7 @@ class Corners(NamedTuple):
     z: Float[Array, "3 n"]
 
     @classmethod
-    def snapped(cls, window: Window) -> "Corners":
+    def snapped(cls, window: WindowCoordinates) -> "Corners":
         """Corners at window coordinates, (3, n) each, snapped."""
         x, y, z = window
         # The barrier keeps XLA from rounding them again for all that uses them.
@@ -83,13 +83,13 @@ class Triangles(eqx.Module):
     faces: Int[Array, "f 3"]
     groups: Groups
 
-    def window(self, face: Int[Array, " n"]) -> Window:
-        """The corners of the faces `face`, (3, n) each."""
+    def window_corners(self, face: Int[Array, " n"]) -> WindowCoordinates:
+        """The corners of the faces `face` in window coordinates, (3, n) each."""
         vertices = take(self.faces, face).T
         return take(self.x, vertices), take(self.y, vertices), take(self.z, vertices)
 
 
-def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> Window:
+def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> WindowCoordinates:
     """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (*n,); `w = 0` maps to the middle."""
     height, width = resolution
     w = clip[3]

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import safe_divide
 from .._types import Viewport
-from ._bins import Corners, Window
+from ._bins import Corners, WindowCoordinates
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
 
@@ -30,8 +30,8 @@ class EdgeForm(eqx.Module):
 
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
     where the centre is inside. Depth at the centre of a pixel is that of `plane`, kept between `least` and `greatest`;
-    `offset` is added by polygon offset. `turn` is 1 for front faces, which are anticlockwise, and -1 for others. The
-    pixel's own place in the buffer is (`row`, `column`).
+    `offset` is added by polygon offset, if there is one. `turn` is 1 for front faces, which are anticlockwise, and -1
+    for others. The pixel's own place in the buffer is (`row`, `column`).
     """
 
     x: Int[Array, " n"]
@@ -85,7 +85,7 @@ def edge_form(
     return EdgeForm(x, y, *place, edge, a, b, plane, least - slack, greatest + slack, shift, turn)
 
 
-def plane_of_corners(window: Window, corners: Corners) -> DepthPlane:
+def plane_of_corners(window: WindowCoordinates, corners: Corners) -> DepthPlane:
     """The planes of triangles, either winding.
 
     From corners that are not snapped, with the order of operations of Mesa's rasterizer, so that two surfaces that

@@ -131,7 +131,7 @@ class DrawPass(Drawing):
 
     def _corners(self, face: Int[Array, " n"]) -> tuple[Corners, DepthPlane]:
         """Corners of faces that need no clipping, and the planes that they lie in."""
-        window = self.triangles.window(face)
+        window = self.triangles.window_corners(face)
         corners = Corners.snapped(window)
         return corners, plane_of_corners(window, corners)
 
@@ -199,8 +199,8 @@ class DrawPass(Drawing):
             parts = clip_triangles(corners, self.resolution).reshape(4, 3, -1)
             each = lambda values: jnp.tile(values, FAN)
             plane = jax.tree.map(each, plane_of_clip(corners, self.resolution))
-            window = Corners.snapped(to_window(parts, self.resolution))
-            return window, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
+            snapped = Corners.snapped(to_window(parts, self.resolution))
+            return snapped, plane, each(jnp.where(used, face, -1)), None if layer is None else each(layer)
 
         def batch(number: Array, buffer: Array) -> Array:
             return self._blocks(buffer, write, *lax.cond(number < large, whole, clipped, number))
@@ -257,6 +257,8 @@ def _of(tree: Any, owner: Int[Array, " n"]) -> Any:
 
 def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:
     """The least depth at every pixel, infinite where there is none."""
+    # As the bits of positive floats, which are integers of the same order: the least of floats also keeps NaN, which
+    # takes longer.
     bits = lambda depth: lax.bitcast_convert_type(depth, jnp.int32)
     stored = lambda form, source, side: bits(window_depth(form, source >= 0, side, drawing.test))
     least = _least(drawing, stored, int(np.float32(np.inf).view(np.int32)), jnp.int32)

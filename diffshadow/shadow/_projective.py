@@ -17,6 +17,7 @@ from .._misc import as_array, as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
+from ._receiver import is_in_front
 from ._technique import AbstractTechnique
 from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
 from .kernels import Shape
@@ -122,7 +123,7 @@ def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Ma
     layer = texture.light.layer(surface.position)
     clip = (view if layer is None else view.facing(layer)).clip(surface.position)
     w = clip[..., 3:]
-    in_front = w > (1e-3 * view.near if view.is_perspective else 0)
+    in_front = is_in_front(view, w)
     window = jnp.where(in_front, clip[..., :2] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = texture.resolution
     return window * jnp.array([width, height], window.dtype), in_front[..., 0], layer

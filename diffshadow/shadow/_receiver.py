@@ -12,7 +12,7 @@ from ..raster import DepthTest, Surface
 from ._map import ShadowMap
 
 # Points closer to the light's plane than this fraction of its near distance count as behind it.
-BESIDE = 1e-3
+_BESIDE = 1e-3
 # Slopes are clamped to this (89.4°): grazing light would need an infinite bias.
 _MAX_SLOPE = 100.0
 # Positions, normals and stored depths are each rounded a few times. The measured sum is 3 units in the last place, and
@@ -90,6 +90,14 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
     )
 
 
+def is_in_front(view: View, w: Float[Array, "*n"]) -> Bool[Array, "*n"]:
+    """Whether points are in front of the light, by `w` of their clip coordinates.
+
+    Those in the plane of a spot light are not, where the divide overflows: nothing that close to it casts a shadow.
+    """
+    return w > (_BESIDE * view.near if view.is_perspective else 0)
+
+
 def project(
     shadow_map: ShadowMap, position: VectorMap, layer: Int[Array, "h w"] | None
 ) -> tuple[TexelMap, DepthMap, Mask]:
@@ -97,8 +105,7 @@ def project(
     view = shadow_map.view_of(layer)
     clip = view.clip(position)
     w = clip[..., 3]
-    # In the plane of a spot light the divide overflows; nothing that close to the plane casts a shadow.
-    in_front = w > (BESIDE * view.near if view.is_perspective else 0)
+    in_front = is_in_front(view, w)
     window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
     height, width = view.whole(shadow_map.resolution)
     depth = window(2) if view.warp is None else view.unwarped.clip(position)[..., 2] * 0.5 + 0.5

@@ -1030,8 +1030,8 @@ _SHADOW = (
     _fault(
         "silhouettes: crossings near a corner count before those on a side",
         "shadow/silhouettes/_crossings.py",
-        "(row.astype(jnp.int64) << 62)",
-        "((1 - row).astype(jnp.int64) << 62)",
+        "(row.astype(jnp.int64) << (32 + _NUMBER_BITS))",
+        "((1 - row).astype(jnp.int64) << (32 + _NUMBER_BITS))",
         "test_silhouette_map.py",
     ),
     _fault(

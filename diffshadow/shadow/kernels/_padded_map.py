@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ...geometry import View
 from .._map import ShadowMap
-from .._receiver import BESIDE
+from .._receiver import is_in_front
 from ..silhouettes._padded import PaddedSilhouettes
 
 # The depth of empty texels: behind any receiver by far more than the width of any soft compare.
@@ -78,8 +78,8 @@ class PaddedMap(eqx.Module):
             sum((matrix[..., row, k] * at for k, at in enumerate(position)), start=matrix[..., row, 3])
             for row in (0, 1, 3)
         )
-        # As in `project`; what is not in front of the light has no silhouette near.
-        w = jnp.where(w > (BESIDE * self.view.near if self.view.is_perspective else 0), w, 1)
+        # What is not in front of the light has no silhouette near.
+        w = jnp.where(is_in_front(self.view, w), w, 1)
         return (x / w * 0.5 + 0.5) * self.width, (y / w * 0.5 + 0.5) * self.height
 
     def with_depths_detached(self) -> "PaddedMap":

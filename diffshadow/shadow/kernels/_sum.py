@@ -58,7 +58,7 @@ def sum_over(
         at = rearranged((kernel, lookup), blocks.cut)
         return blocks.join(sum_over(at[0], padded, compare, at[1], steps))
     position, lookup = lookup.position, lookup.at(lookup.x, lookup.y)
-    # Derivatives by what is not read would be zero, but computed.
+    # Without what is not read: XLA would compute its derivatives, which are zero.
     depths = dataclasses.replace(padded, silhouettes=None, view=None)
     if silhouettes is None:
         return total(_Plain(), depths, compare, (kernel, lookup), steps, active)
@@ -70,10 +70,8 @@ def sum_over(
     near = silhouettes.texels.any_within(lookup.x, lookup.y, lookup.layer, kernel.reach(lookup, steps))
     near = near if active is None else near & active
     if follows_outlines and position is not None:
-        # So that it is differentiated for the few look-ups that are near, not for all.
+        # Only look-ups near silhouettes then differentiate the projection of their points.
         lookup = still.of(position)
-    else:
-        padded = dataclasses.replace(padded, view=None)
     return plain + total(Corrections(follows_outlines), padded, compare, (kernel, lookup), steps, near)
 
 

@@ -74,7 +74,7 @@ def _total_jvp(primals, tangents):
     at, position = _position_apart(jax.tree.map(spread, kernel), lookup)
     d_at, d_position = _position_apart(d_kernel, d_lookup)
     # Where look-ups are given as points in the world, x and y follow these and the map's view.
-    follows = bool(jax.tree.leaves((d_padded.view, d_position)))
+    follows = position is not None and bool(jax.tree.leaves((d_padded.view, d_position)))
     moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
     place = lambda at: (at[1].x, at[1].y)
     if follows:

@@ -15,6 +15,8 @@ from ._outline import Outline
 
 # As a fraction of a side; several times the rasterizer's sub-pixel.
 _NEAR_CORNER = 1 / 64
+# Bits for the number of a crossing: with 32 for its place and one for its row, they fit into 63.
+_NUMBER_BITS = 30
 
 END, BEGIN = 0, 1
 """Rows of `Crossings.at`."""
@@ -145,7 +147,8 @@ def _outermost(side: Int[Array, "2 c"], begins: Array, offset: Float[Array, "2 c
     rank = jnp.where(bits < 0, bits ^ jnp.iinfo(jnp.int32).max, bits)
     with jax.enable_x64(True):
         # The least of one number for all three: the row, how far out, and which of several at one place.
-        key = (row.astype(jnp.int64) << 62) | ((rank.astype(jnp.int64) + (1 << 31)) << 30) | number
+        not_negative = rank.astype(jnp.int64) + (1 << 31)
+        key = (row.astype(jnp.int64) << (32 + _NUMBER_BITS)) | (not_negative << _NUMBER_BITS) | number
         none = jnp.iinfo(jnp.int64).max
         least = jnp.full((2, grid.sides + 1), none, jnp.int64).at[role, side].min(key)[..., :-1]
-        return jnp.where(least < none, least & ((1 << 30) - 1), 2 * count).astype(jnp.int32)
+        return jnp.where(least < none, least & ((1 << _NUMBER_BITS) - 1), 2 * count).astype(jnp.int32)
