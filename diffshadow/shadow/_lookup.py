@@ -76,6 +76,17 @@ class Lookup(eqx.Module):
         """The same look-up, of points whose projections are at x and y."""
         return eqx.tree_at(lambda lookup: lookup.position, self, position, is_leaf=lambda leaf: leaf is None)
 
+    def depths_within(self, reach: Float[Array, "..."]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+        """The least and the greatest depth that texels are compared with, within `reach` texels along x and y."""
+        if self.slope is None:
+            return self.depth, self.depth
+        # Texels' centres may be half a texel farther away; the rest is for rounding.
+        change = (jnp.abs(self.slope[0]) + jnp.abs(self.slope[1])) * (reach + 1)
+        low, high = self.depth - change, self.depth + change
+        if self.deepest is not None:
+            low, high = jnp.minimum(low, self.deepest), jnp.minimum(high, self.deepest)
+        return low, high
+
     def detached(self) -> "Lookup":
         """Without derivatives with respect to where it is."""
         return self.at(*lax.stop_gradient((self.x, self.y)))

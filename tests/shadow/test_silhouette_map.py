@@ -45,12 +45,13 @@ from diffshadow.shadow import (
     plan_crossings,
     stratified,
 )
-from diffshadow.shadow._lookup import look_up
+from diffshadow.shadow._lookup import Lookup, look_up
 from diffshadow.shadow._map import _about_corners, _silhouettes
 from diffshadow.shadow._receiver import receiver
+from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
 from diffshadow.shadow.silhouettes._crossings import BEGIN, END, Grid, _outermost
-from diffshadow.shadow.silhouettes._padded import Pyramid
+from diffshadow.shadow.silhouettes._padded import BlockBounds
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
@@ -692,23 +693,53 @@ def test_corners_of_texels_become_the_centres_of_pixels():
     np.testing.assert_allclose(window, np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5, atol=1e-5)
 
 
+@pytest.mark.parametrize("bound", [None, 0.6, 0.4])
+def test_depths_within_reach_are_those_of_the_receiver_plane(bound):
+    rng, count, reach = np.random.default_rng(4), 200, 1.5
+    texel, slope = rng.uniform(3, 9, (count, 2)), rng.normal(scale=0.05, size=(count, 2))
+    depth = np.full(count, 0.5)
+    deepest = None if bound is None else jnp.full(count, bound)
+    at = Lookup(*map(jnp.asarray, (texel, depth, depth, depth > 0, slope)), deepest=deepest)
+    low, high = map(np.asarray, at.depths_within(jnp.float32(reach)))
+    first = np.floor(texel - reach)
+    footprint = Footprint(*jnp.asarray(first.T), [], [])
+    across = [(i, j) for i in range(4) for j in range(4)]
+    depths = np.array([footprint.depth(at, i, j) for i, j in across])
+    reached = np.array([np.all(first + np.array(step) < texel + reach, axis=1) for step in across])
+    assert reached.any(axis=0).all()
+    assert ((low <= depths) & (depths <= high))[reached].all()
+    if bound is None:
+        assert np.median((high - low) / np.ptp(depths, axis=0)) < 2
+    else:
+        assert high.max() <= np.float32(bound)
+
+
 @jax.jit
-def _marked_within(marked, x, y, reach):
-    return Pyramid.of(marked).any_within(x, y, None, reach)
+def _blocks_may_part(bounds, x, y, reach, depths):
+    at = Lookup(jnp.stack([x, y], axis=-1), x, x, x > 0)
+    return BlockBounds.of(bounds).may_part(at, reach, depths)
 
 
-def test_no_marked_texel_within_reach_is_overlooked():
-    marked = np.zeros((9, 14), bool)
-    marked[2, 11] = marked[7, 3] = True
+@pytest.mark.parametrize("depths", [None, (0.3, 0.3), (0.1, 0.9), (0.65, 0.8)])
+def test_no_silhouette_within_reach_is_overlooked(depths):
+    """Nor are silhouettes found that are out of reach, beyond a block or two, or whose parts compare alike."""
+    size, parts = (9, 14), {(2, 11): (0.2, 0.5), (7, 3): (0.6, 0.7)}
+    bounds = np.full(size, 65535 << 16, np.uint32)
+    for texel, (near, far) in parts.items():
+        bounds[texel] = int(near * 65535) << 16 | int(far * 65535)
+    low, high = (0, 1) if depths is None else depths
+    seen = [texel for texel, (near, far) in parts.items() if near <= high and low <= far]
     x, y = (np.float32(v.ravel()) for v in np.meshgrid(np.arange(-3, 17, 0.7), np.arange(-3, 12, 0.7)))
-    row, column = np.nonzero(marked)
+    row, column = np.array(seen).T
+    on_map = (x >= 0) & (x <= size[1]) & (y >= 0) & (y <= size[0])
+    given = depths and tuple(np.full(x.shape, depth, np.float32) for depth in depths)
     for reach in (0.0, 0.4, 0.5, 0.9, 1.5, 2.5, 4.0, 20.0):
-        found = np.asarray(_marked_within(marked, x, y, np.float32(reach)))
+        found = np.asarray(_blocks_may_part(bounds, x, y, np.float32(reach), given))
         across = np.maximum(column - x[:, None], x[:, None] - column - 1)
         upwards = np.maximum(row - y[:, None], y[:, None] - row - 1)
-        within = (np.maximum(across, upwards) < reach - 1e-3).any(axis=1)
-        assert found[within].all()
-        assert reach > 1.5 or not found.all()
+        away = np.maximum(across, upwards).min(axis=1)
+        assert found[away < reach - 1e-3].all()
+        assert not found[on_map & (away > reach + max(1, 4 * reach / 3))].any()
 
 
 def test_too_little_memory_for_crossings_is_an_error():

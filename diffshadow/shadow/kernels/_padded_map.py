@@ -116,14 +116,14 @@ def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
     if ready is not None and ready.margin >= margin:
         return ready
     height, width = shadow_map.resolution
-    hides = lambda depth: jnp.where(depth < 1, depth, _NOTHING)
+    depth = jnp.where(shadow_map.depth < 1, shadow_map.depth, _NOTHING)
 
-    def padded(values: Array, beyond: int | float) -> Array:
+    def padded(values: Array, beyond: int | float | np.uint32) -> Array:
         sides = [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2
         # Barrier: otherwise XLA pads again for each reader, or texel by texel to make the flat array.
         return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
 
     found = shadow_map.silhouettes
-    depth = padded(hides(shadow_map.depth), _NOTHING)
-    silhouettes = None if found is None else PaddedSilhouettes.of(found, depth, padded, hides)
-    return PaddedMap(depth, height, width, margin, silhouettes, view=None if found is None else shadow_map.view)
+    silhouettes = None if found is None else PaddedSilhouettes.of(found, depth, padded, _NOTHING)
+    view = None if found is None else shadow_map.view
+    return PaddedMap(padded(depth, _NOTHING), height, width, margin, silhouettes, view=view)

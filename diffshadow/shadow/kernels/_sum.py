@@ -9,22 +9,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
+from ..._misc import a_step, round_up_to_power_of_two, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from .._map import ShadowMap
 from ..silhouettes._corrections import Corrections
-from ._blocks import Blocks
 from ._kernel import AbstractKernel, AbstractRow
 from ._padded_map import PaddedMap, pad
-from ._terms import AbstractTerms, total, zeros_like
+from ._terms import AbstractTerms, checkpoint, total, zeros_like
 
 # The cost of one iteration of the loop over a kernel's steps, in taps: longer iterations run no faster, compile more
 # slowly and take more memory.
 _COST_OF_A_STEP = 4
 # The cost of a step with its derivatives, relative to the step alone.
 _COST_OF_DERIVATIVES = 4
+# Active look-ups per iteration of the loop over them, on a CPU and on a GPU.
+_AT_ONCE = 1 << 13, 1 << 17
 
 
 def sum_over(
@@ -33,7 +35,7 @@ def sum_over(
     compare: AbstractCompare,
     lookup: Lookup,
     steps: Any,
-    active: Bool[Array, "i p j q"] | None = None,
+    active: Bool[Array, "*n"] | None = None,
 ) -> Array:
     """The weighted sum of compares with all texels that a kernel reads, for each look-up.
 
@@ -53,21 +55,20 @@ def sum_over(
     if not compare.has_depth_derivative:
         # Derivatives with respect to depths are zero, and XLA would compute them for all pixels and the whole map.
         padded, lookup = padded.with_depths_detached(), lookup.with_depths_detached()
-    if lookup.depth.ndim == 2 and not (active is None and silhouettes is None):
-        blocks = Blocks.of(lookup.depth.shape)
-        at = rearranged((kernel, lookup), blocks.cut)
-        return blocks.join(sum_over(at[0], padded, compare, at[1], steps))
     position, lookup = lookup.position, lookup.at(lookup.x, lookup.y)
     # Without what is not read: XLA would compute its derivatives, which are zero.
-    depths = dataclasses.replace(padded, silhouettes=None, view=None)
+    plain_map = dataclasses.replace(padded, silhouettes=None, view=None)
     if silhouettes is None:
-        return total(_Plain(), depths, compare, (kernel, lookup), steps, active)
+        return total(_Plain(), plain_map, compare, (kernel, lookup), steps, active)
     # With a hard compare, the derivative by a receiver's position comes from outlines alone: steps between texels have
     # none.
     follows_outlines = not compare.has_depth_derivative
     still = lookup.detached() if follows_outlines else lookup
-    plain = total(_Plain(), depths, compare, (kernel, still), steps, active)
-    near = silhouettes.texels.any_within(lookup.x, lookup.y, lookup.layer, kernel.reach(lookup, steps))
+    plain = total(_Plain(), plain_map, compare, (kernel, still), steps, active)
+    reach = kernel.reach(lookup, steps)
+    # Under a soft compare, the parts of nearly all texels differ.
+    depths = None if compare.has_depth_derivative else lookup.depths_within(reach)
+    near = silhouettes.blocks.may_part(lookup, reach, depths)
     near = near if active is None else near & active
     if follows_outlines and position is not None:
         # Only look-ups near silhouettes then differentiate the projection of their points.
@@ -118,3 +119,35 @@ class _Plain(AbstractTerms):
         # Barrier: otherwise XLA iterates over the pixels in the order of the sum's consumer, and no longer vectorizes.
         # One barrier per array, since derivatives use the sum before they are complete themselves.
         return jax.tree.map(lax.optimization_barrier, total)
+
+    def where(self, active, function, at, steps):
+        """Gathers runs of `q` look-ups, laid out by `Blocks`, that contain an active one.
+
+        Each row of a block has its own queue, so that a table of offsets still broadcasts.
+        """
+        i, p, j, q = active.shape
+        runs = i * p * j
+        chosen = jnp.moveaxis(jnp.any(active, axis=-1), 1, 0).reshape(p, i * j)
+        number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
+        rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
+        most = jnp.max(rank) + 1
+        at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(*_AT_ONCE) // (p * q))))
+        capacity = math.ceil(i * j / at_once) * at_once
+        # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
+        queue = jnp.full((p, capacity + 1), runs, jnp.int32)
+        slot = jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)
+        queue = queue.at[slot].set(number, mode="promise_in_bounds")
+        queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // at_once, at_once), 1, 0)
+
+        @checkpoint
+        def some(own: Int[Array, "p n"]) -> Any:
+            run = jnp.minimum(own, runs - 1)
+            return function(rearranged(at, lambda a: take(a.reshape(runs, q), run)), steps)
+
+        like = jax.eval_shape(some, queue[0])
+        none = lambda own: jax.tree.map(zeros_like, like)
+        step = lambda at_step: lax.cond(at_step[0] * at_once < most, some, none, at_step[1])
+        values = lax.map(step, (jnp.arange(capacity // at_once, dtype=jnp.int32), queue))
+        # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
+        put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
+        return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -10,21 +9,19 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from ..._misc import a_step, round_up_to_power_of_two, take
 from .._compare import AbstractCompare
-from .._lookup import Lookup, rearranged
+from .._lookup import Lookup
 from ._kernel import AbstractKernel
 from ._padded_map import PaddedMap
 
-# Pixels per iteration of the loop over active pixels, on a CPU and on a GPU.
-_PIXELS_A_STEP = 1 << 13, 1 << 17
-
 KEPT = "kept"
-"""The name of what reverse mode keeps of an iteration, by `checkpoint_name`; all else it computes again."""
+"""The name of what reverse mode keeps of active look-ups, by `checkpoint_name`."""
+
+checkpoint = partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(KEPT))
+"""For functions of active look-ups: in reverse mode, computes all but what is kept again."""
 
 At = tuple[AbstractKernel, Lookup]
 """Where a sum is evaluated: look-ups, and a kernel whose arrays have one value per look-up."""
@@ -43,6 +40,13 @@ class AbstractTerms(eqx.Module):
     ) -> Any:
         """The sum of `function(at, step)`, arrays with one value per look-up, over all steps."""
 
+    @abc.abstractmethod
+    def where(self, active: Bool[Array, "*n"], function: Callable[[Any, Any], Any], at: Any, steps: Any) -> Any:
+        """`function(at, steps)`, arrays with one value per look-up, where look-ups are active, and 0 elsewhere.
+
+        Active look-ups are gathered, and processed a fixed number at a time by a `checkpoint`.
+        """
+
 
 def _sum(
     terms: AbstractTerms,
@@ -50,13 +54,13 @@ def _sum(
     compare: AbstractCompare,
     at: At,
     steps: Any,
-    active: Bool[Array, "i p j q"] | None,
+    active: Bool[Array, "*n"] | None,
 ) -> Any:
     """The sum of all terms where look-ups are `active`, and 0 elsewhere."""
     at, _ = _position_apart(*at)
     one = lambda at, step: terms.term(padded, compare, at, step)
-    some = lambda at: terms.add_up(one, padded, compare, at, steps)
-    return some(at) if active is None else _where_active(some, at, active)
+    some = lambda at, steps: terms.add_up(one, padded, compare, at, steps)
+    return some(at, steps) if active is None else terms.where(active, some, at, steps)
 
 
 total: Any = eqx.filter_custom_jvp(_sum)
@@ -93,7 +97,7 @@ def _total_jvp(primals, tangents):
         change = eqx.filter_jvp(of_map, (padded, compare), (d_padded, d_compare))[1]
         return value, pull(jnp.ones_like(value))[0], change
 
-    def some(given: Any) -> Any:
+    def some(given: Any, steps: Any) -> Any:
         at, position, d_position = given
         value, slopes, change = terms.add_up(one, padded, compare, at, steps)
         if follows:
@@ -106,7 +110,7 @@ def _total_jvp(primals, tangents):
         return value, slopes, change
 
     given = at, position, d_position
-    value, slopes, change = some(given) if active is None else _where_active(some, given, active)
+    value, slopes, change = some(given, steps) if active is None else terms.where(active, some, given, steps)
     tangent = jnp.zeros_like(value) if change is None else change
     for slope, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(d_at), strict=True):
         tangent = tangent + slope * d
@@ -117,39 +121,6 @@ def _position_apart(kernel: AbstractKernel, lookup: Lookup) -> tuple[At, Any]:
     """A kernel with its look-up, or their tangents, and the look-up's position apart from both."""
     apart = eqx.tree_at(lambda lookup: lookup.position, lookup, None, is_leaf=_is_none)
     return (kernel, apart), lookup.position
-
-
-def _where_active(function: Callable[[Any], Any], at: Any, active: Bool[Array, "i p j q"]) -> Any:
-    """`function` of a tree of arrays for the active look-ups, laid out by `Blocks`; 0 elsewhere.
-
-    Runs of `q` pixels that contain an active one are gathered, and processed a fixed number at a time. Each row of a
-    block has its own queue, so that a table of offsets still broadcasts. Iterations without runs are skipped.
-    """
-    i, p, j, q = active.shape
-    runs = i * p * j
-    chosen = jnp.moveaxis(jnp.any(active, axis=-1), 1, 0).reshape(p, i * j)
-    number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
-    rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
-    most = jnp.max(rank) + 1
-    at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(*_PIXELS_A_STEP) // (p * q))))
-    capacity = math.ceil(i * j / at_once) * at_once
-    # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
-    queue = jnp.full((p, capacity + 1), runs, jnp.int32)
-    queue = queue.at[jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)].set(number, mode="promise_in_bounds")
-    queue = jnp.moveaxis(queue[:, :-1].reshape(p, capacity // at_once, at_once), 1, 0)
-
-    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(KEPT))
-    def some(own: Int[Array, "p n"]) -> Any:
-        run = jnp.minimum(own, runs - 1)
-        return function(rearranged(at, lambda a: take(a.reshape(runs, q), run)))
-
-    like = jax.eval_shape(some, queue[0])
-    none = lambda own: jax.tree.map(zeros_like, like)
-    step = lambda at_step: lax.cond(at_step[0] * at_once < most, some, none, at_step[1])
-    values = lax.map(step, (jnp.arange(capacity // at_once, dtype=jnp.int32), queue))
-    # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
-    put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
-    return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)
 
 
 def zeros_like(like: jax.ShapeDtypeStruct) -> Array:

@@ -5,6 +5,7 @@ depths is evaluated everywhere, and then corrected for each texel with a silhoue
 receiver lies between the depths of its parts: beyond both, or before both, they compare alike.
 """
 
+from collections.abc import Callable
 from operator import itemgetter
 from typing import Any
 
@@ -20,13 +21,14 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ..kernels._kernel import Footprint, Span
 from ..kernels._padded_map import PaddedMap
-from ..kernels._terms import KEPT, AbstractTerms, At, zeros_like
+from ..kernels._terms import KEPT, AbstractTerms, At, checkpoint, zeros_like
 from ._half_planes import Rectangle
 from ._padded import may_part
-from ._set_bits import SetBits, empty_words, put_bits
+from ._set_bits import WIDTH, SetBits, empty_words, put_bits
 
-# Texels with silhouettes per iteration of the loop over them, on a CPU and on a GPU.
-_TEXELS_A_STEP = 1 << 14, 1 << 18
+# Look-ups, and texels with silhouettes, per iteration of the loops over them, on a CPU and on a GPU.
+_LOOKUPS_AT_ONCE = 1 << 13, 1 << 17
+_TEXELS_AT_ONCE = 1 << 14, 1 << 18
 
 
 class Corrections(AbstractTerms):
@@ -48,39 +50,69 @@ class Corrections(AbstractTerms):
         return _correction(kernel.footprint(here, step), padded, compare, here, number, motion)
 
     def add_up(self, function, padded, compare, at, steps):
-        shape, steps = at[1].depth.shape, jax.tree.map(jnp.asarray, steps)
+        """Of look-ups (n,) and tables of steps with a column for each, as `where` gathers them."""
         found, texels = _find(padded, compare, at, steps)
-        at = rearranged(at, lambda a: a.reshape(-1))
-        pixels, at_once = at[1].depth.size, a_step(*_TEXELS_A_STEP)
 
-        def values_at(row: Int[Array, " t"], pixel: Int[Array, " t"]) -> Any:
+        def values_at(row: Int[Array, " t"], lookup: Int[Array, " t"]) -> Any:
             number = row // texels
-            place = jnp.unravel_index(pixel, shape)
+            at_step = lambda s: take(s, number) if s.ndim == 1 else take(s.reshape(-1), number * s.shape[1] + lookup)
+            here = rearranged(at, lambda a: take(a, lookup))
+            return lookup, function(here, (jax.tree.map(at_step, steps), row % texels))
 
-            def at_step(s: Array) -> Array:
-                """Steps are numbers, or tables, which are repeated along axes of length 1."""
-                index = (0 if size == 1 else i for i, size in zip(place, s.shape[1:], strict=False))
-                return s.at[number, *index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        lookups, count = at[1].depth.size, jax.tree.leaves(steps)[0].shape[0]
+        return _sums(found, values_at, lookups, count * texels * lookups, a_step(*_TEXELS_AT_ONCE))
 
-            here = rearranged(at, lambda a: take(a, pixel))
-            return function(here, (jax.tree.map(at_step, steps), row % texels))
+    def where(self, active, function, at, steps):
+        """Gathers single look-ups, since few are active."""
+        shape, size, steps = active.shape, active.size, jax.tree.map(jnp.asarray, steps)
+        at = rearranged(at, lambda a: a.reshape(-1))
 
-        @jax.checkpoint
-        def add(total: Any, first: Int[Array, ""]) -> Any:
-            exists = first + jnp.arange(at_once, dtype=jnp.int32) < found.count
-            row, pixel = lax.optimization_barrier(found.locate(first, at_once))
-            values = values_at(row, pixel)
-            put = lambda total, values: total.at[pixel].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
-            return jax.tree.map(put, total, values)
+        def values_at(bit: Int[Array, " n"], word: Int[Array, " n"]) -> Any:
+            lookup = jnp.minimum(word * WIDTH + bit, size - 1)
+            place = jnp.unravel_index(lookup, shape)
 
-        def step(total: Any, first: Int[Array, ""]) -> tuple[Any, None]:
-            return lax.cond(first < found.count, add, lambda total, _: total, total, first), None
+            def own(table: Array) -> Array:
+                """A column of the table for each look-up. Its last axes are those of the look-ups, or have length 1."""
+                count, *sizes = table.shape
+                if not sizes:
+                    return table
+                index = jnp.arange(count, dtype=jnp.int32)[:, None]
+                for n, i in zip(sizes, place[-len(sizes) :], strict=True):
+                    index = index * n + (i if n > 1 else 0)
+                return take(table.reshape(-1), index)
 
-        most = jax.tree.leaves(steps)[0].shape[0] * texels * pixels
-        all_pixels = jnp.zeros(pixels, jnp.int32)
-        total = jax.tree.map(zeros_like, jax.eval_shape(values_at, all_pixels, all_pixels))
-        total, _ = lax.scan(step, total, jnp.arange(0, most, at_once, dtype=jnp.int32))
-        return jax.tree.map(lambda a: a.reshape(shape), total)
+            here = rearranged(at, lambda a: take(a, lookup))
+            return lookup, function(here, jax.tree.map(own, steps))
+
+        sums = _sums(SetBits.of(active.reshape(-1)), values_at, size, size, a_step(*_LOOKUPS_AT_ONCE))
+        return jax.tree.map(lambda a: a.reshape(shape), sums)
+
+
+def _sums(
+    found: SetBits,
+    values_at: Callable[[Int[Array, " b"], Int[Array, " b"]], tuple[Int[Array, " b"], Any]],
+    size: int,
+    most: int,
+    at_once: int,
+) -> Any:
+    """Sums (size,) of the values at set bits, of which there are `most` at most, a number `at_once`.
+
+    Given rows and columns of set bits, `values_at` returns places in the sums, and the values that are added there.
+    """
+
+    @checkpoint
+    def add(total: Any, first: Int[Array, ""]) -> Any:
+        exists = first + jnp.arange(at_once, dtype=jnp.int32) < found.count
+        place, values = values_at(*lax.optimization_barrier(found.locate(first, at_once)))
+        put = lambda total, values: total.at[place].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
+        return jax.tree.map(put, total, values)
+
+    def step(total: Any, first: Int[Array, ""]) -> tuple[Any, None]:
+        return lax.cond(first < found.count, add, lambda total, _: total, total, first), None
+
+    none = jnp.zeros(size, jnp.int32)
+    total = jax.tree.map(zeros_like, jax.eval_shape(values_at, none, none)[1])
+    return lax.scan(step, total, jnp.arange(0, most, at_once, dtype=jnp.int32))[0]
 
 
 def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tuple[SetBits, int]:
@@ -94,9 +126,12 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
         footprint = kernel.footprint(lookup, step)
 
         def in_texel(place: Array, right: int, up: Array | int) -> Bool[Array, "*n"]:
+            bounds = take(silhouettes.bounds, place + (up * padded.stride + right))
             # Under a soft compare, the parts of nearly all texels differ.
-            depth = None if compare.has_depth_derivative else footprint.depth(lookup, right, up)
-            return may_part(take(silhouettes.bounds, place + (up * padded.stride + right)), depth)
+            if compare.has_depth_derivative:
+                return may_part(bounds)
+            depth = footprint.depth(lookup, right, up)
+            return may_part(bounds, (depth, depth))
 
         first = padded.place(footprint.column, footprint.row, lookup.layer)
         texels = [(i, j) for j in range(len(footprint.rows)) for i in range(len(footprint.columns))]

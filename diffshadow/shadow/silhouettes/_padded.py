@@ -1,52 +1,61 @@
 """Silhouettes laid out for look-ups."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ..._misc import take
+from .._lookup import Lookup
 from ._half_planes import Rectangle
 from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
 
 # Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
 _LEAST_AREA = 1e-9
-# Bounds of depths are numbers of steps, two in a word.
+# Bounds of depths are numbers of steps: the least in the upper half of a word, and the greatest in its lower half.
 _STEP_BITS = 16
 _STEPS = (1 << _STEP_BITS) - 1
+# The bounds of no depths.
+_NONE = np.uint32(_STEPS << _STEP_BITS)
+# Squares are taken to be this much wider (texels), since the positions of their sides are rounded.
+_ROUNDING = 1 / 16
 
 
 class PaddedSilhouettes(eqx.Module):
-    """Silhouettes of a padded map, and which texels have one.
+    """Silhouettes of a padded map.
 
     - `map`: its slots are padded as the depths are.
     - `bounds`: of the depths within each texel with one, padded too; see `may_part`.
+    - `blocks`: the same of blocks of texels.
     """
 
     map: SilhouetteMap
-    texels: "Pyramid"
     bounds: UInt32[Array, " n"]
+    blocks: "BlockBounds"
 
     @classmethod
     def of(
         cls,
         silhouettes: SilhouetteMap,
-        depth: Float[Array, " n"],
-        pad: Callable[[Array, int], Array],
-        hides: Callable[[Array], Array],
+        depth: Float[Array, "*l h w"],
+        pad: Callable[[Array, Any], Array],
+        beyond: float,
     ) -> "PaddedSilhouettes":
-        """Pads the slots by `pad`, as `depth` is, and replaces depths of empty parts by `hides`."""
-        has_one = silhouettes.slot != NO_SILHOUETTE
-        slot, inner, outer = pad(silhouettes.slot, NO_SILHOUETTE), hides(silhouettes.inner), hides(silhouettes.outer)
-        padded = eqx.tree_at(lambda found: (found.slot, found.inner, found.outer), silhouettes, (slot, inner, outer))
+        """Pads the slots by `pad`, as `depth` is, and puts depths of empty parts `beyond` all others."""
+        slot = silhouettes.slot
+        inner, outer = (jnp.where(part < 1, part, beyond) for part in (silhouettes.inner, silhouettes.outer))
+        replaced = pad(slot, NO_SILHOUETTE), inner, outer
+        padded = eqx.tree_at(lambda found: (found.slot, found.inner, found.outer), silhouettes, replaced)
         depth, inner, outer = lax.stop_gradient((depth, inner, outer))
         of_parts = lambda choose: choose(depth, take(choose(inner, outer), jnp.maximum(slot, 0)))
         bounds = _in_steps(of_parts(jnp.minimum)) << _STEP_BITS | _in_steps(of_parts(jnp.maximum))
         # Barrier, as the depth's: otherwise each look-up finds them again.
-        bounds = lax.optimization_barrier(jnp.where(slot == NO_SILHOUETTE, jnp.uint32(_STEPS << _STEP_BITS), bounds))
-        return cls(padded, Pyramid.of(has_one), bounds)
+        bounds = lax.optimization_barrier(jnp.where(slot == NO_SILHOUETTE, _NONE, bounds))
+        return cls(padded, pad(bounds, _NONE), BlockBounds.of(bounds))
 
     def change(
         self,
@@ -67,66 +76,88 @@ class PaddedSilhouettes(eqx.Module):
         return outer + fraction * (inner - outer) - function(depth)
 
 
-def may_part(bounds: UInt32[Array, "*n"], depth: Float[Array, "*n"] | None = None) -> Bool[Array, "*n"]:
-    """Whether receivers at `depth` may lie between the parts of texels with these bounds; at any depth if left out.
+def may_part(
+    bounds: UInt32[Array, "*n"], depths: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None
+) -> Bool[Array, "*n"]:
+    """Whether receivers may lie between the parts of texels with these bounds.
 
-    Bounds are the depths of the nearest and the farthest part in one word, in steps, rounded down as the receivers'
-    depth is: some that lie close to a part may be taken for between. Of a texel without parts, the bounds are those of
-    no depth.
+    `depths` are the least and the greatest that receivers may have; any if left out. They are rounded down to steps, as
+    bounds are, so that some receivers close to a part may be taken for between.
     """
-    nearest, farthest = bounds >> _STEP_BITS, bounds & _STEPS
-    if depth is None:
-        return nearest <= farthest
-    step = _in_steps(depth)
-    return (nearest <= step) & (step <= farthest)
+    least, greatest = bounds >> _STEP_BITS, bounds & _STEPS
+    if depths is None:
+        return least <= greatest
+    low, high = _in_steps(depths[0]), _in_steps(depths[1])
+    return (least <= high) & (low <= greatest)
 
 
 def _in_steps(depth: Float[Array, "*n"]) -> UInt32[Array, "*n"]:
     return jnp.clip(depth * _STEPS, 0, _STEPS).astype(jnp.uint32)
 
 
-class Pyramid(eqx.Module):
-    """Which blocks of 1, 2, 4, ... texels a side contain a marked texel, from the finest level to the coarsest.
+class BlockBounds(eqx.Module):
+    """Bounds of depths within blocks of 2, 4, 8, ... texels a side, from the finest level to the coarsest.
 
-    - `marked`: all levels, flattened and concatenated; `levels`: (first, rows, columns) of each.
+    A level's blocks begin half a block apart, so that few blocks cover a square without reaching far beyond it.
+
+    - `bounds`: of all levels, flattened and concatenated; `levels`: (first, rows, columns) of each.
     """
 
-    marked: Bool[Array, " n"]
+    bounds: UInt32[Array, " n"]
     levels: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, marked: Bool[Array, "*l h w"]) -> "Pyramid":
-        level, first = marked.reshape(-1, *marked.shape[-2:]), 0
+    def of(cls, bounds: UInt32[Array, "*l h w"]) -> "BlockBounds":
+        """Given the bounds within texels."""
+        level, first = _with_next(bounds.reshape(-1, *bounds.shape[-2:]), 1), 0
         flat, levels = [], []
         while True:
+            # Barrier: otherwise XLA computes finer levels again for each coarser one.
+            level = lax.optimization_barrier(level)
             _, rows, columns = level.shape
             flat.append(level.reshape(-1))
             levels.append((first, rows, columns))
             first += level.size
-            if rows == columns == 1:
-                return cls(jnp.concatenate(flat), tuple(levels))
-            even = jnp.pad(level, ((0, 0), (0, rows % 2), (0, columns % 2)))
-            level = even[:, ::2, ::2] | even[:, 1::2, ::2] | even[:, ::2, 1::2] | even[:, 1::2, 1::2]
-            # Barrier: otherwise XLA computes finer levels again for each coarser one.
-            level = lax.optimization_barrier(level)
+            if max(rows, columns) <= 4:
+                # Barrier: otherwise XLA finds the level of each word apart, which takes ten times as long.
+                return cls(jnp.concatenate(lax.optimization_barrier(flat)), tuple(levels))
+            level = _with_next(level, 2)[:, ::2, ::2]
 
-    def any_within(
-        self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None, reach: Float[Array, "..."]
+    def may_part(
+        self,
+        lookup: Lookup,
+        reach: Float[Array, "..."],
+        depths: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
     ) -> Bool[Array, "*n"]:
-        """Whether there may be a marked texel within a square of half width `reach` texels around each (x, y).
+        """Whether `may_part` may be true for a texel within a square of half width `reach` texels around a look-up.
 
-        This reads the finest level with blocks at least as wide as the square, which touches at most 2 x 2 of them.
+        This reads the finest level of which 2 x 2 blocks cover the square.
         """
-        x, y, reach = lax.stop_gradient((x, y, reach))
-        level = jnp.ceil(jnp.log2(jnp.maximum(2 * reach, 1))).astype(jnp.int32)
+        x, y, reach, depths = lax.stop_gradient((lookup.x, lookup.y, reach, depths))
+        # Blocks that begin at most twice their spacing apart leave no gap. The square touches at most four spacings.
+        level = jnp.ceil(jnp.log2(jnp.maximum((2 * reach + _ROUNDING) / 3, 1))).astype(jnp.int32)
         level = jnp.minimum(level, len(self.levels) - 1)
         first, rows, columns = jnp.moveaxis(jnp.array(self.levels, jnp.int32)[level], -1, 0)
-        block = lambda place, size: jnp.clip(place * 0.5**level, 0, size - 1).astype(jnp.int32)
-        before = 0 if layer is None else layer
+
+        def ends(middle: Array, count: Array) -> tuple[Array, Array]:
+            """The first and the last block that cover the square along an axis."""
+            spacing = lambda place: jnp.clip(place * 0.5**level, 0, count - 1).astype(jnp.int32)
+            low, high = spacing(middle - reach), spacing(middle + reach)
+            return low, jnp.maximum(high - 1, low)
+
+        before = 0 if lookup.layer is None else lookup.layer
         found = jnp.zeros(x.shape, bool)
-        for row in (block(y - reach, rows), block(y + reach, rows)):
-            for column in (block(x - reach, columns), block(x + reach, columns)):
-                place = first + (before * rows + row) * columns + column
-                found = found | take(self.marked, place)
-        # Squares outside the map are clamped to its border, and must not find marks there.
-        return found & (x + reach >= 0)
+        for row in ends(y, rows):
+            for column in ends(x, columns):
+                found = found | may_part(take(self.bounds, first + (before * rows + row) * columns + column), depths)
+        return found
+
+
+def _with_next(bounds: UInt32[Array, "l h w"], apart: int) -> UInt32[Array, "l h w"]:
+    """Bounds of the depths at each place and those so far `apart` from it, above, to the right and both."""
+    for axis in (1, 2):
+        sides = [(0, apart if own == axis else 0) for own in range(3)]
+        after = lax.slice_in_dim(jnp.pad(bounds, sides, constant_values=_NONE), apart, None, axis=axis)
+        least = jnp.minimum(bounds, after) & _NONE
+        bounds = least | jnp.maximum(bounds & _STEPS, after & _STEPS)
+    return bounds

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, UInt32
 
-_WIDTH = 32
+WIDTH = 32
+"""Bits in a word."""
 
 
 class SetBits(eqx.Module):
@@ -27,6 +28,12 @@ class SetBits(eqx.Module):
         each = jnp.sum(lax.population_count(words), axis=0).astype(jnp.int32)
         self.start, self.count = jnp.cumsum(each) - each, jnp.sum(each)
 
+    @classmethod
+    def of(cls, bits: Bool[Array, " m"]) -> "SetBits":
+        """Of one row of `bits`, as columns of `WIDTH` of them."""
+        columns = jnp.pad(bits, (0, -bits.size % WIDTH)).reshape(-1, WIDTH)
+        return cls(jnp.sum(columns << jnp.arange(WIDTH, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)[None])
+
     def locate(self, first: Int[Array, ""], size: int) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
         """Row and column of the `size` set bits from number `first`; undefined for numbers that do not exist."""
         # A mark is put at each column's first bit. The number of marks up to a bit is then its column's number.
@@ -40,11 +47,11 @@ class SetBits(eqx.Module):
             here = (left >= 0) & (left < bits)
             word, row, rank = (
                 jnp.where(here, own, word),
-                jnp.where(here, _WIDTH * number, row),
+                jnp.where(here, WIDTH * number, row),
                 jnp.where(here, left, rank),
             )
             left = left - bits
-        half = _WIDTH // 2
+        half = WIDTH // 2
         while half:
             low = lax.population_count(word & ((1 << half) - 1)).astype(jnp.int32)
             above = rank >= low
@@ -55,14 +62,14 @@ class SetBits(eqx.Module):
 
 def empty_words(rows: int, columns: int) -> UInt32[Array, "w n"]:
     """Words for this many rows and columns, plus one word per column; no bit is set."""
-    return jnp.zeros((rows // _WIDTH + 2, columns), jnp.uint32)
+    return jnp.zeros((rows // WIDTH + 2, columns), jnp.uint32)
 
 
 def put_bits(words: UInt32[Array, "w n"], first: Int[Array, ""], bits: list[Bool[Array, " n"]]) -> UInt32[Array, "w n"]:
     """Sets `bits` in the rows from `first`, which must all be unset."""
-    for k in range(0, len(bits), _WIDTH):
-        some: Any = sum(bit.astype(jnp.uint32) << i for i, bit in enumerate(bits[k : k + _WIDTH]))
-        word, shift = (first + k) // _WIDTH, ((first + k) % _WIDTH).astype(jnp.uint32)
+    for k in range(0, len(bits), WIDTH):
+        some: Any = sum(bit.astype(jnp.uint32) << i for i, bit in enumerate(bits[k : k + WIDTH]))
+        word, shift = (first + k) // WIDTH, ((first + k) % WIDTH).astype(jnp.uint32)
         # Two shifts, since a shift by the word's width is undefined.
-        words = words.at[word].add(some << shift).at[word + 1].add(some >> (_WIDTH - 1 - shift) >> 1)
+        words = words.at[word].add(some << shift).at[word + 1].add(some >> (WIDTH - 1 - shift) >> 1)
     return words
