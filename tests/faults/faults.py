@@ -1028,6 +1028,13 @@ _SHADOW = (
         "test_silhouette_map.py",
     ),
     _fault(
+        "silhouettes: the walk follows all sides in their direction",
+        "shadow/silhouettes/_crossings.py",
+        "role = (begins == (side < TOP))",
+        "role = (begins == (side <= LEFT))",
+        "test_silhouette_map.py",
+    ),
+    _fault(
         "silhouettes: crossings near a corner count before those on a side",
         "shadow/silhouettes/_crossings.py",
         "(row.astype(jnp.int64) << (32 + _NUMBER_BITS))",

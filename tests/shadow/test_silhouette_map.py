@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 from pathlib import Path
 
 import equinox as eqx
@@ -50,7 +51,7 @@ from diffshadow.shadow._map import _about_corners, _silhouettes
 from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
-from diffshadow.shadow.silhouettes._crossings import BEGIN, END, Grid, _outermost
+from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, _outermost
 from diffshadow.shadow.silhouettes._padded import BlockBounds
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
@@ -430,21 +431,32 @@ def test_half_planes_move_as_edges_do():
 
 def test_of_several_crossings_of_a_side_the_outermost_counts():
     """First of those that lie on it, then of those near its corners; and of several at one place the first."""
-    grid, count = Grid(1, 3, 4), 60
+    count, texels = 60, 3
     rng = np.random.default_rng(0)
-    # Few sides and places, so that several crossings share both; the last side stands for none.
-    side, begins = rng.integers(grid.sides - 6, grid.sides + 1, (2, count)), rng.integers(0, 2, count) > 0
-    offset = rng.integers(-1, 5, (2, count)) / 4
-    found = np.asarray(_outermost(*map(jnp.asarray, (side.astype(np.int32), begins, offset.astype(np.float32))), grid))
-    for role in (END, BEGIN):
-        for one in range(grid.sides):
+    # Few sides and places, so that several crossings share both; the last number stands for no texel.
+    texel, side = rng.integers(0, texels + 1, (2, 2, count)), rng.choice([BOTTOM, TOP], (2, count))
+    begins, offset = rng.integers(0, 2, count) > 0, rng.integers(-1, 5, (2, count)) / 4
+    found = np.asarray(
+        _outermost(
+            jnp.asarray(texel, jnp.int32),
+            jnp.asarray(side, jnp.int32),
+            jnp.asarray(begins),
+            jnp.asarray(offset, jnp.float32),
+            texels,
+        )
+    )
+    for where, one in itertools.product((BOTTOM, RIGHT, TOP, LEFT), range(texels)):
+        for role in (0, 1):
+            # Along the top side the walk runs to the left, so that a caster ends where it begins from left to right.
             of_side = [
                 (row, offset[row, k] if begins[k] else -offset[row, k], row * count + k)
-                for row in range(2)
-                for k in range(count)
-                if side[row, k] == one and begins[k] == (role == BEGIN)
+                for row, other, k in itertools.product(range(2), range(2), range(count))
+                if texel[row, other, k] == one
+                and side[other, k] == where
+                and begins[k] == ((role == 1) == (where == BOTTOM))
             ]
-            assert found[role, one] == min(of_side, default=(0, 0, 2 * count))[2]
+            assert found[role, where, one] == min(of_side, default=(0, 0, 2 * count))[2]
+    assert (found == 2 * count).mean() == 0.5
 
 
 def _without_silhouettes(shadow_map):

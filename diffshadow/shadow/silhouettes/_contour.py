@@ -8,8 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import normalize
-from ._crossings import BEGIN, END, Crossings, Grid
+from ..._misc import normalize, take
+from ._crossings import BOTTOM, RIGHT, TOP, Crossings, Grid
 from ._half_planes import HalfPlanes
 
 # An offset so low that the half-plane contains every texel.
@@ -17,15 +17,9 @@ _EVERYWHERE = -1e6
 # The sine of the smallest angle that counts as a corner of the outline within a texel.
 _LEAST_TURN = 1e-3
 
-# A texel's corners and sides, anticlockwise from its lower left corner. The walk follows the third and fourth sides
-# against their direction, so that `BEGIN` and `END` swap there.
+# A texel's corners (row, column), along the walk around it, and whether this follows the sides that begin there.
 _CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
-_SIDES = np.array([(0, 0), (0, 1), (1, 0), (0, 0)], np.int32)
-_UPRIGHT = np.array([[False], [True], [False], [True]])
 _FORWARD = np.array([[True], [True], [False], [False]])
-_ROWS = np.array([[END, END, BEGIN, BEGIN], [BEGIN, BEGIN, END, END]], np.int32)[..., None]
-_ALONG = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-_OUTWARDS = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)])
 
 
 class Contours(NamedTuple):
@@ -50,50 +44,53 @@ class _Points(NamedTuple):
     `direction` is 0 if no edge is known. `motion` has value zero, and the derivative of the edge's point.
     """
 
-    place: Float[Array, "*k t 2"]
-    direction: Float[Array, "*k t 2"]
-    motion: Float[Array, "*k t 2"]
+    place: Float[Array, "2 t 2"]
+    direction: Float[Array, "2 t 2"]
+    motion: Float[Array, "2 t 2"]
+
+    @classmethod
+    def of(cls, crossings: Crossings, crossing: Int[Array, "4 t"], side: Int[Array, "2 t"]) -> "_Points":
+        """The crossings of these sides, of those of all sides; the middle of the side if there is none."""
+        texels = crossing.shape[1]
+        own = take(crossing.reshape(-1), side * texels + jnp.arange(texels, dtype=jnp.int32))
+        along, is_level = take(crossings.place, own) - 0.5, (side == BOTTOM) | (side == TOP)
+        x = jnp.where(is_level, along, jnp.where(side == RIGHT, 0.5, -0.5))
+        y = jnp.where(is_level, jnp.where(side == TOP, 0.5, -0.5), along)
+        return cls(jnp.stack([x, y], axis=-1), take(crossings.direction, own), take(crossings.motion, own))
 
     @property
-    def on_edge(self) -> Bool[Array, "*k t"]:
+    def on_edge(self) -> Bool[Array, "2 t"]:
         return jnp.any(lax.stop_gradient(self.direction) != 0, axis=-1)
 
 
-def find_contours(
-    depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: Crossings, texel: Int[Array, " t"], grid: Grid
-) -> Contours:
-    """The contours of texels (t,).
+def find_contours(depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: Crossings, grid: Grid) -> Contours:
+    """The contours of texels with crossings, (t,).
 
     Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where
     one begins, with the caster to its left.
     """
+    texel = jnp.minimum(crossings.texel, grid.texels - 1)
     layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
     # Barriers, here and below: otherwise XLA computes an index again in each gather that uses it.
     layer, row, column = lax.optimization_barrier((layer, row, column))
-    at = lambda steps: (layer, row + steps[:, :1], column + steps[:, 1:])
-    z, own = corners[grid.corner(*at(_CORNERS))], depth[texel]
-    # (2, 4, t): where a caster ends, and where one begins, on each side.
-    crossing = lax.optimization_barrier(crossings.at[_ROWS, grid.side(_UPRIGHT, *at(_SIDES))])
+    z, own = corners[grid.corner(layer, row + _CORNERS[:, :1], column + _CORNERS[:, 1:])], depth[texel]
+    crossing = lax.optimization_barrier(crossings.at)
     edge_depth = crossings.depth[crossing]
     near, far = jnp.min(edge_depth, axis=(0, 1)), jnp.max(z, axis=0)
     threshold = lax.stop_gradient(jnp.minimum(near, far) + far) / 2
 
     covered, exists = z < threshold, edge_depth < threshold
+    # The last one stands for none.
+    crossing = jnp.where(exists, crossing, crossings.depth.size - 1)
     following = jnp.roll(covered, -1, axis=0)
     place = jnp.where(_FORWARD, crossings.place[crossing], 1 - crossings.place[crossing])
     # A caster narrower than the side, which covers neither of its corners.
     bar = ~covered & ~following & exists[0] & exists[1] & (place[1] < place[0])
     used = jnp.stack([covered & ~following, ~covered & following]) | bar
-    along = (jnp.where(exists, place, 0.5) - 0.5)[..., None]
-    of_edge = lambda values: jnp.where(exists[..., None], values[crossing], 0)
-    points = _Points(
-        (along * _ALONG[:, None] + 0.5 * _OUTWARDS[:, None]).astype(place.dtype),
-        of_edge(crossings.direction),
-        of_edge(crossings.motion),
-    )
     # Whether two pieces of casters in a texel are connected; a caster that misses all corners is.
     is_band = ~jnp.any(covered, axis=0) | (own < threshold)
-    start, end, has_two = _pair(points, used[0], used[1], is_band)
+    start, end, has_two = _pair(used[0], used[1], is_band)
+    start, end = _Points.of(crossings, crossing[0], start), _Points.of(crossings, crossing[1], end)
     start, end = _moved(start, end), _moved(end, start)
 
     bend = jnp.where(has_two, 0, _bend(start, end))
@@ -117,9 +114,9 @@ def find_contours(
 
 
 def _pair(
-    points: _Points, ends: Bool[Array, "4 t"], begins: Bool[Array, "4 t"], is_band: Bool[Array, " t"]
-) -> tuple[_Points, _Points, Bool[Array, " t"]]:
-    """Start and end of the outline's first and second line through each texel, (2, t), and whether there are two.
+    ends: Bool[Array, "4 t"], begins: Bool[Array, "4 t"], is_band: Bool[Array, " t"]
+) -> tuple[Int[Array, "2 t"], Int[Array, "2 t"], Bool[Array, " t"]]:
+    """The sides on which the first and the second line through each texel start and end, and whether there are two.
 
     A line starts where a caster `ends` and ends where one `begins`.
     """
@@ -130,11 +127,7 @@ def _pair(
     steps = jnp.where(begins, (start[:, None] - number) % 4, 4)
     began = lax.argmin(steps, 1, jnp.int32)
     has_two = jnp.sum(ends, axis=0) > 1
-    end = jnp.where(has_two & is_band, began[::-1], began)
-    side = jnp.stack([start, end])
-    pick = lambda values: jnp.take_along_axis(values, side[..., None], axis=1)
-    picked = _Points(*map(pick, points))
-    return _Points(*(values[0] for values in picked)), _Points(*(values[1] for values in picked)), has_two
+    return start, jnp.where(has_two & is_band, began[::-1], began), has_two
 
 
 def _moved(points: _Points, other: _Points) -> _Points:

@@ -6,10 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._misc import normalize
-from ..._types import HostArray
 from ...raster import grid_crossings
 from ._outline import Outline
 
@@ -18,27 +17,16 @@ _NEAR_CORNER = 1 / 64
 # Bits for the number of a crossing: with 32 for its place and one for its row, they fit into 63.
 _NUMBER_BITS = 30
 
-END, BEGIN = 0, 1
-"""Rows of `Crossings.at`."""
+BOTTOM, RIGHT, TOP, LEFT = range(4)
+"""The sides of a texel, in the order of a walk around it, anticlockwise from its lower left corner."""
 
 
 class Grid(NamedTuple):
-    """Numbers the texels, corners and sides of a map of this size and number of layers.
-
-    In each layer, vertical sides come first, (h, w + 1), then horizontal ones, (h + 1, w).
-    """
+    """Numbers the texels of a map of this size and number of layers, and their corners."""
 
     layers: int
     height: int
     width: int
-
-    @property
-    def upright_sides(self) -> int:
-        return self.height * (self.width + 1)
-
-    @property
-    def sides(self) -> int:
-        return self.layers * (self.upright_sides + (self.height + 1) * self.width)
 
     @property
     def texels(self) -> int:
@@ -50,34 +38,28 @@ class Grid(NamedTuple):
     def corner(self, layer: Array, row: Array, column: Array) -> Array:
         return (layer * (self.height + 1) + row) * (self.width + 1) + column
 
-    def side(self, upright: Array | HostArray, layer: Array, row: Array, column: Array) -> Array:
-        """The side that runs from corner (row, column) upwards or to the right."""
-        number = jnp.where(upright, row * (self.width + 1) + column, self.upright_sides + row * self.width + column)
-        return layer * (self.sides // self.layers) + number
-
 
 class Crossings(eqx.Module):
     """Where the outline crosses the sides of texels. Sides are directed upwards or to the right.
 
-    - `at`: (2, n), for each side, the crossing at which the caster that covers the side's first corner ends (row `END`)
-        and the one at which the caster that covers its last corner begins (row `BEGIN`). Of several, the outermost; c,
-        the number of crossings, stands for none.
+    - `texel`: (t,), the number of each texel with crossings; `grid.texels` stands for none.
+    - `at`: (2, 4, t), for each side of these texels, the crossing at which a caster ends along the walk around it, and
+        the one at which a caster begins. Of several, the outermost; c, the number of crossings, stands for none.
     - `place`, `depth`: (c + 1,), of each crossing: the position along its side, in [0, 1], and its window depth.
     - `direction`: (c + 1, 2), the edge's unit direction, with the caster to its left; 0 for none.
     - `motion`: (c + 1, 2), of value zero, with the derivative of the edge's point there.
     """
 
-    at: Int[Array, "2 n"]
+    texel: Int[Array, " t"]
+    at: Int[Array, "2 4 t"]
     place: Float[Array, " c"]
     depth: Float[Array, " c"]
     direction: Float[Array, "c 2"]
     motion: Float[Array, "c 2"]
 
 
-def find_crossings(
-    outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int
-) -> tuple[Crossings, Int[Array, " t"]]:
-    """The crossings of all sides, and the texels on either side of each; `grid.texels` stands for none.
+def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int) -> Crossings:
+    """The crossings of all sides.
 
     **Arguments:**
 
@@ -115,40 +97,61 @@ def find_crossings(
     first = corners[grid.corner(layer, row, column)]
     last = corners[grid.corner(layer, row + jnp.where(upright, 1, 0), column + jnp.where(upright, 0, 1))]
     hides = exists & (depth < jnp.where(begins, first, last))
-    side = jnp.where(hides, grid.side(upright, layer, row, column), grid.sides)
+
+    # The texel above a side or to its right, and then the one on its other side.
+    other = jnp.arange(2, dtype=jnp.int32)[:, None]
+    y, x = row[:, None] - jnp.where(upright, 0, other), column[:, None] - jnp.where(upright, other, 0)
+    inside = exists[:, None] & (x >= 0) & (x < grid.width) & (y >= 0) & (y < grid.height)
+    beside = jnp.where(inside, grid.texel(layer, y, x), grid.texels)
+    texel, own = _distinct(beside[0].reshape(-1), grid.texels)
+    side = jnp.where(upright, jnp.where(other, RIGHT, LEFT), jnp.where(other, TOP, BOTTOM))
 
     offset = jnp.stack([place, place - step])
     direction = normalize(end - start)
     # If samples show a crossing but no edge does, the crossing is put at the side's middle.
     none = jnp.zeros((1, 2), place.dtype)
-    crossings = Crossings(
-        at=_outermost(side, begins, offset, grid),
+    return Crossings(
+        texel=texel,
+        at=_outermost(jnp.where(hides[:, None], own[beside], texel.size), side, begins, offset, texel.size),
         place=jnp.concatenate([*offset, jnp.full(1, 0.5, place.dtype)]),
         depth=jnp.concatenate([depth, depth, jnp.ones(1, place.dtype)]),
         direction=jnp.concatenate([direction, direction, none]),
         motion=jnp.concatenate([motion, motion, none]),
     )
-    back = jnp.arange(2, dtype=jnp.int32)[:, None]
-    y, x = row[0] - jnp.where(upright, 0, back), column[0] - jnp.where(upright, back, 0)
-    inside = exists[0] & (x >= 0) & (x < grid.width) & (y >= 0) & (y < grid.height)
-    return crossings, jnp.where(inside, grid.texel(layer, y, x), grid.texels).reshape(-1)
 
 
-def _outermost(side: Int[Array, "2 c"], begins: Array, offset: Float[Array, "2 c"], grid: Grid) -> Int[Array, "2 n"]:
-    """`Crossings.at`, from the sides that crossings lie on (row 0) or may belong to (row 1).
+def _distinct(texel: Int[Array, " t"], texels: int) -> tuple[Int[Array, " t"], Int[Array, " n"]]:
+    """Texels without repetitions, `texels` in their place, and for each texel of the map its place among them, t if it
+    is not."""
+    number = jnp.arange(texel.size, dtype=jnp.int32)
+    place = jnp.full(texels + 1, texel.size, jnp.int32).at[texel].min(number).at[texels].set(texel.size)
+    return jnp.where(place[texel] == number, texel, texels), place
 
-    A crossing of row 1 counts only if there is none in row 0.
+
+def _outermost(
+    place: Int[Array, "2 2 c"],
+    side: Int[Array, "2 c"],
+    begins: Bool[Array, " c"],
+    offset: Float[Array, "2 c"],
+    count: int,
+) -> Int[Array, "2 4 t"]:
+    """`Crossings.at`, from the texels at `place`, on either side of each crossing, and which of their sides it is on.
+
+    A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if none
+    lies on it. Of `count` texels; that number stands for none.
     """
-    count = side.shape[1]
-    role, row = jnp.where(begins, BEGIN, END), jnp.arange(2, dtype=jnp.int32)[:, None]
-    number = jnp.arange(2 * count, dtype=jnp.int32).reshape(2, count)
+    crossings = begins.size
+    row = jnp.arange(2, dtype=jnp.int32)[:, None]
+    number = jnp.arange(2 * crossings, dtype=jnp.int32).reshape(2, crossings)
     bits = lax.bitcast_convert_type(jnp.where(begins, offset, -offset).astype(jnp.float32), jnp.int32)
     # Ordered as the numbers that the bits stand for.
     rank = jnp.where(bits < 0, bits ^ jnp.iinfo(jnp.int32).max, bits)
+    # The walk follows the top and the left side against their direction.
+    role = (begins == (side < TOP)).astype(jnp.int32)
     with jax.enable_x64(True):
         # The least of one number for all three: the row, how far out, and which of several at one place.
         not_negative = rank.astype(jnp.int64) + (1 << 31)
         key = (row.astype(jnp.int64) << (32 + _NUMBER_BITS)) | (not_negative << _NUMBER_BITS) | number
         none = jnp.iinfo(jnp.int64).max
-        least = jnp.full((2, grid.sides + 1), none, jnp.int64).at[role, side].min(key)[..., :-1]
-        return jnp.where(least < none, least & ((1 << _NUMBER_BITS) - 1), 2 * count).astype(jnp.int32)
+        least = jnp.full((2, 4, count + 1), none, jnp.int64).at[role, side, place].min(key[:, None])[..., :-1]
+        return jnp.where(least < none, least & ((1 << _NUMBER_BITS) - 1), 2 * crossings).astype(jnp.int32)

@@ -89,9 +89,9 @@ def find_silhouettes(
     grid = Grid(depth.size // (height * width), height, width)
     # At least 1, since an empty array cannot be indexed.
     capacity = max(capacity, 1)
-    crossings, texel = find_crossings(outline, corners.reshape(-1), grid, capacity)
-    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, jnp.minimum(texel, grid.texels - 1), grid)
+    crossings = find_crossings(outline, corners.reshape(-1), grid, capacity)
+    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, grid)
     number = jnp.arange(2 * capacity, dtype=jnp.int32)
-    place = jnp.where(found.exists, texel, grid.texels)
+    place = jnp.where(found.exists, crossings.texel, grid.texels)
     slot = jnp.full(grid.texels + 1, NO_SILHOUETTE, jnp.int32).at[place].max(number)[:-1]
     return SilhouetteMap(slot.reshape(depth.shape), found.planes, found.inner, found.outer, found.follows)
