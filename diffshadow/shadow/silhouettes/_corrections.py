@@ -69,7 +69,8 @@ class Corrections(AbstractTerms):
 
         def values_at(bit: Int[Array, " n"], word: Int[Array, " n"]) -> Any:
             lookup = jnp.minimum(word * WIDTH + bit, size - 1)
-            place = jnp.unravel_index(lookup, shape)
+            # Barrier: otherwise XLA computes these again for each number of a table.
+            lookup, place = lax.optimization_barrier((lookup, jnp.unravel_index(lookup, shape)))
 
             def own(table: Array) -> Array:
                 """A column of the table for each look-up. Its last axes are those of the look-ups, or have length 1."""
