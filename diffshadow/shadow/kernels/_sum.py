@@ -35,7 +35,7 @@ def sum_over(
     compare: AbstractCompare,
     lookup: Lookup,
     steps: Any,
-    active: Bool[Array, "*n"] | None = None,
+    active: Bool[Array, "i p j q"] | None = None,
 ) -> Array:
     """The weighted sum of compares with all texels that a kernel reads, for each look-up.
 
