@@ -28,8 +28,9 @@ def assert_located(table, at_once, size):
     count, parts = located(table, at_once, size)
     column, row = np.nonzero(table.T)
     assert int(count) == len(row)
+    assert sum(int(exists.sum()) for _, _, exists in parts) == len(row)
     for first, found in zip(range(0, len(row), size), parts, strict=False):
-        for part, expected in zip(found, (row, column), strict=True):
+        for part, expected in zip(found, (row, column, np.ones(len(row), bool)), strict=True):
             np.testing.assert_array_equal(part[: len(row) - first], expected[first : first + size])
 
 

@@ -103,8 +103,8 @@ def _sums(
 
     @checkpoint
     def add(total: Any, first: Int[Array, ""]) -> Any:
-        exists = first + jnp.arange(at_once, dtype=jnp.int32) < found.count
-        place, values = values_at(*lax.optimization_barrier(found.locate(first, at_once)))
+        row, column, exists = lax.optimization_barrier(found.locate(first, at_once))
+        place, values = values_at(row, column)
         put = lambda total, values: total.at[place].add(jnp.where(exists, values, 0), mode="promise_in_bounds")
         return jax.tree.map(put, total, values)
 
@@ -143,7 +143,7 @@ def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tu
 
     def mark(words: Any, at_step: Any) -> tuple[Any, None]:
         number, step = at_step
-        return put_bits(words, number * texels, [bits.reshape(-1) for bits in differs(step)]), None
+        return put_bits(words, number * texels, differs(step)), None
 
     words = empty_words(count * texels, lookup.depth.size)
     words, _ = lax.scan(mark, words, (jnp.arange(count, dtype=jnp.int32), steps))

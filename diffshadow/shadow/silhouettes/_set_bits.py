@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, UInt32
 
+from ...raster import Items
+
 WIDTH = 32
 """Bits in a word."""
 
@@ -15,18 +17,20 @@ class SetBits(eqx.Module):
     """Bits in rows and `n` columns, 32 rows to a word. Set bits are numbered column by column.
 
     - `words`: the lowest bit is that of the first row.
-    - `start`: the number of the first set bit of each column.
-    - `count`: number of set bits.
+    - `columns`: the set bits as items of columns.
     """
 
     words: UInt32[Array, "w n"]
-    start: Int[Array, " n"]
-    count: Int[Array, ""]
+    columns: Items
 
     def __init__(self, words: UInt32[Array, "w n"]):
         self.words = words
-        each = jnp.sum(lax.population_count(words), axis=0).astype(jnp.int32)
-        self.start, self.count = jnp.cumsum(each) - each, jnp.sum(each)
+        self.columns = Items.of(jnp.sum(lax.population_count(words), axis=0).astype(jnp.int32))
+
+    @property
+    def count(self) -> Int[Array, ""]:
+        """Number of set bits."""
+        return self.columns.total
 
     @classmethod
     def of(cls, bits: Bool[Array, " m"]) -> "SetBits":
@@ -34,12 +38,9 @@ class SetBits(eqx.Module):
         columns = jnp.pad(bits, (0, -bits.size % WIDTH)).reshape(-1, WIDTH)
         return cls(jnp.sum(columns << jnp.arange(WIDTH, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)[None])
 
-    def locate(self, first: Int[Array, ""], size: int) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
-        """Row and column of the `size` set bits from number `first`; undefined for numbers that do not exist."""
-        # A mark is put at each column's first bit. The number of marks up to a bit is then its column's number.
-        marks = jnp.zeros(size + 1, jnp.int32).at[jnp.clip(self.start - first, 0, size)].add(1)
-        column = jnp.cumsum(marks[:-1]) - 1
-        left = first + jnp.arange(size, dtype=jnp.int32) - self.start[column]
+    def locate(self, first: Int[Array, ""], size: int) -> tuple[Int[Array, " s"], Int[Array, " s"], Bool[Array, " s"]]:
+        """Row and column of the `size` set bits from number `first`, and whether they exist."""
+        column, left, exists = self.columns.chunk(first, size)
         word, row, rank = jnp.zeros(size, jnp.uint32), jnp.zeros(size, jnp.int32), left
         for number, words in enumerate(self.words):
             own = words[column]
@@ -57,7 +58,7 @@ class SetBits(eqx.Module):
             above = rank >= low
             word, row = jnp.where(above, word >> half, word), jnp.where(above, row + half, row)
             rank, half = jnp.where(above, rank - low, rank), half // 2
-        return row, column
+        return row, column, exists
 
 
 def empty_words(rows: int, columns: int) -> UInt32[Array, "w n"]:
