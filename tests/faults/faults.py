@@ -3341,6 +3341,13 @@ _STUDY = (
         "test_advise.py",
     ),
     _fault(
+        "sweep: a client that cannot connect stays open",
+        "study/sweeps/_pool.py",
+        "        client.close()\n",
+        "",
+        "test_sweep.py",
+    ),
+    _fault(
         "sweep: two processes may do it",
         "study/sweeps/_run.py",
         "fcntl.LOCK_EX | fcntl.LOCK_NB",

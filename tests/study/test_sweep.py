@@ -1,6 +1,7 @@
 """Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
 
 import contextlib
+import gc
 import importlib
 import io as text_io
 import json
@@ -679,6 +680,8 @@ def test_missing_scheduler_is_told(quick, monkeypatch):
     ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "the server there does not answer")]
 )
 def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
+    from distributed import Client
+
     monkeypatch.setattr("diffshadow.study.sweeps._pool._ANSWER_TIMEOUT", 60 if answer else 1)
     monkeypatch.setattr("diffshadow.study.sweeps._interrupts._EXIT_TIMEOUT_INTERRUPTED", 0.1)
     kept = []
@@ -696,6 +699,11 @@ def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
             study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler=address)
     for each in kept:
         each.close()
+    for thread in threading.enumerate():
+        if thread.name == "diffshadow pool":
+            thread.join()
+    # A client that is left open waits for a lock when it is garbage collected.
+    assert {each.status for each in gc.get_objects() if isinstance(each, Client)} <= {"closed"}
 
 
 def test_sweep_whose_workers_are_gone_ends_with_what_to_do(quick, monkeypatch):

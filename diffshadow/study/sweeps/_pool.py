@@ -201,9 +201,13 @@ def _reached(scheduler: str) -> Iterator[Any]:
     """A client of the scheduler at an address."""
     from distributed import Client
 
+    # In two steps, so that it can be closed if it cannot connect. Dask would close it when it is garbage collected,
+    # which may wait for a lock for ever if that happens while another client or cluster starts.
+    client = Client.__new__(Client)
     try:
-        client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
+        Client.__init__(client, scheduler, timeout=_CONNECT_TIMEOUT)
     except Exception as error:  # many types: Dask may read another server's answer as the length of a message
+        client.close()
         raise _no_scheduler(scheduler, str(error)) from error
     with client:
         try:
