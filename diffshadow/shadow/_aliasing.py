@@ -69,18 +69,18 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     - `choice`: the layers that the surface is looked up in; those of the light if left out.
     """
     choice = Choice(shadow_map.light.layer(surface.position)) if choice is None else choice
-    view = camera.view()
+    view, map_view, resolution = camera.view(), shadow_map.view_of(choice.layer), shadow_map.resolution
 
     def texel(points: VectorMap) -> TexelMap:
-        return project(shadow_map, points, choice.layer)[0]
+        return project(map_view, resolution, points)[0]
 
     # Pixels without a surface have no place on the screen.
     points = jnp.where(surface.mask[..., None], surface.position, camera.target)
     to_light = normalize(shadow_map.light.towards(points))
     to_camera = normalize(camera.eye - points) if view.is_perspective else view.world_to_eye[2, :3]
     half_way = normalize(to_light + to_camera)
-    at, _, in_front = project(shadow_map, points, choice.layer)
-    height, width = shadow_map.view_of(choice.layer).shown(shadow_map.resolution)
+    at, _, in_front = project(map_view, resolution, points)
+    height, width = map_view.shown(resolution)
     inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= width) & (at[..., 1] <= height)
     mask = surface.mask & in_front & inside & (dot(surface.normal, to_light) > 0)
     mask = mask if choice.strength is None else mask & (choice.strength > 0)

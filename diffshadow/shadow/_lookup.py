@@ -107,7 +107,7 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
     position, texel, depth, in_front = at.position, at.texel, at.depth, at.in_front
     if terms.displacement is not None:
         position = position + terms.displacement
-        texel, depth, in_front = project(shadow_map, position, at.layer)
+        texel, depth, in_front = project(shadow_map.view_of(at.layer), shadow_map.resolution, position)
     inside = in_front & (depth <= 1)
     depth = depth - terms.depth
     slope = deepest = None

@@ -17,7 +17,7 @@ from .._misc import as_array, as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
-from ._receiver import is_in_front
+from ._receiver import project
 from ._technique import AbstractTechnique
 from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
 from .kernels import Shape
@@ -119,14 +119,10 @@ def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l
 
 def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
     """Where the light sees each surface point, in texels; whether it is in front of the light; and in which view."""
-    view = texture.light.view()
-    layer = texture.light.layer(surface.position)
-    clip = (view if layer is None else view.facing(layer)).clip(surface.position)
-    w = clip[..., 3:]
-    in_front = is_in_front(view, w)
-    window = jnp.where(in_front, clip[..., :2] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
-    height, width = texture.resolution
-    return window * jnp.array([width, height], window.dtype), in_front[..., 0], layer
+    view, layer = texture.light.view(), texture.light.layer(surface.position)
+    view = view if layer is None else view.facing(layer)
+    texel, _, in_front = project(view, texture.resolution, surface.position)
+    return texel, in_front, layer
 
 
 def _seen(texture: ProjectiveTexture, texel: TexelMap, in_front: Mask, layer: LayerMap | None) -> Visibility:

@@ -6,7 +6,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import as_float, dot, normalize, safe_norm, take
-from .._types import DepthMap, Mask, Scalar, TexelMap, VectorMap
+from .._types import DepthMap, Mask, Resolution, Scalar, TexelMap, VectorMap
 from ..geometry import View, transform_points, transform_vectors
 from ..raster import DepthTest, Surface
 from ._map import ShadowMap
@@ -67,7 +67,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
     # Behind a spot light the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
     distance = jnp.where(surface.mask, ahead, view.far)
-    texel, depth, in_front = project(shadow_map, surface.position, layer)
+    texel, depth, in_front = project(view, shadow_map.resolution, surface.position)
     extent = view.texel_extent(distance, shadow_map.resolution, texel)
     texel_size = view.texel_size(distance, shadow_map.resolution, texel)
     depth_per_texel = texel_size * view.depth_slope(distance)
@@ -98,16 +98,14 @@ def is_in_front(view: View, w: Float[Array, "*n"]) -> Bool[Array, "*n"]:
     return w > (_BESIDE * view.near if view.is_perspective else 0)
 
 
-def project(
-    shadow_map: ShadowMap, position: VectorMap, layer: Int[Array, "h w"] | None
-) -> tuple[TexelMap, DepthMap, Mask]:
-    """Projects `position` (h, w, 3) into the map: texel, window depth, and whether it is in front of the light."""
-    view = shadow_map.view_of(layer)
+def project(view: View, resolution: Resolution, position: VectorMap) -> tuple[TexelMap, DepthMap, Mask]:
+    """Projects `position` (h, w, 3) into a map of this `resolution`: texel, window depth, and whether it is in front of
+    the light."""
     clip = view.clip(position)
     w = clip[..., 3]
     in_front = is_in_front(view, w)
     window = lambda axis: jnp.where(in_front, clip[..., axis] / jnp.where(in_front, w, 1), 2.0) * 0.5 + 0.5
-    height, width = view.whole(shadow_map.resolution)
+    height, width = view.whole(resolution)
     depth = window(2) if view.warp is None else view.unwarped.clip(position)[..., 2] * 0.5 + 0.5
     x, y = window(0) * width, window(1) * height
     if view.tile is not None:

@@ -1607,8 +1607,8 @@ _SHADOW = (
     _fault(
         "shares: aliasing beyond a cascade's border",
         "shadow/_aliasing.py",
-        "shadow_map.view_of(choice.layer).shown(shadow_map.resolution)",
-        "shadow_map.resolution",
+        "map_view.shown(resolution)",
+        "resolution",
         "test_cascades.py",
     ),
     _fault(
