@@ -42,8 +42,10 @@ class View(eqx.Module):
     tile: Tile | None = None
 
     @eqx.filter_jit
-    def facing(self, layer: Int[Array, "*n"]) -> "View":
-        """For a light with several views, the view of `layer` for each point."""
+    def facing(self, layer: Int[Array, "*n"] | None) -> "View":
+        """For a light with several views, the view of `layer` for each point; this one if there are no layers."""
+        if layer is None:
+            return self
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
         view = self._with(each(self.world_to_eye), each(self.eye_to_clip))
         return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer))

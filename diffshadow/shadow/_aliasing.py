@@ -69,7 +69,7 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     - `choice`: the layers that the surface is looked up in; those of the light if left out.
     """
     choice = Choice(shadow_map.light.layer(surface.position)) if choice is None else choice
-    view, map_view, resolution = camera.view(), shadow_map.view_of(choice.layer), shadow_map.resolution
+    view, map_view, resolution = camera.view(), shadow_map.view.facing(choice.layer), shadow_map.resolution
 
     def texel(points: VectorMap) -> TexelMap:
         return project(map_view, resolution, points)[0]

@@ -107,7 +107,7 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
     position, texel, depth, in_front = at.position, at.texel, at.depth, at.in_front
     if terms.displacement is not None:
         position = position + terms.displacement
-        texel, depth, in_front = project(shadow_map.view_of(at.layer), shadow_map.resolution, position)
+        texel, depth, in_front = project(shadow_map.view.facing(at.layer), shadow_map.resolution, position)
     inside = in_front & (depth <= 1)
     depth = depth - terms.depth
     slope = deepest = None
@@ -125,5 +125,5 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
     """Whether each receiver falls inside the map rather than on its border, (h, w)."""
-    height, width = shadow_map.view_of(lookup.layer).shown(shadow_map.resolution)
+    height, width = shadow_map.view.facing(lookup.layer).shown(shadow_map.resolution)
     return lookup.inside & (lookup.x >= 0) & (lookup.y >= 0) & (lookup.x <= width) & (lookup.y <= height)

@@ -64,10 +64,6 @@ class ShadowMap(eqx.Module):
         self.silhouettes, self.padded = silhouettes, padded
         self.view = light.view() if view is None else view
 
-    def view_of(self, layer: Int[Array, "*n"] | None) -> View:
-        """The projection of `layer`, for each point; the map's only one if there are no layers."""
-        return self.view if layer is None else self.view.facing(layer)
-
     @property
     def resolution(self) -> Resolution:
         """(height, width) in texels."""

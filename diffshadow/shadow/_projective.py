@@ -119,9 +119,8 @@ def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l
 
 def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
     """Where the light sees each surface point, in texels; whether it is in front of the light; and in which view."""
-    view, layer = texture.light.view(), texture.light.layer(surface.position)
-    view = view if layer is None else view.facing(layer)
-    texel, _, in_front = project(view, texture.resolution, surface.position)
+    layer = texture.light.layer(surface.position)
+    texel, _, in_front = project(texture.light.view().facing(layer), texture.resolution, surface.position)
     return texel, in_front, layer
 
 

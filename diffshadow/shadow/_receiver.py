@@ -62,7 +62,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
     - `layer`: (h, w), which of the light's maps each point falls in; the one that the light's `layer` says if left out.
     """
     layer = shadow_map.light.layer(surface.position) if layer is None else layer
-    view = shadow_map.view_of(layer)
+    view = shadow_map.view.facing(layer)
     eye = transform_points(view.world_to_eye, surface.position)[..., :3]
     # Behind a spot light the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]

@@ -1059,7 +1059,7 @@ _SHADOW = (
         "silhouettes: points of look-ups follow the first of several views",
         "shadow/kernels/_padded_map.py",
         "self.view.facing(layer)",
-        "self.view.facing(jnp.zeros_like(layer))",
+        "self.view.facing(None if layer is None else jnp.zeros_like(layer))",
         "test_silhouette_map.py",
     ),
     _fault(
@@ -1600,7 +1600,7 @@ _SHADOW = (
     _fault(
         "shares: all of a layer counts as covered",
         "shadow/_lookup.py",
-        "shadow_map.view_of(lookup.layer).shown(shadow_map.resolution)",
+        "shadow_map.view.facing(lookup.layer).shown(shadow_map.resolution)",
         "shadow_map.resolution",
         "test_cascades.py",
     ),

@@ -227,8 +227,7 @@ def _texel_in_pixels(
         distance = view.distance(points)
         return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
 
-    layer = light.layer(points)
-    from_light = light.view() if layer is None else light.view().facing(layer)
+    from_light = light.view().facing(light.layer(points))
     return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))
 
 

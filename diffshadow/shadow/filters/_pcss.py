@@ -159,7 +159,7 @@ class _Penumbra(eqx.Module):
 
     @classmethod
     def of(cls, shadow_map: ShadowMap, lookup: Lookup, light_size: Scalar | None) -> "_Penumbra":
-        view = shadow_map.view_of(lookup.layer)
+        view = shadow_map.view.facing(lookup.layer)
         distance = view.eye_depth(jnp.clip(lookup.depth, 0, 1))
         light_size = half_width_of(shadow_map.light, light_size)
         return cls(view, shadow_map.resolution, lookup.texel, distance, light_size)

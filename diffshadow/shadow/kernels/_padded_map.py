@@ -73,7 +73,7 @@ class PaddedMap(eqx.Module):
         In arrays of their own: in reverse mode, XLA is slow to add up axes of three coordinates.
         """
         assert self.view is not None
-        matrix = (self.view if layer is None else self.view.facing(layer)).matrix
+        matrix = self.view.facing(layer).matrix
         x, y, w = (
             sum((matrix[..., row, k] * at for k, at in enumerate(position)), start=matrix[..., row, 3])
             for row in (0, 1, 3)

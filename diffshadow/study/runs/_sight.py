@@ -71,7 +71,7 @@ def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n
     if position is not None and np.spacing(np.abs(points - np.asarray(position)).max()) > size_of(scene.mesh):
         return _NO_POINTS
     layer = light.layer(as_float(points))
-    view = light.view() if layer is None else light.view().facing(layer)
+    view = light.view().facing(layer)
     x, y, z, w = np.moveaxis(np.asarray(view.clip(as_float(points)), np.float64), -1, 0)
     behind = w <= 0
     beyond = ~behind & (z > w)
