@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from .._misc import take
+from .._misc import is_on_gpu, take
 
 # Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
 # six classes into one integer.
@@ -57,7 +57,7 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
         shift = jnp.maximum(own, 0) * _BITS
         return packed + jnp.where(own >= 0, 1 << shift, 0), packed >> shift & (1 << _BITS) - 1
 
-    packed, within = lax.scan(count, jnp.zeros_like(runs[0]), runs)
+    packed, within = lax.scan(count, jnp.zeros_like(runs[0]), runs, unroll=is_on_gpu())
     totals = packed >> jnp.arange(number, dtype=jnp.int32)[:, None] * _BITS & (1 << _BITS) - 1
     through = jnp.cumsum(totals, axis=1, dtype=jnp.int32)
     before = lax.optimization_barrier(through - totals)

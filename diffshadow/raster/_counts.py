@@ -23,7 +23,7 @@ from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._rasterize import padded
-from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, DrawPass, corner
+from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, DrawPass, corner, scatter_mode
 
 When = Literal["pass", "fail"]
 
@@ -73,7 +73,7 @@ def _count_fragments(clip, faces, weights, depth, nearer) -> Int[Array, "h w"]:
         form = eqx.tree_at(lambda form: form.greatest, form, jnp.minimum(form.greatest, 1))
         weight = (jnp.where(source >= 0, weights[source], 0) * form.turn).astype(jnp.int32)
         updates = weight[:, None, None] * _counted(form, side, padded, nearer)
-        return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=IN_BOUNDS)
+        return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=scatter_mode())
 
     return drawing.draw(buffer, write)[:height, :width]
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import a_step, safe_divide, take, with_gradient_of
+from .._misc import a_step, is_on_gpu, safe_divide, take, take_in_runs, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
 from ..geometry import Tile
 
@@ -77,7 +77,12 @@ def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> 
         return lambda face: [[take(value, take(vertex, face)) for vertex in vertices] for value in values]
     # One gather for each pixel instead of two.
     tables = _computed([[take(value, vertex) for vertex in vertices] for value in values])
-    return lambda face: [[take(table, face) for table in corners] for corners in tables]
+    return lambda face: [[_at_pixels(table, face) for table in corners] for corners in tables]
+
+
+def _at_pixels(values: Float[Array, " f"], face: FaceMap) -> Float[Array, "h w"]:
+    """Values of the faces that the pixels see, (h, w)."""
+    return (take_in_runs if is_on_gpu() else take)(values, face)
 
 
 class Barycentrics(eqx.Module):
@@ -152,7 +157,7 @@ def interpolate_values(at: Barycentrics, values: CornerValues) -> Float[Array, "
 def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> Float[Array, "h w c"]:
     """An attribute of each corner of each face (f, 3, c) at the pixels, (h, w, c); 0 where nothing is seen."""
     columns = [[attribute[:, k, c] for k in range(3)] for c in range(attribute.shape[-1])]
-    return _stacked(at, [_mean(at, [take(column, at.face) for column in corners]) for corners in columns])
+    return _stacked(at, [_mean(at, [_at_pixels(column, at.face) for column in corners]) for corners in columns])
 
 
 def of_face(at: Barycentrics, attribute: Float[Array, "f c"]) -> Float[Array, "h w c"]:
@@ -211,7 +216,7 @@ def _visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces, tile: Tile |
 
     depth, on_face = by_bands(band, face, tile=tile)
     X, Y = _centres(face.shape, Rows(0, face.shape[0], tile), clip.dtype)
-    plane = jax.tree.map(lambda values: take(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
+    plane = jax.tree.map(lambda values: _at_pixels(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
     linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
     return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)
 

@@ -2,13 +2,12 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Int
 
-from .._misc import take
+from .._misc import is_on_gpu, take
 
 # With no more owners than this to an item, a CPU takes less time to mark where each one's items end than to search.
 _MOST_MARKS = 8
@@ -40,14 +39,18 @@ class Items(NamedTuple):
         """Of the `length` items from number `first`: each one's owner, its place among those of its owner, and whether
         there is such an item. For one that there is not, owner and place mean nothing; the owner exists."""
         item = first + jnp.arange(length, dtype=self.ends.dtype)
+        exists = item < self.total
+        if is_on_gpu():
+            # In place of those that there are not, the first ones again: otherwise all would update the same places.
+            item = item % jnp.maximum(self.total, 1)
         # The barrier keeps XLA from searching again for each value that is looked up.
         owner = lax.optimization_barrier(jnp.minimum(self._ended(item), self.ends.shape[0] - 1))
-        return owner, item - take(self.ends - self.lengths, owner), item < self.total
+        return owner, item - take(self.ends - self.lengths, owner), exists
 
     def _ended(self, item: Int[Array, " length"]) -> Int[Array, " length"]:
         """How many owners' items end at or before each of these consecutive ones: the number of its owner."""
-        if jax.default_backend() != "cpu":
-            # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
+        if is_on_gpu():
+            # Unrolled: CPUs take longer to compile that.
             return jnp.searchsorted(self.ends, item, side="right", method="scan_unrolled").astype(jnp.int32)
         count = item.shape[0]
         if self.ends.shape[0] > _MOST_MARKS * count:

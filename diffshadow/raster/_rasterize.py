@@ -42,15 +42,15 @@ class Fragments(eqx.Module):
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Any, Any]:
     """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled.
 
-    **Returns:** both arrays, on the host where they had to be filled up.
+    **Returns:** both arrays. On CPUs they are on the host where they had to be filled up.
     """
     if isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
     size, vertices = shared_mesh_size(faces.shape[0], clip.shape[-2])
     if (size, vertices) == (faces.shape[0], clip.shape[-2]):
         return clip, faces
-    # In NumPy, whose copies need no compiling, and which programs take as they are.
-    return np.moveaxis(filled(np.moveaxis(np.asarray(clip), -2, 0), vertices), 0, -2), filled(faces, size)
+    # In NumPy on CPUs, whose copies need no compiling, and which programs take as they are.
+    return filled(clip, vertices, axis=-2), filled(faces, size)
 
 
 def rasterize(

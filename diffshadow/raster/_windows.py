@@ -23,7 +23,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import a_step, take, take_last
+from .._misc import a_step, is_on_gpu, take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
@@ -39,6 +39,8 @@ SCATTER = lax.ScatterDimensionNumbers(
 )
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
+# Where windows of no triangle begin on a GPU: out of bounds, where they are not written.
+_OUT_OF_BOUNDS = -(1 << 20)
 _FACE_BITS = 32
 # How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
 _CLIPPED_AT_ONCE = 64, 256, 2048
@@ -178,7 +180,7 @@ class DrawPass(Drawing):
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
                 used = used & (box.left <= box.right) & (box.bottom <= box.top)
-            x, y = (jnp.where(used, low, 0) for low in (box.left - left, box.bottom - bottom))
+            x, y = (_if_used(used, low) for low in (box.left - left, box.bottom - bottom))
             form, source = self._form(corners, plane, x, y, layer), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
@@ -239,7 +241,7 @@ class DrawPass(Drawing):
                 x, y, owner = _of((left, bottom, triangle), row)
                 own, own_plane, own_source, own_layer = _of((corners, plane, source, layer), owner)
                 origin_x, origin_y = self._origin(own_layer)
-                x, y = (jnp.where(exists, at, 0) for at in (x + column * BLOCK - origin_x, y - origin_y))
+                x, y = (_if_used(exists, low) for low in (x + column * BLOCK - origin_x, y - origin_y))
                 form = self._form(own, own_plane, x, y, own_layer)
                 # Nor is the face looked up again for every pixel.
                 own_source = lax.optimization_barrier(jnp.where(exists, own_source, -1))
@@ -301,6 +303,16 @@ def _ceil_div(count: Int[Array, "*n"], length: int) -> Int[Array, "*n"]:
     return lax.div(count + (length - 1), jnp.full_like(count, length))
 
 
+def _if_used(used: Bool[Array, " n"], first: Int[Array, " n"]) -> Int[Array, " n"]:
+    """The first row or column of windows that are `used`, and where others are put."""
+    return jnp.where(used, first, _OUT_OF_BOUNDS if is_on_gpu() else 0)
+
+
+def scatter_mode() -> lax.GatherScatterMode:
+    """How windows are written."""
+    return lax.GatherScatterMode.FILL_OR_DROP if is_on_gpu() else IN_BOUNDS
+
+
 def corner(form: EdgeForm) -> Int[Array, "n 2"]:
     """Row and column of each window's first pixel."""
     return jnp.stack([form.row, form.column], axis=-1)
@@ -315,6 +327,6 @@ def _least(
     """The least of what is `stored` (n, side, side) by any window at every pixel."""
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
-        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=IN_BOUNDS)
+        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=scatter_mode())
 
     return drawing.image(drawing.draw(drawing.full(nothing, dtype), write))

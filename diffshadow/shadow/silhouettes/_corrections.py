@@ -27,8 +27,8 @@ from ._padded import may_part
 from ._set_bits import WIDTH, SetBits, empty_words, put_bits
 
 # Look-ups, and texels with silhouettes, per iteration of the loops over them, on a CPU and on a GPU.
-_LOOKUPS_AT_ONCE = 1 << 13, 1 << 17
-_TEXELS_AT_ONCE = 1 << 14, 1 << 18
+_LOOKUPS_AT_ONCE = 1 << 13, 1 << 18
+_TEXELS_AT_ONCE = 1 << 14, 1 << 20
 
 
 class Corrections(AbstractTerms):
@@ -100,6 +100,7 @@ def _sums(
 
     Given rows and columns of set bits, `values_at` returns places in the sums, and the values that are added there.
     """
+    at_once = min(at_once, most)
 
     @checkpoint
     def add(total: Any, first: Int[Array, ""]) -> Any:
