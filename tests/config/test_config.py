@@ -362,6 +362,11 @@ BROKEN = {
         "2: bias.network: is given without terms; expected the terms that it corrects; give terms, such as "
         "{slope: 0.5}",
     ),
+    "network with terms that are all null": (
+        "bias: {terms: {slope: null}, network: {hidden: [{weight: [[1]], bias: [0]}], last: [1]}}\n",
+        "2: bias.network: is given without terms; expected the terms that it corrects; give terms, such as "
+        "{slope: 0.5}",
+    ),
     "weights of a layer": (
         "bias: {terms: {slope: 1}, network: {hidden: [{weight: 1, bias: [0]}], last: [1]}}\n",
         "2: bias.network.hidden.0.weight: is 1; expected a list of lists of numbers; give such a value",

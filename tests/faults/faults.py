@@ -2899,6 +2899,13 @@ _IO = (
 
 _CONFIG = (
     _fault(
+        "bias: terms that are all null count as given",
+        "config/sections/_biases.py",
+        "any(weight is not None for weight in terms.values())",
+        "bool(terms)",
+        "test_config.py",
+    ),
+    _fault(
         "YAML: lines counted from zero",
         "config/reading/_yaml.py",
         "self.locate(node.start_mark.line + 1",

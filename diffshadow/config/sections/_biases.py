@@ -117,6 +117,11 @@ class NetworkConfig(Section):
     last: _Numbers = Field(description="weights of the last hidden layer's values, in texels")
 
 
+def _has_terms(bias: Mapping[str, Any]) -> bool:
+    terms = bias.get("terms")
+    return any(weight is not None for weight in terms.values()) if isinstance(terms, Mapping) else bool(terms)
+
+
 class BiasConfig(Section):
     """Biases, which move receivers towards the light before the compare."""
 
@@ -161,7 +166,7 @@ class BiasConfig(Section):
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         # The defaults are in texels, and a bias from the receiver's plane or of terms needs no other.
-        plain = look(data, "plane", "type", default="none") == "none" and not data.get("terms")
+        plain = look(data, "plane", "type", default="none") == "none" and not _has_terms(data)
         if plain and data.get("unit") != "depth":
             return data
         return {"constant": 0.0, "slope": 0.0, **data}
@@ -169,7 +174,7 @@ class BiasConfig(Section):
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
         yield from ordered(cls, data, "slope_least", "slope_most", equal=True)
-        if data.get("network") is not None and not data.get("terms"):
+        if data.get("network") is not None and not _has_terms(data):
             what = fault("is given without terms", "the terms that it corrects", "give terms, such as {slope: 0.5}")
             yield ("network",), what
 
