@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from ._memory import collect_rarely, keep_freed_memory
 from ._xla import use_all_cores
 from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable
+from .console import Console
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
@@ -92,7 +91,7 @@ def fit(config: Path, /, *overrides: str) -> None:
     _keep_compiled_programs()
     from . import study
 
-    _print_path(study.run_fit(settings, console=_console()))
+    _print_path(study.run_fit(settings, console=Console()))
 
 
 @app.command
@@ -116,7 +115,7 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     _keep_compiled_programs()
     from . import study
 
-    _print_path(study.run_render(settings, console=_console(), debug=debug))
+    _print_path(study.run_render(settings, console=Console(), debug=debug))
 
 
 @app.command
@@ -138,7 +137,7 @@ def validate(config: Path, /, *overrides: str) -> None:
     _keep_compiled_programs()
     from . import study
 
-    console = _console()
+    console = Console()
     triangles = study.check(settings, console=console)
     table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
     for row in describe(settings):
@@ -165,7 +164,7 @@ def convert(config: Path, /, *overrides: str) -> None:
     _keep_compiled_programs()
     from . import study
 
-    study.convert(settings, console=_console())
+    study.convert(settings, console=Console())
 
 
 @app.command
@@ -208,9 +207,9 @@ def sweep(
     from . import study
 
     if dry_run:
-        study.print_plan(_console(), plan, limit)
+        study.print_plan(Console(), plan, limit)
         return
-    done = study.run_sweep(plan, console=_console(), scheduler=scheduler, workers=workers, limit=limit)
+    done = study.run_sweep(plan, console=Console(), scheduler=scheduler, workers=workers, limit=limit)
     _print_path(done)
 
 
@@ -251,9 +250,9 @@ def advise(
     from . import study
 
     if dry_run:
-        study.print_advise_plan(_console(), advice)
+        study.print_advise_plan(Console(), advice)
         return
-    _print_path(study.run_advise(advice, console=_console(), scheduler=scheduler, workers=workers))
+    _print_path(study.run_advise(advice, console=Console(), scheduler=scheduler, workers=workers))
 
 
 @app.command
@@ -317,7 +316,7 @@ def import_(
 
     made = study.import_scene(
         scene,
-        console=_console(),
+        console=Console(),
         camera=camera,
         light=light,
         technique=technique,
@@ -352,7 +351,7 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
         )
     from . import study
 
-    _print_path(study.compare([first, second, *more], output, console=_console()))
+    _print_path(study.compare([first, second, *more], output, console=Console()))
 
 
 @app.command
@@ -371,7 +370,7 @@ def cache(*, clear: bool = False) -> None:
     """
     from . import io
 
-    console = _console()
+    console = Console()
     table = Table("kept", "entries", "MiB", "folder")
     for what, folder in (("traced references", io.cache_folder()), ("compiled programs", io.programs_folder())):
         entries, size = io.cache_size(folder)
@@ -391,7 +390,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     use_all_cores()
     keep_freed_memory()
     collect_rarely()
-    errors = _Console(stderr=True, highlight=False)
+    errors = Console(stderr=True)
     for stream in (sys.stdout, sys.stderr):
         # The stream's encoding may lack characters of names.
         if isinstance(stream, io.TextIOWrapper):
@@ -469,7 +468,7 @@ def _check_count(option: str, value: int | None, least: int, most: int | None = 
 @contextlib.contextmanager
 def _checking() -> Iterator[Callable[[int, int], None]]:
     """A progress bar for the check of a sweep's runs. It shows only for many runs, and only on a terminal."""
-    console = _console()
+    console = Console()
     bar = Progress(
         TextColumn("checking runs"),
         BarColumn(bar_width=40),
@@ -522,18 +521,4 @@ def _print_error(console: Console, messages: Iterable[str]) -> None:
 
 
 def _print_path(path: Path) -> None:
-    _console().print(Text(printable(str(path))), soft_wrap=True)
-
-
-class _Console(Console):
-    """A console that writes unprintable characters as Python's escapes."""
-
-    def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:
-        """Like `rich.console.Console.render`, with the text of every segment made printable."""
-        for segment in super().render(*args, **kwargs):
-            plain = "\n".join(map(printable, segment.text.split("\n")))
-            yield segment if segment.control else segment._replace(text=plain)
-
-
-def _console() -> Console:
-    return _Console(highlight=False)
+    Console().print(Text(printable(str(path))), soft_wrap=True)

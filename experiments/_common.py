@@ -21,7 +21,6 @@ import numpy as np
 from cyclopts import App, CycloptsError
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
@@ -37,6 +36,7 @@ from diffshadow.config import (
     build_scene,
     load_config,
 )
+from diffshadow.console import Console
 from diffshadow.study import style
 
 BIAS, RADIUS = "bias.constant", "filter.radius"
@@ -304,7 +304,7 @@ def write(
 
 def start(app: App) -> NoReturn:
     """Runs an experiment with the process's arguments, and exits; with 2 and one message after a user's mistake."""
-    errors = Console(stderr=True, highlight=False)
+    errors = Console(stderr=True)
     io.keep_compiled_programs()
     try:
         app(sys.argv[1:], exit_on_error=False, print_error=False)

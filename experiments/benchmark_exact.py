@@ -23,9 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 from _common import machine, median_ms
 from benchmark_raster import positive
-from rich.console import Console
 from rich.table import Table
 
+from diffshadow.console import Console
 from diffshadow.geometry import (
     DirectionalLight,
     PinholeCamera,

@@ -29,10 +29,10 @@ import jax.numpy as jnp
 import numpy as np
 from benchmark_raster import SETTINGS, machine, positive, timed
 from jax import lax
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import raster, shadow
+from diffshadow.console import Console
 from diffshadow.geometry import DirectionalLight, Mesh, PinholeCamera
 
 # The shaders that drew the golden shadow factors.
@@ -338,7 +338,7 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def main(argv: Sequence[str] | None = None) -> None:
     options = arguments(argv)
-    console = Console(width=None if sys.stdout.isatty() else 200)
+    console = Console()
     about = machine()
     console.print(", ".join(f"{name} {value}" for name, value in about.items()))
     ours = Ours.draw(options.pixels, options.texels)

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from _common import machine, median_ms
 from benchmark_raster import positive
-from rich.console import Console
 from rich.table import Table
 
+from diffshadow.console import Console
 from diffshadow.geometry import Edges, Mesh, PinholeCamera, SpotLight, library_mesh, merge
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import (

@@ -27,7 +27,6 @@ import jax.numpy as jnp
 import numpy as np
 from _opengl_passes import SETTINGS as SETTINGS
 from _opengl_passes import OpenGL, Triangles
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import collect_rarely, keep_freed_memory, raster, shadow, use_all_cores
@@ -393,7 +392,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         row = measure(options.triangles[0], options.sizes[0], options.repeats, options.seed, options.opengl)
         print(json.dumps(row))
         return
-    console = Console(width=None if sys.stdout.isatty() else 200)
+    # Here, so that the processes that are measured do without.
+    from diffshadow.console import Console
+
+    console = Console()
     about = machine()
     console.print(", ".join(f"{name} {value}" for name, value in about.items()))
     rows = []

@@ -28,10 +28,10 @@ import numpy as np
 from cyclopts import App
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import metrics
+from diffshadow.console import Console
 from diffshadow.fit import FitResult, TechniqueProblem, with_values
 
 NAME = "bias_landscape"
@@ -60,7 +60,7 @@ def main(config: Path, /, *overrides: str, size: int = 25) -> dict[str, Any]:
     size
         Points of the grid along each axis.
     """
-    console = Console(highlight=False)
+    console = Console()
     common.expect("size", size, size > 1, "2 or more points along each axis")
     settings = common.load(config, overrides, needs=AXES)
     drawn = common.draw(settings)

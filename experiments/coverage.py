@@ -24,12 +24,12 @@ import _common as common
 import numpy as np
 from cyclopts import App
 from recover_light import angles
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import norm
 
 from diffshadow import fit
 from diffshadow.config import build_fit, build_scene
+from diffshadow.console import Console
 from diffshadow.study import pose_problems
 
 NAME = "coverage"
@@ -75,7 +75,7 @@ def main(
     seed
         Of the draws.
     """
-    console = Console(highlight=False)
+    console = Console()
     kinds = common.chosen("lights", lights, LIGHTS)
     paths = common.listed("meshes", meshes)
     common.expect("draws", draws, draws >= 1, "1 or more")

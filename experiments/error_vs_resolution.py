@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import _common as common
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import load_config
+from diffshadow.console import Console
 
 NAME = "error_vs_resolution"
 NOMINAL = 1024
@@ -92,7 +92,7 @@ def main(
     only
         Which techniques, separated by commas.
     """
-    console = Console(highlight=False)
+    console = Console()
     widths = sorted(set(common.listed("sizes", sizes, int)))
     common.expect("sizes", sizes, len(widths) > 1 and widths[0] > 0, "two or more, each positive")
     names = common.chosen("only", only, TECHNIQUES)

@@ -25,11 +25,11 @@ import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
 from matplotlib import colormaps
-from rich.console import Console
 from rich.progress import track
 
 from diffshadow import geometry, io, metrics, raster
 from diffshadow.config import Config, build_scene, build_shading, build_technique, load_config
+from diffshadow.console import Console
 from diffshadow.reference import Reference
 
 NO_SURFACE = 0.85
@@ -256,7 +256,7 @@ def main(config: Path, /, *, page: Path = Path("docs/gallery.md"), repeats: int 
     repeats
         Number of runs per time, which is their median.
     """
-    console = Console(highlight=False)
+    console = Console()
     stages = {
         path: Stage.of(path) for path in (config, *(SCENES[section] for section in SECTIONS if section in SCENES))
     }

@@ -23,10 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
 from matplotlib.colors import LogNorm
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import DirectionalLightConfig, fit_paths, load_config
+from diffshadow.console import Console
 from diffshadow.fit import TechniqueProblem, with_values
 
 NAME = "generalisation"
@@ -66,7 +66,7 @@ def main(config: Path, /, *overrides: str, over: str = "view,light,mesh", count:
     count
         How many variations of each.
     """
-    console = Console(highlight=False)
+    console = Console()
     kinds = common.chosen("over", over, VARIATIONS)
     common.expect("count", count, 2 <= count <= len(MESHES), f"2 to {len(MESHES)}")
     settings = common.load(config, overrides)

@@ -28,11 +28,11 @@ import numpy as np
 from cyclopts import App
 from engines.engines import draw, missing, vertex_normals
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import fit
 from diffshadow.config import EngineConfig
+from diffshadow.console import Console
 from diffshadow.raster import Surface
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
 from diffshadow.study import style
@@ -63,7 +63,7 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
     output
         Folder of the results' folder, instead of the configuration's.
     """
-    console = Console(highlight=False)
+    console = Console()
     common.expect("grid", grid, grid == 0 or 2 <= grid <= 32, "0, or 2 to 32 points")
     to = () if output is None else (f"output={output}",)
     settings = common.load(config, overrides)

@@ -33,11 +33,11 @@ import equinox as eqx
 import jax
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import fit, io, shadow
 from diffshadow.config import Config, build_fit, dump_resolved, load_config
+from diffshadow.console import Console
 from diffshadow.shadow.biases import FEATURES
 
 NAME = "learned_bias"
@@ -107,7 +107,7 @@ def main(config: Path, /, *overrides: str, views: int = len(TRAINING), steps: in
     steps
         Steps of Adam in each phase of a fit.
     """
-    console = Console(highlight=False)
+    console = Console()
     common.expect("views", views, 1 <= views <= len(TRAINING), f"1 to {len(TRAINING)}")
     common.expect("steps", steps, steps >= 1, "1 or more")
     settings = common.load(config, overrides)

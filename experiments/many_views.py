@@ -28,10 +28,10 @@ from cyclopts import App
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import View, load_config
+from diffshadow.console import Console
 from diffshadow.fit import TechniqueProblem, with_values
 
 NAME = "many_views"
@@ -76,7 +76,7 @@ def main(config: Path, /, *overrides: str, over: str = "mean,worst", size: int =
     size
         Points of the grid along each axis.
     """
-    console = Console(highlight=False)
+    console = Console()
     losses = common.chosen("over", over, OVER)
     common.expect("size", size, size > 1, "2 or more points along each axis")
     settings = common.load(config, overrides, needs=AXES)

@@ -22,11 +22,11 @@ from typing import Any, Literal
 
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import fit, use_all_cores
 from diffshadow.config import Config, build_fit, build_scene, parse_config
+from diffshadow.console import Console
 from diffshadow.study import pose_problems
 
 Kind = Literal["directional", "spot", "point"]
@@ -80,7 +80,7 @@ def main(
         raise ValueError("no mesh is given; expected mesh files, or names such as builtin:torus_knot")
     if starts < 1:
         raise ValueError(f"starts is {starts}; expected 1 or more")
-    console = Console(highlight=False)
+    console = Console()
     rows = []
     for mesh in meshes:
         for kind in lights:

@@ -22,10 +22,10 @@ from typing import Any
 import _common as common
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import Config, describe, fit_units, load_config
+from diffshadow.console import Console
 
 NAME = "scale_invariance"
 LEAST = 1e-9
@@ -47,7 +47,7 @@ def main(config: Path, /, *overrides: str, scales: str = "0.01,0.1,0.5,1,2,10,10
     scales
         Factors, separated by commas; 1 is always among them.
     """
-    console = Console(highlight=False)
+    console = Console()
     factors = sorted({1.0, *common.listed("scales", scales, float)})
     fine = len(factors) > 1 and all(math.isfinite(factor) and factor > 0 for factor in factors)
     common.expect("scales", scales, fine, "one or more besides 1, each positive")

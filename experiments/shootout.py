@@ -23,11 +23,11 @@ import _common as common
 import jax
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import metrics
 from diffshadow.config import Config, build_technique, load_config
+from diffshadow.console import Console
 
 NAME = "shootout"
 BOUNDS = {
@@ -94,7 +94,7 @@ def main(
     most
         Number of settings of each technique, the cheapest first.
     """
-    console = Console(highlight=False)
+    console = Console()
     names = common.chosen("only", only, TECHNIQUES)
     common.expect("repeats", repeats, repeats > 0, "1 or more")
     common.expect("most", most, most > 0, "1 or more")

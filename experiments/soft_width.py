@@ -45,10 +45,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow.config import Config
+from diffshadow.console import Console
 from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.shadow import HardCompare, SoftCompare, SoftKernel
 
@@ -100,7 +100,7 @@ def main(
     scale
         The scale h of the truth's derivative, in texels.
     """
-    console = Console(highlight=False)
+    console = Console()
     names = common.chosen("kernels", kernels, KERNELS)
     common.expect("widths", widths, widths > 1, "2 or more")
     common.expect("least", least, 0 < least < most, f"more than 0, and less than most, {most}")

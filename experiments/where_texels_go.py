@@ -21,11 +21,11 @@ import _common as common
 import numpy as np
 from cyclopts import App
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.table import Table
 
 from diffshadow import metrics
 from diffshadow.config import load_config
+from diffshadow.console import Console
 
 NAME = "where_texels_go"
 SPACING, SHARES = "technique.logarithmic", "technique.shares."
@@ -83,7 +83,7 @@ def main(
     output
         Folder of the results' folder, instead of that of the first configuration.
     """
-    console = Console(highlight=False)
+    console = Console()
     common.expect("configs", "no file", len(configs) > 0, "one or more configurations")
     widths = sorted(set(common.listed("sizes", sizes, int)))
     common.expect("sizes", sizes, widths[0] >= 64, "64 texels or more")

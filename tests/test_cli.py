@@ -7,11 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.table import Table
 from scenes import marked
 
 import diffshadow.study
-from diffshadow.cli import _console, main
+from diffshadow.cli import main
 from diffshadow.config import Config, load_config
+from diffshadow.console import WIDTH_OF_FILES, Console
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
 
@@ -164,8 +166,20 @@ def test_what_a_terminal_would_obey_is_printed_as_escapes(arguments, capsys, tmp
 
 
 def test_console_prints_control_characters_of_any_text_as_escapes(capsys):
-    _console().print("a\x1b[2J\nb\u202e")
+    Console().print("a\x1b[2J\nb\u202e")
     assert capsys.readouterr().out == "a\\x1b[2J\nb\\u202e\n"
+
+
+def test_files_and_pipes_are_wide_enough_for_tables(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    table = Table("setting", "value", "unit")
+    table.add_row("fit.parameters.bias.constant.lower", "0.00012824447365262966", "window depth, a pixel's side")
+    Console().print(table)
+    assert "…" not in capsys.readouterr().out
+    assert Console().width == WIDTH_OF_FILES
+    assert Console(force_terminal=True).width < WIDTH_OF_FILES
+    monkeypatch.setenv("COLUMNS", "70")
+    assert Console().width == 70
 
 
 def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeypatch):

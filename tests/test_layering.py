@@ -13,7 +13,7 @@ import pytest
 PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
-ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "study", "cli")
+ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
 COMMON = {"_types", "_misc"}
 # Folders and files within a subpackage, each of which imports only those to its left. Files that are not listed come
 # before all of them.

@@ -3495,8 +3495,8 @@ _CLI = (
     _fault(
         "errors: on the standard output",
         "cli.py",
-        "errors = _Console(stderr=True, highlight=False)",
-        "errors = _Console(highlight=False)",
+        "errors = Console(stderr=True)",
+        "errors = Console()",
         "test_cli.py",
     ),
     _fault(
@@ -3521,8 +3521,22 @@ _CLI = (
         "test_cli.py",
     ),
     _fault(
+        "console: tables in files are cut off as in a narrow terminal",
+        "console.py",
+        "WIDTH_OF_FILES = 200",
+        "WIDTH_OF_FILES = 80",
+        "test_cli.py",
+    ),
+    _fault(
+        "console: files are wide whatever COLUMNS says",
+        "console.py",
+        ' or "COLUMNS" in os.environ',
+        "",
+        "test_cli.py",
+    ),
+    _fault(
         "terminal: control characters pass",
-        "cli.py",
+        "console.py",
         "yield segment if segment.control else segment._replace(text=plain)",
         "yield segment",
         "test_cli.py",
