@@ -91,21 +91,21 @@ def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-# How many neighbours `take_in_runs` adds up together.
 _RUN = 32
 
 
-def take_in_runs(values: Float[Array, " n"], index: Int[Array, "*m"]) -> Float[Array, "*m"]:
-    """`take` for indices of which neighbours are often equal. Its transpose adds up equal neighbours before it adds to
-    their element, which takes less time on a GPU."""
+def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
+    """`take` for indices of which neighbours are often equal, and none is negative. Its transpose adds up those of each
+    32 that are equal to the first, and then adds their sum and the others to their elements. That takes less time on a
+    GPU."""
     runs = jnp.pad(index.reshape(-1), (0, -index.size % _RUN)).reshape(-1, _RUN)
     first = runs[:, :1]
     is_first = runs == first
-    # Those that are read elsewhere are out of bounds here, and add nothing.
-    others = values.at[jnp.where(is_first, values.shape[0], runs)].get(
-        mode="fill", fill_value=0, wrap_negative_indices=False
-    )
-    return jnp.where(is_first, take(values, first), others).reshape(-1)[: index.size].reshape(index.shape)
+    # Where the first's element is read, the index is out of bounds here: nothing is added there.
+    others = jnp.where(is_first, values.shape[0], runs)
+    own = values.at[others].get(mode="fill", fill_value=0, wrap_negative_indices=False)
+    found = jnp.where(jnp.expand_dims(is_first, range(2, own.ndim)), take(values, first), own)
+    return found.reshape(-1, *values.shape[1:])[: index.size].reshape(*index.shape, *values.shape[1:])
 
 
 @jax.jit
@@ -157,8 +157,8 @@ def _filled_on_gpu(array: Array, size: int, value: Any, axis: int) -> Array:
 
 
 def is_on_gpu() -> bool:
-    """Whether programs run on a GPU. There each step of a loop costs the start of all its kernels, and additions to one
-    place, or other updates of it, wait for each other."""
+    """Whether JAX's default backend is not the CPU. On a GPU each step of a loop costs the start of all its kernels,
+    and additions to one place, or other updates of it, wait for each other."""
     return jax.default_backend() != "cpu"
 
 

@@ -1,6 +1,5 @@
 """The console that the command and the experiments print to."""
 
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,12 +15,12 @@ WIDTH_OF_FILES = 200
 class Console(rich.console.Console):
     """A console that writes unprintable characters as Python's escapes.
 
-    A file or a pipe counts as wide, unless the environment has `COLUMNS`, so that no cell of a table is cut off.
+    A file or a pipe is wide, whatever `COLUMNS` says, so that no cell of a table is cut off.
     """
 
-    def __init__(self, **options: Any):
-        super().__init__(highlight=False, **options)
-        if not (self.is_terminal or self.is_jupyter or "COLUMNS" in os.environ):
+    def __init__(self, *, width: int | None = None, **options: Any):
+        super().__init__(highlight=False, width=width, **options)
+        if width is None and not (self.file.isatty() or self.is_jupyter):
             self.width = WIDTH_OF_FILES
 
     def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:

@@ -171,14 +171,14 @@ def test_console_prints_control_characters_of_any_text_as_escapes(capsys):
 
 
 def test_files_and_pipes_are_wide_enough_for_tables(capsys, monkeypatch):
-    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setenv("COLUMNS", "70")
     table = Table("setting", "value", "unit")
     table.add_row("fit.parameters.bias.constant.lower", "0.00012824447365262966", "window depth, a pixel's side")
     Console().print(table)
     assert "…" not in capsys.readouterr().out
     assert Console().width == WIDTH_OF_FILES
-    assert Console(force_terminal=True).width < WIDTH_OF_FILES
-    monkeypatch.setenv("COLUMNS", "70")
+    assert Console(width=50).width == 50
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert Console().width == 70
 
 

@@ -23,7 +23,7 @@ from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth
 from ._depth_test import DepthTest
 from ._rasterize import padded
-from ._windows import GATHER, IN_BOUNDS, PADDING, SCATTER, DrawPass, corner, scatter_mode
+from ._windows import CLIPPED_READS, DROPPED_WRITES, GATHER, PADDING, SCATTER, DrawPass, corner
 
 When = Literal["pass", "fail"]
 
@@ -73,7 +73,7 @@ def _count_fragments(clip, faces, weights, depth, nearer) -> Int[Array, "h w"]:
         form = eqx.tree_at(lambda form: form.greatest, form, jnp.minimum(form.greatest, 1))
         weight = (jnp.where(source >= 0, weights[source], 0) * form.turn).astype(jnp.int32)
         updates = weight[:, None, None] * _counted(form, side, padded, nearer)
-        return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=scatter_mode())
+        return lax.scatter_add(buffer, corner(form), updates, SCATTER, mode=DROPPED_WRITES)
 
     return drawing.draw(buffer, write)[:height, :width]
 
@@ -97,6 +97,6 @@ def _counted(form: EdgeForm, side: int, padded: DepthMap, nearer: Bool[Array, ""
     z = window_depth(form, jnp.ones(form.x.shape, bool), side, _CLAMPED)
     # As the depth pass stores it alone, whatever the compiler would fuse it with.
     z = lax.optimization_barrier(z)
-    stored = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
+    stored = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
     covered, is_nearer = z < jnp.inf, z < stored
     return (covered & (is_nearer == nearer)).astype(jnp.int32)

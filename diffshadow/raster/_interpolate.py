@@ -80,8 +80,8 @@ def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> 
     return lambda face: [[_at_pixels(table, face) for table in corners] for corners in tables]
 
 
-def _at_pixels(values: Float[Array, " f"], face: FaceMap) -> Float[Array, "h w"]:
-    """Values of the faces that the pixels see, (h, w)."""
+def _at_pixels(values: Array, face: FaceMap) -> Array:
+    """Values (f, ...) of the faces that the pixels see: (h, w, ...)."""
     return (take_in_runs if is_on_gpu() else take)(values, face)
 
 
@@ -162,7 +162,7 @@ def interpolate_corners(at: Barycentrics, attribute: Float[Array, "f 3 c"]) -> F
 
 def of_face(at: Barycentrics, attribute: Float[Array, "f c"]) -> Float[Array, "h w c"]:
     """An attribute of each face (f, c) at the pixels, (h, w, c); 0 where nothing is seen."""
-    return jnp.where(at.mask[..., None], take(attribute, at.face), 0)
+    return jnp.where(at.mask[..., None], _at_pixels(attribute, at.face), 0)
 
 
 def interpolate_depth(at: Barycentrics, clip: ClipVertices, faces: Faces) -> DepthMap:

@@ -48,9 +48,10 @@ class Items(NamedTuple):
         return owner, item - take(self.ends - self.lengths, owner), exists
 
     def _ended(self, item: Int[Array, " length"]) -> Int[Array, " length"]:
-        """How many owners' items end at or before each of these consecutive ones: the number of its owner."""
+        """How many owners' items end at or before each of these: the number of its owner. On a CPU they follow one
+        another."""
         if is_on_gpu():
-            # Unrolled: CPUs take longer to compile that.
+            # Without a loop, which a CPU compiles in less time.
             return jnp.searchsorted(self.ends, item, side="right", method="scan_unrolled").astype(jnp.int32)
         count = item.shape[0]
         if self.ends.shape[0] > _MOST_MARKS * count:

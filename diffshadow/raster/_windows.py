@@ -38,8 +38,10 @@ SCATTER = lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0, 1)
 )
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
-IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
-# Where windows of no triangle begin on a GPU: out of bounds, where they are not written.
+# Of windows of no triangle, which may lie out of bounds.
+DROPPED_WRITES, CLIPPED_READS = lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP
+# Row and column of windows of no triangle on a GPU: out of bounds, where they are not written. In sub-pixels, they are
+# still integers of 32 bits.
 _OUT_OF_BOUNDS = -(1 << 20)
 _FACE_BITS = 32
 # How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
@@ -281,7 +283,7 @@ def least_depth_and_face(
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
         depth = window_depth(form, source >= 0, side, drawing.test)
         if padded is not None:
-            passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=IN_BOUNDS)
+            passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
         # As it would be stored alone, whatever the compiler would fuse it with.
         depth = lax.optimization_barrier(depth)
@@ -308,11 +310,6 @@ def _if_used(used: Bool[Array, " n"], first: Int[Array, " n"]) -> Int[Array, " n
     return jnp.where(used, first, _OUT_OF_BOUNDS if is_on_gpu() else 0)
 
 
-def scatter_mode() -> lax.GatherScatterMode:
-    """How windows are written."""
-    return lax.GatherScatterMode.FILL_OR_DROP if is_on_gpu() else IN_BOUNDS
-
-
 def corner(form: EdgeForm) -> Int[Array, "n 2"]:
     """Row and column of each window's first pixel."""
     return jnp.stack([form.row, form.column], axis=-1)
@@ -327,6 +324,6 @@ def _least(
     """The least of what is `stored` (n, side, side) by any window at every pixel."""
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
-        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=scatter_mode())
+        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=DROPPED_WRITES)
 
     return drawing.image(drawing.draw(drawing.full(nothing, dtype), write))

@@ -1168,7 +1168,8 @@ def test_a_bias_of_terms_needs_no_other_by_default():
     terms = parse_config(TINY + "bias: {terms: {one: 0.5, blocker_distance: -0.1}}").bias
     assert (terms.constant, terms.slope) == (0, 0)
     assert parse_config(TINY + "bias: {slope: 2, terms: {one: 0.5}}").bias.slope == 2
-    assert parse_config(TINY + "bias: {terms: {}}").bias.constant > 0
+    for none in ("{}", "{slope: null}"):
+        assert parse_config(TINY + f"bias: {{terms: {none}}}").bias.constant > 0
     assert TermsConfig.model_fields.keys() == FEATURES.keys()
     text = f"{TINY}bias: {{terms: {{one: 0.3, slope: 1}}, {NETWORK}}}\n"
     assert parse_config(dump_resolved(parse_config(text))) == parse_config(text)

@@ -17,8 +17,9 @@ FACES = 157
 
 
 @pytest.fixture
-def on_gpu(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+def on(monkeypatch):
+    """Makes what follows take the way of a backend."""
+    return lambda backend: monkeypatch.setattr(jax, "default_backend", lambda: backend)
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +36,11 @@ def slope(clip, faces, face):
     return jax.grad(lambda clip: jnp.sum(visible_depth(face, clip, faces) ** 2))(clip)
 
 
-def test_the_same_pixels_and_derivatives(triangles, on_gpu, monkeypatch):
+def test_the_same_pixels_and_derivatives(triangles, on):
+    on("gpu")
     found = jax.jit(draw)(*triangles)
     moved = jax.jit(slope)(*triangles, found.face)
-    monkeypatch.undo()
+    on("cpu")
     # Outside of `jit`, in buffers of a shape of their own.
     expected = draw(*triangles)
     np.testing.assert_array_equal(found.face, expected.face)
@@ -48,7 +50,8 @@ def test_the_same_pixels_and_derivatives(triangles, on_gpu, monkeypatch):
     np.testing.assert_allclose(moved, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
 
 
-def test_items_that_there_are_not_are_others_again(on_gpu):
+def test_items_that_there_are_not_are_others_again(on):
+    on("gpu")
     lengths = np.array([0, 3, 0, 2, 4, 0], np.int32)
     owners = np.repeat(np.arange(6), lengths)
     places = np.concatenate([np.arange(n) for n in lengths])
@@ -62,22 +65,22 @@ def test_items_that_there_are_not_are_others_again(on_gpu):
     assert np.all((owner >= 0) & (owner < 6))
 
 
-def test_reading_in_runs_is_reading():
+@pytest.mark.parametrize("columns", [(), (3,)])
+def test_reading_in_runs_is_reading(columns):
     rng = np.random.default_rng(0)
-    values = jnp.asarray(rng.normal(size=11), jnp.float32)
+    values = jnp.asarray(rng.normal(size=(11, *columns)), jnp.float32)
     index = jnp.asarray(np.repeat(rng.integers(11, size=23), rng.integers(1, 70, 23))[: 7 * 43].reshape(7, 43))
-    weights = jnp.asarray(rng.normal(size=index.shape), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=(7, 43, *columns)), jnp.float32)
     np.testing.assert_array_equal(take_in_runs(values, index), take(values, index))
-    slopes = [
-        jax.grad(lambda v, read=read: jnp.sum(weights * read(v, index) ** 2))(values) for read in (take_in_runs, take)
-    ]
-    np.testing.assert_allclose(*slopes, rtol=1e-4, atol=1e-5)
+    slope = lambda read: jax.grad(lambda values: jnp.sum(weights * read(values, index) ** 2))(values)
+    np.testing.assert_allclose(slope(take_in_runs), slope(take), rtol=1e-4, atol=1e-5)
 
 
-def test_arrays_are_filled_up_alike(monkeypatch):
+def test_arrays_are_filled_up_alike(on):
     array, value = jnp.arange(12, dtype=jnp.float32).reshape(2, 3, 2), np.array([5.0, 6.0])
+    on("cpu")
     on_host = filled(array, 5, value, axis=1)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    on("gpu")
     on_device = filled(array, 5, value, axis=1)
     assert isinstance(on_host, np.ndarray)
     assert isinstance(on_device, jax.Array)

@@ -118,6 +118,7 @@ class NetworkConfig(Section):
 
 
 def _has_terms(bias: Mapping[str, Any]) -> bool:
+    """`TermsConfig.given` of a bias that is not validated yet. What is no mapping is reported elsewhere."""
     terms = bias.get("terms")
     return any(weight is not None for weight in terms.values()) if isinstance(terms, Mapping) else bool(terms)
 
