@@ -41,7 +41,7 @@ class Items(NamedTuple):
         item = first + jnp.arange(length, dtype=self.ends.dtype)
         exists = item < self.total
         if is_on_gpu():
-            # In place of those that there are not, the first ones again: otherwise all would update the same places.
+            # Beyond the last item, the first ones again: otherwise all of these would update the same places.
             item = item % jnp.maximum(self.total, 1)
         # The barrier keeps XLA from searching again for each value that is looked up.
         owner = lax.optimization_barrier(jnp.minimum(self._ended(item), self.ends.shape[0] - 1))

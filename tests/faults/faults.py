@@ -440,14 +440,14 @@ _RASTER = (
         "test_raster.py",
     ),
     _fault(
-        "items on a GPU: those that there are not begin again one too late",
+        "items on a GPU: the first follow the last one too late",
         "raster/_items.py",
         "item % jnp.maximum(self.total, 1)",
         "item % jnp.maximum(self.total + 1, 1)",
         "test_as_on_gpu.py",
     ),
     _fault(
-        "windows on a GPU: those that are written are out of bounds too",
+        "windows on a GPU: those of triangles are out of bounds too",
         "raster/_windows.py",
         "jnp.where(used, first, _OUT_OF_BOUNDS if is_on_gpu() else 0)",
         "jnp.where(used & ~is_on_gpu(), first, _OUT_OF_BOUNDS if is_on_gpu() else 0)",

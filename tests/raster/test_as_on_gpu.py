@@ -50,7 +50,7 @@ def test_the_same_pixels_and_derivatives(triangles, on):
     np.testing.assert_allclose(moved, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
 
 
-def test_items_that_there_are_not_are_others_again(on):
+def test_the_first_items_follow_the_last(on):
     on("gpu")
     lengths = np.array([0, 3, 0, 2, 4, 0], np.int32)
     owners = np.repeat(np.arange(6), lengths)
