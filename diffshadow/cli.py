@@ -197,7 +197,7 @@ def sweep(
     limit
         Most runs to do.
     dry_run
-        Only list the runs that would be done.
+        Only count the runs that would be done, and show the first.
     """
     _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
