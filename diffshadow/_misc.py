@@ -143,17 +143,16 @@ def filled(array: Any, size: int, value: Any = 0, axis: int = 0) -> Any:
     on a GPU, since copies to the host and back take longer than to draw it."""
     if isinstance(array, jax.Array) and is_on_gpu():
         return _filled_on_gpu(array, size, value, axis)
-    array = np.asarray(array)
-    shape = list(array.shape)
-    shape[axis] = size - shape[axis]
-    return np.concatenate([array, np.broadcast_to(np.asarray(value, array.dtype), shape)], axis)
+    return _filled(np, np.asarray(array), size, value, axis)
 
 
-@partial(jax.jit, static_argnames=("size", "axis"))
-def _filled_on_gpu(array: Array, size: int, value: Any, axis: int) -> Array:
+def _filled(xp: Any, array: Any, size: int, value: Any, axis: int) -> Any:
     shape = list(array.shape)
     shape[axis] = size - shape[axis]
-    return jnp.concatenate([array, jnp.broadcast_to(jnp.asarray(value, array.dtype), shape)], axis)
+    return xp.concatenate([array, xp.broadcast_to(xp.asarray(value, array.dtype), shape)], axis)
+
+
+_filled_on_gpu = jax.jit(partial(_filled, jnp), static_argnums=(1, 3))
 
 
 def is_on_gpu() -> bool:

@@ -51,7 +51,7 @@ class Items(NamedTuple):
         """How many owners' items end at or before each of these: the number of its owner. On a CPU they follow one
         another."""
         if is_on_gpu():
-            # Without a loop, which a CPU compiles in less time.
+            # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
             return jnp.searchsorted(self.ends, item, side="right", method="scan_unrolled").astype(jnp.int32)
         count = item.shape[0]
         if self.ends.shape[0] > _MOST_MARKS * count:

@@ -23,7 +23,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import a_step, is_on_gpu, take, take_last
+from .._misc import a_step, take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
@@ -38,10 +38,9 @@ SCATTER = lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0, 1)
 )
 GATHER = lax.GatherDimensionNumbers(offset_dims=(1, 2), collapsed_slice_dims=(), start_index_map=(0, 1))
-# Of windows of no triangle, which may lie out of bounds.
+# Of windows of no triangle, which lie out of bounds.
 DROPPED_WRITES, CLIPPED_READS = lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP
-# Row and column of windows of no triangle on a GPU: out of bounds, where they are not written. In sub-pixels, they are
-# still integers of 32 bits.
+# Row and column of these, so that they are not written. In sub-pixels, they are still integers of 32 bits.
 _OUT_OF_BOUNDS = -(1 << 20)
 _FACE_BITS = 32
 # How many faces are clipped at once: in small drawings and in large ones on a CPU, and on a GPU.
@@ -182,7 +181,7 @@ class DrawPass(Drawing):
             box, (left, bottom) = self._box(corners, layer), self._origin(layer)
             if layer is not None:
                 used = used & (box.left <= box.right) & (box.bottom <= box.top)
-            x, y = (_if_used(used, low) for low in (box.left - left, box.bottom - bottom))
+            x, y = (jnp.where(used, low, _OUT_OF_BOUNDS) for low in (box.left - left, box.bottom - bottom))
             form, source = self._form(corners, plane, x, y, layer), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
@@ -243,7 +242,7 @@ class DrawPass(Drawing):
                 x, y, owner = _of((left, bottom, triangle), row)
                 own, own_plane, own_source, own_layer = _of((corners, plane, source, layer), owner)
                 origin_x, origin_y = self._origin(own_layer)
-                x, y = (_if_used(exists, low) for low in (x + column * BLOCK - origin_x, y - origin_y))
+                x, y = (jnp.where(exists, low, _OUT_OF_BOUNDS) for low in (x + column * BLOCK - origin_x, y - origin_y))
                 form = self._form(own, own_plane, x, y, own_layer)
                 # Nor is the face looked up again for every pixel.
                 own_source = lax.optimization_barrier(jnp.where(exists, own_source, -1))
@@ -303,11 +302,6 @@ def least_depth_and_face(
 
 def _ceil_div(count: Int[Array, "*n"], length: int) -> Int[Array, "*n"]:
     return lax.div(count + (length - 1), jnp.full_like(count, length))
-
-
-def _if_used(used: Bool[Array, " n"], first: Int[Array, " n"]) -> Int[Array, " n"]:
-    """The first row or column of windows that are `used`, and where others are put."""
-    return jnp.where(used, first, _OUT_OF_BOUNDS if is_on_gpu() else 0)
 
 
 def corner(form: EdgeForm) -> Int[Array, "n 2"]:

@@ -16,6 +16,7 @@ from ._section import (
     as_list,
     by_type,
     fault,
+    given,
     look,
     ordered,
 )
@@ -120,7 +121,7 @@ class NetworkConfig(Section):
 def _has_terms(bias: Mapping[str, Any]) -> bool:
     """`TermsConfig.given` of a bias that is not validated yet. What is no mapping is reported elsewhere."""
     terms = bias.get("terms")
-    return any(weight is not None for weight in terms.values()) if isinstance(terms, Mapping) else bool(terms)
+    return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
 
 
 class BiasConfig(Section):
