@@ -1,8 +1,9 @@
 """Writing triangles into the depth and face buffers, a window of pixels at a time.
 
-Every triangle of a size class is evaluated in a window of that size at its own lower left corner. Windows are written
-in chunks, by a scatter that keeps the least. No sort and no list of triangles for each tile is needed. The buffers
-are padded, so that a window may reach beyond the image.
+Every triangle of a size class is evaluated in a window of that size at its own lower left corner. Windows are set up in
+chunks. On a GPU a chunk is written by a scatter that keeps the least. On a CPU its windows are written one after the
+other, so that each stays in registers. No sort and no list of triangles for each tile is needed. The buffers are
+padded, so that a window may reach beyond the image.
 
 All loops run as often as the triangles need, and nothing but the number of faces and the resolution has a static size:
 a compiled program draws any triangles.
@@ -23,7 +24,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import a_step, take, take_last
+from .._misc import a_step, is_on_gpu, take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
@@ -47,6 +48,8 @@ _FACE_BITS = 32
 _CLIPPED_AT_ONCE = 64, 256, 2048
 # Drawings of so many pixels or faces are large.
 _MANY_PIXELS, _MANY_FACES = 1 << 22, 1 << 16
+# Windows of this side or more are written one after the other on a CPU, smaller ones at once.
+_LEAST_IN_TURN = 8
 # How many rows of blocks are cut into blocks at once, for each block that is drawn at once.
 _ROWS_TO_BLOCKS = 2
 
@@ -284,8 +287,9 @@ def least_depth_and_face(
         if padded is not None:
             passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
-        # As it would be stored alone, whatever the compiler would fuse it with.
-        depth = lax.optimization_barrier(depth)
+        if source.shape[0] > 1:
+            # As it would be stored alone, whatever the compiler would fuse it with.
+            depth = lax.optimization_barrier(depth)
         high = lax.bitcast_convert_type(depth, jnp.int32).astype(jnp.int64) << _FACE_BITS
         low = order(source)[:, None, None].astype(jnp.int64) & ((1 << _FACE_BITS) - 1)
         return high | low
@@ -315,9 +319,39 @@ def _least(
     nothing: float | int,
     dtype: DTypeLike,
 ) -> Array:
-    """The least of what is `stored` (n, side, side) by any window at every pixel."""
+    """The least at every pixel of what any window stores there.
+
+    **Arguments:**
+
+    - `stored`: that, (n, side, side), given triangles' edge functions, their faces and the windows' side.
+    - `nothing`: what the buffer holds at first.
+    """
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
-        return lax.scatter_min(buffer, corner(form), stored(form, source, side), SCATTER, mode=DROPPED_WRITES)
+        if side < _LEAST_IN_TURN or is_on_gpu():
+            updates = stored(form, source, side)
+            return lax.scatter_min(buffer, corner(form), updates, SCATTER, mode=DROPPED_WRITES)
+
+        def one(number: Array, buffer: Array) -> Array:
+            own, face = jax.tree.map(lambda values: lax.dynamic_slice_in_dim(values, number, 1, -1), (form, source))
+            place = own.row[0], own.column[0]
+            least = jnp.minimum(lax.dynamic_slice(buffer, place, (side, side)), stored(own, face, side)[0])
+            return lax.dynamic_update_slice(buffer, least, place)
+
+        # XLA makes one kernel of such a loop, which keeps a window in registers: no array of all windows is written.
+        return lax.fori_loop(jnp.int32(0), _up_to_last(source), one, buffer)
 
     return drawing.image(drawing.draw(drawing.full(nothing, dtype), write))
+
+
+@jax.custom_batching.custom_vmap
+def _up_to_last(source: Int[Array, " n"]) -> Int[Array, ""]:
+    """How many windows there are up to the last one of a triangle."""
+    number = jnp.arange(1, source.shape[0] + 1, dtype=jnp.int32)
+    return jnp.max(jnp.where(source >= 0, number, 0))
+
+
+@_up_to_last.def_vmap
+def _(size: int, is_mapped: list[bool], source: Int[Array, "b n"]) -> tuple[Int[Array, ""], bool]:
+    """The most of all: a loop of one length. Lengths of their own would keep or drop whole buffers at each step."""
+    return _up_to_last(jnp.max(source, axis=0)), False

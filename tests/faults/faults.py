@@ -447,6 +447,20 @@ _RASTER = (
         "test_as_on_gpu.py",
     ),
     _fault(
+        "windows in turn: the last one of a chunk is left out",
+        "raster/_windows.py",
+        "number = jnp.arange(1, source.shape[0] + 1, dtype=jnp.int32)",
+        "number = jnp.arange(source.shape[0], dtype=jnp.int32)",
+        "test_raster.py",
+    ),
+    _fault(
+        "windows in turn, mapped: as many as the first has",
+        "raster/_windows.py",
+        "_up_to_last(jnp.max(source, axis=0)), False",
+        "_up_to_last(source[0]), False",
+        "test_raster.py",
+    ),
+    _fault(
         "windows: those in the first row and column are dropped",
         "raster/_windows.py",
         "jnp.where(used, low, _OUT_OF_BOUNDS)",

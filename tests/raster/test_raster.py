@@ -12,6 +12,7 @@ from triangle_soups import from_window, soup
 
 from diffshadow.geometry import PinholeCamera, library_mesh
 from diffshadow.raster import NO_FACE, DepthTest, rasterize, rasterize_depth
+from diffshadow.raster._windows import _up_to_last
 
 pytestmark = pytest.mark.optimized
 
@@ -377,6 +378,12 @@ def test_a_batch_is_drawn_one_by_one():
         # The last digit may differ: the compiler fuses other multiplications and additions.
         np.testing.assert_allclose(batch.depth[k], expected_depth, rtol=0, atol=3e-7)
         np.testing.assert_allclose(depth[k], expected_depth, rtol=0, atol=3e-7)
+
+
+def test_mapped_loops_over_windows_are_as_long_as_the_longest():
+    faces = jnp.array([[3, -1, -1, -1], [5, -1, 2, -1]])
+    assert [int(_up_to_last(row)) for row in faces] == [1, 3]
+    assert jax.vmap(_up_to_last)(faces).tolist() == [3, 3]
 
 
 @pytest.mark.parametrize("resolution", [(0, 4), (4, 8193)])
