@@ -1,7 +1,7 @@
 """Writing triangles into the depth and face buffers, a window of pixels at a time.
 
 Every triangle of a size class is evaluated in a window of that size at its own lower left corner. Windows are set up in
-chunks. On a GPU a chunk is written by a scatter that keeps the least. On a CPU its windows are written one after the
+chunks. On a GPU a chunk is written by a scatter that keeps the least. On a CPU most are written one window after the
 other, so that each stays in registers. No sort and no list of triangles for each tile is needed. The buffers are
 padded, so that a window may reach beyond the image.
 
@@ -48,8 +48,9 @@ _FACE_BITS = 32
 _CLIPPED_AT_ONCE = 64, 256, 2048
 # Drawings of so many pixels or faces are large.
 _MANY_PIXELS, _MANY_FACES = 1 << 22, 1 << 16
-# Windows of this side or more are written one after the other on a CPU, smaller ones at once.
-_LEAST_IN_TURN = 8
+# On a CPU, windows of this side or more are written one after the other into buffers of so many bytes at most. In
+# larger ones, one core would wait for memory where several evaluate windows.
+_LEAST_IN_TURN, _MOST_IN_TURN = 8, 1 << 24
 # How many rows of blocks are cut into blocks at once, for each block that is drawn at once.
 _ROWS_TO_BLOCKS = 2
 
@@ -328,7 +329,7 @@ def _least(
     """
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
-        if side < _LEAST_IN_TURN or is_on_gpu():
+        if is_on_gpu() or side < _LEAST_IN_TURN or buffer.size * buffer.dtype.itemsize > _MOST_IN_TURN:
             updates = stored(form, source, side)
             return lax.scatter_min(buffer, corner(form), updates, SCATTER, mode=DROPPED_WRITES)
 
