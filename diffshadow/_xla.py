@@ -5,8 +5,8 @@ import sys
 import warnings
 
 _OPTIONS = "--xla_backend_extra_options"
-# Bytes that a step of a small loop reads and writes. The largest loop that should be one program writes windows of 16 x
-# 16 keys of 8 bytes (`raster/_windows.py`): 4.2 kB, both ways together.
+# Loops whose steps read and write fewer bytes together are small. The largest that should be one program writes windows
+# of 16 x 16 keys of 8 bytes (`raster/_windows.py`); it needs between 4352 and 4608.
 _SMALL_LOOP = 5120
 
 
@@ -14,10 +14,10 @@ def use_all_cores() -> None:
     """Makes XLA run the body of a loop on all cores; it writes an option to `XLA_FLAGS` in the process's environment.
 
     XLA would make one program, for one core, of every loop that it takes for small, and takes loops over whole images
-    for such. With the option it does so only where a step reads and writes less than 5 kB. It keeps the body of others
-    as many programs, each of which runs on all cores. XLA reads its flags
-    as JAX starts its backend, with the first array: call this before. Extra options that `XLA_FLAGS` already has are
-    left as they are. The command `diffshadow` calls this itself.
+    for such. With the option only loops whose steps read and write less than 5 kB are small. XLA keeps the body of
+    others as many programs, each of which runs on all cores. It reads its flags as JAX starts its backend, with the
+    first array: call this before. Extra options that `XLA_FLAGS` already has are left as they are. The command
+    `diffshadow` calls this itself.
 
     **Warns** with a `RuntimeWarning` if JAX's backend already runs: the option then has no effect in this process.
     """

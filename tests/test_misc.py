@@ -44,7 +44,7 @@ from diffshadow import fit, geometry, metrics, reference, shading, shadow, study
 assert "XLA_FLAGS" not in os.environ, "an import changed it"
 diffshadow.use_all_cores()
 flags = os.environ["XLA_FLAGS"]
-assert "small_while_loop_byte_threshold=" in flags
+assert "small_while_loop_byte_threshold=5120" in flags
 diffshadow.use_all_cores()
 assert os.environ["XLA_FLAGS"] == flags
 """

@@ -289,7 +289,8 @@ def least_depth_and_face(
             passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
         if source.shape[0] > 1:
-            # As it would be stored alone, whatever the compiler would fuse it with.
+            # As it would be stored alone, whatever the compiler would fuse it with. Windows that are written one after
+            # the other are not evaluated apart in either case.
             depth = lax.optimization_barrier(depth)
         high = lax.bitcast_convert_type(depth, jnp.int32).astype(jnp.int64) << _FACE_BITS
         low = order(source)[:, None, None].astype(jnp.int64) & ((1 << _FACE_BITS) - 1)
@@ -324,7 +325,8 @@ def _least(
 
     **Arguments:**
 
-    - `stored`: that, (n, side, side), given triangles' edge functions, their faces and the windows' side.
+    - `stored`: returns what windows store, (n, side, side), given triangles' edge functions, their faces and the
+        windows' side.
     - `nothing`: what the buffer holds at first.
     """
 
@@ -334,7 +336,7 @@ def _least(
             return lax.scatter_min(buffer, corner(form), updates, SCATTER, mode=DROPPED_WRITES)
 
         def one(number: Array, buffer: Array) -> Array:
-            own, face = jax.tree.map(lambda values: lax.dynamic_slice_in_dim(values, number, 1, -1), (form, source))
+            own, face = _of((form, source), number[None])
             place = own.row[0], own.column[0]
             least = jnp.minimum(lax.dynamic_slice(buffer, place, (side, side)), stored(own, face, side)[0])
             return lax.dynamic_update_slice(buffer, least, place)
@@ -353,6 +355,6 @@ def _up_to_last(source: Int[Array, " n"]) -> Int[Array, ""]:
 
 
 @_up_to_last.def_vmap
-def _(size: int, is_mapped: list[bool], source: Int[Array, "b n"]) -> tuple[Int[Array, ""], bool]:
+def _up_to_last_of_all(size: int, is_mapped: list[bool], source: Int[Array, "b n"]) -> tuple[Int[Array, ""], bool]:
     """The most of all: a loop of one length. Lengths of their own would keep or drop whole buffers at each step."""
     return _up_to_last(jnp.max(source, axis=0)), False
