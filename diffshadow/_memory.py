@@ -7,8 +7,11 @@ import gc
 import sys
 
 # Parameters of glibc's mallopt(3).
-_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
 _MOST = 2**31 - 1
+# The size of a heap of any thread but the main one. An empty heap goes back to the system if the heap before it has
+# space left for the padding, which for padding of a whole heap is never so.
+_HEAP = 64 << 20
 
 # Of `gc.set_threshold`; Python 3.12 begins with (700, 10, 10).
 _RARELY = (200_000, 20, 100)
@@ -27,6 +30,7 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_MAX, 0)
         mallopt(_M_TRIM_THRESHOLD, _MOST)
+        mallopt(_M_TOP_PAD, _HEAP)
 
 
 def collect_rarely() -> None:
