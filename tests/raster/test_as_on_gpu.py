@@ -44,7 +44,7 @@ def test_the_same_pixels_and_derivatives(triangles, on):
     # Outside of `jit`, in buffers of a shape of their own.
     expected = draw(*triangles)
     np.testing.assert_array_equal(found.face, expected.face)
-    np.testing.assert_array_equal(found.depth, expected.depth)
+    np.testing.assert_allclose(found.depth, expected.depth, atol=1e-6)  # a GPU may fuse the ways differently
     expected = jax.jit(lambda *given: slope(*given))(*triangles, expected.face)
     assert np.max(np.abs(expected)) > 1
     np.testing.assert_allclose(moved, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
