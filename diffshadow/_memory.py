@@ -9,8 +9,8 @@ import sys
 # Parameters of glibc's mallopt(3).
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
 _MOST = 2**31 - 1
-# The size of a heap of any thread but the main one. An empty heap goes back to the system if the heap before it has
-# space left for the padding, which for padding of a whole heap is never so.
+# The size of a heap of any thread but the main one. An empty heap goes back to the system only if the padding fits into
+# the heap before it. Padding of this size never does.
 _HEAP = 64 << 20
 
 # Of `gc.set_threshold`; Python 3.12 begins with (700, 10, 10).

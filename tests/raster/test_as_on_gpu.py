@@ -44,7 +44,9 @@ def test_the_same_pixels_and_derivatives(triangles, on):
     # Outside of `jit`, in buffers of a shape of their own.
     expected = draw(*triangles)
     np.testing.assert_array_equal(found.face, expected.face)
-    np.testing.assert_allclose(found.depth, expected.depth, atol=1e-6)  # a GPU may fuse the ways differently
+    # A GPU, which otherwise never takes the way of a CPU, rounds its depth differently.
+    rounding = 0 if found.depth.device.platform == "cpu" else 1e-6
+    np.testing.assert_allclose(found.depth, expected.depth, rtol=0, atol=rounding)
     expected = jax.jit(lambda *given: slope(*given))(*triangles, expected.face)
     assert np.max(np.abs(expected)) > 1
     np.testing.assert_allclose(moved, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
