@@ -90,16 +90,17 @@ def main(
     names = common.chosen("only", only, TECHNIQUES)
     to = () if output is None else (f"output={output}",)
     cases = {path: common.draw(common.load(path, to)) for path in configs}
-    rows = []
+    floors = {path.stem: case.floor for path, case in cases.items()}
+    summary = {"configs": [str(path) for path in configs], "reference_noise": floors}
+    rows, folder = [], None
     todo = [(path, size, name) for path in configs for size in widths for name in names]
     for path, size, name in common.progress(todo, "fitting", console):
         row = {"scene": path.stem, "technique": name, "texels": size**2, **best(cases[path], path, name, size)}
         rows.append(row)
-    floors = {path.stem: case.floor for path, case in cases.items()}
+        if name == names[-1]:
+            # So that an interruption loses no more than one size.
+            folder = common.write(cases[configs[0]].settings, NAME, picture(rows, floors), rows, summary)
     show(console, rows)
-    summary = {"configs": [str(path) for path in configs], "reference_noise": floors}
-    first = cases[configs[0]].settings
-    folder = common.write(first, NAME, picture(rows, floors), rows, summary)
     console.print(str(folder), soft_wrap=True)
     return {**summary, "rows": rows, "folder": str(folder)}
 
@@ -146,18 +147,19 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 
 def picture(rows: list[dict[str, Any]], floors: dict[str, float]) -> Figure:
-    """A chart for each scene, of error against texels."""
-    figure, axes = common.figure(3.6 * len(floors) + 0.4, 3.4, 1, len(floors), sharey=True)
+    """A chart for each scene that has rows, of error against texels."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    figure, axes = common.figure(3.6 * len(scenes) + 0.4, 3.4, 1, len(scenes), sharey=True)
     names = list(dict.fromkeys(row["technique"] for row in rows))
-    for one, (scene, floor) in zip(axes, floors.items(), strict=True):
+    for one, scene in zip(axes, scenes, strict=True):
         common.chart(one, scene, "texels", "RMSE [visibility]" if one is axes[0] else "")
         for i, name in enumerate(names):
             line = [(row["texels"], row["rmse"]) for row in rows if (row["scene"], row["technique"]) == (scene, name)]
             one.plot(*np.array(line).T, label=TECHNIQUES[name].title, **common.curve(i))
         one.set_xscale("log")
         one.set_yscale("log")
-        if floor > 0:
-            one.axhspan(one.get_ylim()[0], floor, color=common.FAINT, alpha=0.25, linewidth=0)
+        if floors[scene] > 0:
+            one.axhspan(one.get_ylim()[0], floors[scene], color=common.FAINT, alpha=0.25, linewidth=0)
     common.legend(axes[-1])
     return figure
 

@@ -21,7 +21,7 @@ from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Facing, Triangles, c
 from ._compact import Groups, group
 from ._depth_test import DepthTest
 from ._items import Items
-from ._windows import PADDING, Chunk, DrawPass, Write
+from ._windows import PADDING, BufferDrawing, Chunk, DrawPass, Write
 
 # Where the pages that a face touches may be resident is known for so many cells a side.
 _CELLS = 64
@@ -60,7 +60,7 @@ class Level(NamedTuple):
     pairs: Pairs
 
 
-class PagedDrawing:
+class PagedDrawing(BufferDrawing):
     """Draws triangles into the pages of a virtual map. A buffer holds all layers, one above the other.
 
     **Arguments:** as for `DrawPass` and `bin_triangles`.
@@ -91,7 +91,7 @@ class PagedDrawing:
         wide = jnp.pad(image, ((0, 0), (0, PADDING), (0, PADDING)), constant_values=value)
         return wide.reshape(-1, wide.shape[-1])
 
-    def image(self, buffer: Array) -> Array:
+    def cut(self, buffer: Array) -> Array:
         side = self.pages.side
         return buffer.reshape(-1, side + PADDING, side + PADDING)[:, :side, :side]
 

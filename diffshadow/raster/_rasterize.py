@@ -14,10 +14,11 @@ from jaxtyping import Array, Float, Int
 from .._misc import as_float, filled, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
+from ._band_pass import BandDrawing, bands_of
 from ._bins import FACING, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._page_pass import PagedDrawing
-from ._windows import DrawPass, least_depth, least_depth_and_face
+from ._windows import Drawing, DrawPass, least_depth, least_depth_and_face
 
 MOST_PIXELS_ACROSS = 8192
 """The most pixels along a side of an image."""
@@ -196,19 +197,28 @@ def _rasterize(
 ) -> Fragments | Float[Array, "*l h w"]:
     """One view in the lower left part of an image of `resolution`, or in pages."""
     height, width = viewport
-    if pages is None:
+
+    def finish(depth: Array, face: Array | None, first: Array | int) -> Fragments | Array:
+        if pages is None and not isinstance(height, int):
+            # Windows of pixels may reach beyond the viewport.
+            row, column = (jnp.arange(size, dtype=jnp.int32) for size in depth.shape)
+            depth = jnp.where((row[:, None] + first < height) & (column < width), depth, jnp.inf)
+        seen = depth < jnp.inf
+        depth = jnp.where(seen, test.decode(depth), jnp.float32(test.clear))
+        return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)
+
+    bands, in_front = bands_of(resolution, 8 if with_face else 4), None
+    drawing: Drawing
+    if pages is not None:
+        drawing = paged = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
+        in_front = None if behind is None else paged.padded(behind, NO_FACE)
+    elif bands == 1 or behind is not None:
         triangles = bin_triangles(clip, faces, (height, width), facing)
-        drawing = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
+        drawing = whole = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
+        in_front = None if behind is None else whole.padded(behind, NO_FACE)
     else:
-        drawing = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
-    depth, face = least_depth_and_face(drawing, behind) if with_face else (least_depth(drawing), None)
-    if pages is None and not isinstance(height, int):
-        # Windows of pixels may reach beyond the viewport.
-        row, column = (jnp.arange(size, dtype=jnp.int32) for size in resolution)
-        depth = jnp.where((row[:, None] < height) & (column < width), depth, jnp.inf)
-    seen = depth < jnp.inf
-    depth = jnp.where(seen, test.decode(depth), jnp.float32(test.clear))
-    return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)
+        drawing = BandDrawing(clip, faces, (height, width), facing, test, polygon_offset, resolution, bands)
+    return least_depth_and_face(drawing, in_front, finish) if with_face else least_depth(drawing, finish)
 
 
 # In a trace, a viewport and culling that are known shorten the program.

@@ -1,8 +1,10 @@
 """How far triangles reach to the left and to the right between two heights."""
 
+import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._misc import safe_divide
@@ -24,14 +26,15 @@ def extent(
 
     - `x`, `y`: of the three corners, (n,) each.
     """
-    left, right = jnp.full_like(low, jnp.inf), jnp.full_like(low, -jnp.inf)
-    for k, following in enumerate((1, 2, 0)):
-        meets = (jnp.minimum(y[k], y[following]) <= high) & (jnp.maximum(y[k], y[following]) >= low)
-        inverse = safe_divide(jnp.ones_like(low), y[following] - y[k])
-        for level in (low, high):
-            at = x[k] + jnp.clip((level - y[k]) * inverse, 0, 1) * (x[following] - x[k])
-            left, right = jnp.where(meets, jnp.minimum(left, at), left), jnp.where(meets, jnp.maximum(right, at), right)
-    return left, right
+    (x0, y0), (x1, y1) = ([jnp.stack([at[k] for k in ks]) for at in (x, y)] for ks in ((0, 1, 2), (1, 2, 0)))
+    meets = (jnp.minimum(y0, y1) <= high) & (jnp.maximum(y0, y1) >= low)
+    inverse = safe_divide(jnp.ones_like(y0), y1 - y0)
+    of_edge = lambda values: values[:, None]
+    along = jnp.clip((jnp.stack([low, high]) - of_edge(y0)) * of_edge(inverse), 0, 1)
+    at = lax.optimization_barrier(of_edge(x0) + along * of_edge(x1 - x0))
+    left, right = (jnp.where(of_edge(meets), at, beyond).reshape(6, -1) for beyond in (jnp.inf, -jnp.inf))
+    # Written out: reductions are kernels of their own.
+    return functools.reduce(jnp.minimum, left), functools.reduce(jnp.maximum, right)
 
 
 def span(

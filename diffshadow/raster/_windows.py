@@ -13,6 +13,7 @@ positive floats are ordered as their bits are, so the least number is the neares
 face. That takes half the time of a second pass that looks for the face whose depth has settled.
 """
 
+import abc
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -58,6 +59,12 @@ Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
 
 
+Finish = Callable[[Array, Array | int], Any]
+"""Makes images of all rows of an image, or of some, given the number of the first."""
+FinishDepth = Callable[[Float[Array, "*l h w"], Int[Array, "*l h w"] | None, Array | int], Any]
+"""The same of depth, infinite where there is none, and face, -1 where there is none."""
+
+
 class Chunk(NamedTuple):
     """Some triangles of a class: their faces, whether each is one, and the layer that it is drawn into, if there are
     several; (n,) each."""
@@ -69,28 +76,39 @@ class Chunk(NamedTuple):
 
 @runtime_checkable
 class Drawing(Protocol):
-    """Draws something into buffers."""
+    """Draws something into an image."""
 
     test: DepthTest
 
+    def image(self, write: Write, nothing: float | int, dtype: DTypeLike, finish: Finish) -> Any:
+        """What `finish` makes of an image that holds `nothing` before all triangles are written into it."""
+        ...
+
+
+class BufferDrawing(Drawing):
+    """Draws something into one buffer."""
+
+    @abc.abstractmethod
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
         """A buffer that holds `value` everywhere."""
-        ...
 
+    @abc.abstractmethod
     def padded(self, image: Array, value: float | int) -> Array:
         """`image` as a buffer, which holds `value` beyond it."""
-        ...
 
-    def image(self, buffer: Array) -> Array:
+    @abc.abstractmethod
+    def cut(self, buffer: Array) -> Array:
         """What of a buffer is no padding."""
-        ...
 
+    @abc.abstractmethod
     def draw(self, buffer: Array, write: Write) -> Array:
         """`buffer` after all triangles are written into it."""
-        ...
+
+    def image(self, write: Write, nothing: float | int, dtype: DTypeLike, finish: Finish) -> Any:
+        return finish(self.cut(self.draw(self.full(nothing, dtype), write)), 0)
 
 
-class DrawPass(Drawing):
+class DrawPass(BufferDrawing):
     """Draws triangles into buffers.
 
     **Arguments:**
@@ -124,7 +142,7 @@ class DrawPass(Drawing):
     def padded(self, image: Array, value: float | int) -> Array:
         return jnp.pad(image, ((0, PADDING), (0, PADDING)), constant_values=value)
 
-    def image(self, buffer: Array) -> Array:
+    def cut(self, buffer: Array) -> Array:
         height, width = self.buffer
         return buffer[:height, :width]
 
@@ -262,31 +280,29 @@ def _of(tree: Any, owner: Int[Array, " n"]) -> Any:
     return jax.tree.map(lambda values: take_last(values, owner), tree)
 
 
-def least_depth(drawing: Drawing) -> Float[Array, "*l h w"]:
-    """The least depth at every pixel, infinite where there is none."""
+def least_depth(drawing: Drawing, finish: FinishDepth) -> Any:
+    """What `finish` makes of the least depth at every pixel."""
     # As the bits of positive floats, which are integers of the same order: the least of floats also keeps NaN, which
     # takes longer.
     bits = lambda depth: lax.bitcast_convert_type(depth, jnp.int32)
     stored = lambda form, source, side: bits(window_depth(form, source >= 0, side, drawing.test))
-    least = _least(drawing, stored, int(np.float32(np.inf).view(np.int32)), jnp.int32)
-    return lax.bitcast_convert_type(least, jnp.float32)
+    depth = lambda least, first: finish(lax.bitcast_convert_type(least, jnp.float32), None, first)
+    return _least(drawing, stored, int(np.float32(np.inf).view(np.int32)), jnp.int32, depth)
 
 
-def least_depth_and_face(
-    drawing: Drawing, behind: Int[Array, "*l h w"] | None
-) -> tuple[Float[Array, "*l h w"], Int[Array, "*l h w"]]:
-    """The least depth at every pixel, and its face, -1 where there is none; faces in `behind` (h, w) are passed over.
+def least_depth_and_face(drawing: Drawing, behind: Int[Array, "rows columns"] | None, finish: FinishDepth) -> Any:
+    """What `finish` makes of the least depth at every pixel and its face.
 
-    Of several faces at the same depth it is the first, or the last where the depth test lets equal depths pass.
+    Faces in `behind`, a buffer of the drawing, are passed over. Of several faces at the same depth it is the first, or
+    the last where the depth test lets equal depths pass.
     """
     # The least complement is that of the greatest face.
     order = lambda face: ~face if drawing.test.compare == "less_equal" else face
-    padded = None if behind is None else drawing.padded(behind, -1)
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
         depth = window_depth(form, source >= 0, side, drawing.test)
-        if padded is not None:
-            passed = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
+        if behind is not None:
+            passed = lax.gather(behind, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)
         if source.shape[0] > 1:
             # As it would be stored alone, whatever the compiler would fuse it with. Windows that are written one after
@@ -296,14 +312,15 @@ def least_depth_and_face(
         low = order(source)[:, None, None].astype(jnp.int64) & ((1 << _FACE_BITS) - 1)
         return high | low
 
-    with jax.enable_x64(True):
-        nothing = jnp.iinfo(jnp.int64).max
-        key = _least(drawing, stored, nothing, jnp.int64)
+    def depth_and_face(key: Array, first: Array | int) -> Any:
         depth = lax.bitcast_convert_type((key >> _FACE_BITS).astype(jnp.int32), jnp.float32)
         face = order(key.astype(jnp.int32))
-    # The bits of an infinite depth, and of none at all, are those of no number below infinity.
-    seen = depth < jnp.inf
-    return jnp.where(seen, depth, jnp.inf), jnp.where(seen, face, -1)
+        # The bits of an infinite depth, and of none at all, are those of no number below infinity.
+        seen = depth < jnp.inf
+        return finish(jnp.where(seen, depth, jnp.inf), jnp.where(seen, face, -1), first)
+
+    with jax.enable_x64(True):
+        return _least(drawing, stored, jnp.iinfo(jnp.int64).max, jnp.int64, depth_and_face)
 
 
 def _ceil_div(count: Int[Array, "*n"], length: int) -> Int[Array, "*n"]:
@@ -320,8 +337,9 @@ def _least(
     stored: Callable[[EdgeForm, Int[Array, " n"], int], Array],
     nothing: float | int,
     dtype: DTypeLike,
-) -> Array:
-    """The least at every pixel of what any window stores there.
+    finish: Finish,
+) -> Any:
+    """What `finish` makes of the least at every pixel of what any window stores there.
 
     **Arguments:**
 
@@ -344,7 +362,7 @@ def _least(
         # XLA makes one kernel of such a loop, which keeps a window in registers: no array of all windows is written.
         return lax.fori_loop(jnp.int32(0), _up_to_last(source), one, buffer)
 
-    return drawing.image(drawing.draw(drawing.full(nothing, dtype), write))
+    return drawing.image(write, nothing, dtype, finish)
 
 
 @jax.custom_batching.custom_vmap

@@ -388,6 +388,12 @@ BROKEN = {
         "3: fit.parameters.filter.radius: cannot be fitted with filter type 'nearest'; expected bias.constant, "
         "bias.slope, bias.slope_least, bias.slope_most or bias.normal_offset; name one of these",
     ),
+    "parameter of another filter with a like name": (
+        "filter: {type: pcss}\nfit: {parameters: {filter.radius: {lower: 0, upper: 9}}}\n",
+        "3: fit.parameters.filter.radius: cannot be fitted with filter type 'pcss'; expected bias.constant, "
+        "bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset, filter.light_size or filter.min_radius; "
+        "name one of these",
+    ),
     "factor of a map that there is none": (
         "technique: {type: cascades, count: 2}\nbias: {factors: [1, 1]}\n"
         "fit: {parameters: {bias.factors.2: {lower: 0, upper: 9}}}\n",

@@ -178,3 +178,10 @@ def test_impossible_settings_of_a_fit_are_refused(overrides, message):
     with pytest.raises(ConfigError) as caught:
         parse_config(TEXT, overrides, fitting=True)
     assert message in str(caught.value)
+
+
+def test_a_preference_in_a_fit_of_lights_is_one_fault_with_one_remedy():
+    with pytest.raises(ConfigError) as caught:
+        parse_config(TEXT, [SUN_IS_FITTED, "fit.prefer=least_bias"], fitting=True)
+    assert [mistake.key for mistake in caught.value.mistakes] == ["fit.prefer"]
+    assert "remove it" in str(caught.value)

@@ -1501,8 +1501,8 @@ _SHADOW = (
     _fault(
         "irregular z-buffer: cut to the lower ends of strips",
         "raster/_span.py",
-        "for level in (low, high):",
-        "for level in (low, low):",
+        "jnp.stack([low, high])",
+        "jnp.stack([low, low])",
         "test_irregular_z_buffer.py",
     ),
     _fault(
@@ -1600,8 +1600,8 @@ _SHADOW = (
     _fault(
         "shares: texels beyond a cascade are drawn",
         "raster/_rasterize.py",
-        "(row[:, None] < height) & (column < width)",
-        "(row[:, None] >= 0) & (column >= 0)",
+        "(row[:, None] + first < height) & (column < width)",
+        "(row[:, None] + first >= 0) & (column >= 0)",
         "test_cascades.py",
     ),
     _fault(
@@ -1941,6 +1941,34 @@ _FIT = (
         "test_raster_gradients.py",
     ),
     _fault(
+        "bands: windows end with their band",
+        "raster/_band_pass.py",
+        "return buffer[self.rows :], images",
+        "return empty[:PADDING], images",
+        "test_band_pass.py",
+    ),
+    _fault(
+        "bands: tall triangles are left out",
+        "raster/_band_pass.py",
+        "self.near + sorted_.counts[tall]",
+        "self.near",
+        "test_band_pass.py",
+    ),
+    _fault(
+        "bands: large triangles end with the band that they begin in",
+        "raster/_band_pass.py",
+        "jnp.maximum(number - 1, 0), number",
+        "number, number",
+        "test_band_pass.py",
+    ),
+    _fault(
+        "bands: a viewport is cut from each",
+        "raster/_rasterize.py",
+        "(row[:, None] + first < height)",
+        "(row[:, None] < height)",
+        "test_band_pass.py",
+    ),
+    _fault(
         "small triangles: whole chunks alone",
         "raster/_windows.py",
         "_ceil_div(self._counts[:LARGE], self.at_once)",
@@ -2006,15 +2034,15 @@ _FIT = (
     _fault(
         "spans: edges that miss the rows count",
         "raster/_span.py",
-        "jnp.where(meets, jnp.minimum(left, at), left)",
-        "jnp.minimum(left, at)",
+        "jnp.where(of_edge(meets), at, beyond)",
+        "jnp.where(True, at, beyond)",
         "test_span.py",
     ),
     _fault(
         "spans: an edge goes on beyond its ends",
         "raster/_span.py",
-        "jnp.clip((level - y[k]) * inverse, 0, 1)",
-        "((level - y[k]) * inverse)",
+        "jnp.clip((jnp.stack([low, high]) - of_edge(y0)) * of_edge(inverse), 0, 1)",
+        "(jnp.stack([low, high]) - of_edge(y0)) * of_edge(inverse)",
         "test_span.py",
     ),
     _fault(

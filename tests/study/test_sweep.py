@@ -277,6 +277,7 @@ def test_million_runs_are_counted_without_making_them(monkeypatch):
     study.print_plan(Console(file=out, width=120), sweep)
     assert len(made) < 20
     assert "1,048,576 runs, too many to check each of them here" in out.getvalue()
+    assert out.getvalue().endswith("The first are listed above\n")
     assert len([line for line in out.getvalue().splitlines() if "bias.slope = " in line]) == 8
     # Any of them can be had.
     last = sweep.runs[-1]

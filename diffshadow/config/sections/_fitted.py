@@ -171,7 +171,10 @@ def _filter_type(data: Any) -> str:
 
 def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
     known = tuple(fit_paths(data))
-    mend = did_you_mean(name, known, "name one of these")
+    mend = "name one of these"
+    if not any(name == f"filter.{field}" for kind in FILTERS.values() for field in kind.model_fields):
+        # A number of another filter is no misspelling.
+        mend = did_you_mean(name, known, mend)
     technique = _holders(data)["technique"]
     kind = str(look(data, "technique", "type")) if issubclass(technique, EngineConfig) else None
     of = f"filter type {_filter_type(data)!r}" if kind is None else f"technique type {kind!r}"

@@ -26,6 +26,8 @@ def preference_faults(config: Parts) -> Iterator[Conflict]:
     for key, given in (("intervals", fit.intervals), ("prefer", fit.prefer), ("front", fit.front)):
         if config.moves and given:
             yield ("fit", key), fault("is given in a fit of lights or meshes", "a fit of a technique", "remove it")
+    if config.moves:
+        return
     for name in fit.prefer:
         if name == LEAST_BIAS:
             if not preferences(fit):

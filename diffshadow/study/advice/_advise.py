@@ -204,10 +204,10 @@ def _print(console: Console, name: str, found: Findings) -> None:
         column.justify = "right"
     kept = {each.id for each in front(found.candidates)}
     for each in ranked(found.candidates):
-        mark = " ←" if each.id == found.chosen.id else " *" if each.id in kept else ""
+        marks = ("*" if each.id in kept else " ") + ("←" if each.id == found.chosen.id else " ")
         rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
-        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}{mark}")
+        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
-    table.print_lines(console, ["← recommended; * nothing is both faster and better"])
+    table.print_lines(console, ["← is recommended; * marks those that no other beats in both error and time"])
     table.print_lines(console, verdict(found))

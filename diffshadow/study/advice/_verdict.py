@@ -17,8 +17,8 @@ class Findings(NamedTuple):
     - `candidates`: all of them; `chosen`: the recommended one; `within`: the fraction that it may be worse.
     - `over`: what errors are measured over, in words.
     - `noise`: the reference's own RMSE; `None` if unknown.
-    - `enough`: by label, other biases with a single fitted number, at which they have no more false shadow than the
-        chosen one: the number's unit and the bias.
+    - `enough`: by label, for other biases with a single fitted number: its unit, and the value at which they have no
+        more false shadow than the chosen one.
     """
 
     candidates: Sequence[Candidate]
@@ -109,9 +109,9 @@ def _less_acne(found: Findings) -> Iterator[str]:
         rest = f"{chosen.bias} has {_percent(chosen.false_light)}, {_time(chosen, peer)}."
         if enough.false_shadow > chosen.false_shadow + _SAME_RATE:
             yield (
-                f"No {peer.bias} bias up to {value} removes acne to the {_percent(chosen.false_shadow)} of "
-                f"{chosen.bias}: {_percent(enough.false_shadow)} remains, with {_percent(enough.false_light)} of false "
-                f"light; {rest}"
+                f"No {peer.bias} bias within its bounds removes acne to the {_percent(chosen.false_shadow)} of "
+                f"{chosen.bias}: the least, {_percent(enough.false_shadow)}, is at {value}, with "
+                f"{_percent(enough.false_light)} of false light; {rest}"
             )
         elif enough.false_light > chosen.false_light + _SAME_RATE:
             yield (

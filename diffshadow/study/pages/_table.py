@@ -76,7 +76,7 @@ def print_fit(
 def print_profiles(console: Console, profiles: Sequence[Profile], fitted: Mapping[str, float]) -> None:
     """Prints where each parameter may lie for errors close to the best, with the others fitted again."""
     heads = [within_text(each.within) for each in profiles[0].intervals]
-    table = Table("error along each", "fitted", "best", *heads, title_justify="left")
+    table = Table("error along each", "fitted", "least error", *heads, title_justify="left")
     for profile in profiles:
         ranges = [
             interval_text(*((end.value, end.is_bound) for end in (each.lower, each.upper)))

@@ -109,6 +109,9 @@ def run_fit(config: Config, *, console: Console) -> Path:
     )
     if fitted.result.profiles:
         table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
+        if fitted.plan.prefer:
+            chosen = "fit.prefer chose the fitted values among those with at most"
+            table.print_lines(console, [f"{chosen} {100 * fitted.plan.tolerance:.3g} % more than the least error"])
     if fitted.result.front:
         table.print_front(console, list(fitted.result.fitted), fitted.result.front)
     if fitted.validation:

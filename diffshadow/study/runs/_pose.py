@@ -90,8 +90,8 @@ def as_record(plan: FitPlan, result: fit.FitResult) -> dict[str, Any]:
 
 
 def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
-    """Prints truth, end, error and standard deviation of each parameter, and the losses of several starts."""
-    table = Table("", "truth", "end", "error", "deviation")
+    """Prints truth, fitted value, error and standard deviation of each parameter, and the losses of several starts."""
+    table = Table("", "truth", "fitted", "error", "std. dev.")
     table.columns[0].no_wrap = True
     for column in table.columns[1:]:
         column.justify = "right"

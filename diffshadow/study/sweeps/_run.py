@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
-from ...config import Sweep, SweepRun, describe
+from ...config import LABEL, Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import write_json
 from ..files._stored import SWEEP
@@ -150,10 +150,15 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
     folder = sweep.runs[0].config.output_folder / f"{sweep.name}{suffix}"
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
-    for axis in sweep.settings.axes:
-        values = [_shown(value) for value in sweep.runs.choices(axis)]
-        more = ", …" if len(values) > _MOST_SHOWN else ""
-        axes.add_row(table.words(axis), f"{len(values)}", table.words(", ".join(values[:_MOST_SHOWN]) + more))
+    choices = {axis: sweep.runs.choices(axis) for axis in sweep.settings.axes}
+    if LABEL in choices:
+        # Labels stand for whole sections.
+        choices = {axis: values for axis, values in choices.items() if not any(isinstance(v, Mapping) for v in values)}
+    for axis, chosen in choices.items():
+        values = [_shown(value) for value in chosen]
+        some = values[:_MOST_SHOWN] + ["…"] * (len(values) > _MOST_SHOWN)
+        between = "; " if axis == LABEL else ", "
+        axes.add_row(table.words(axis), f"{len(values)}", table.words(between.join(some)))
     console.print(axes)
     count, shown = len(sweep.runs), min(limit or _MOST_SHOWN, _MOST_SHOWN)
     if count <= MOST_LISTED:
@@ -167,9 +172,12 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         missing = range(count)
         message = f"{count:,} runs, too many to check each of them here; {_results_in(folder)}"
     for run in sweep.runs.at(missing[:shown]):
-        values = ", ".join(f"{axis} = {_shown(value)}" for axis, value in run.values.items() if value is not None)
+        values = ", ".join(
+            f"{axis} = {_shown(run.values[axis])}" for axis in choices if run.values.get(axis) is not None
+        )
         console.print(table.words(f"{run.id}  {values}"), soft_wrap=True)
-    console.print(table.words(message), soft_wrap=True)
+    listed = ". The first are listed above" if len(missing[:limit]) > shown else ""
+    console.print(table.words(message + listed), soft_wrap=True)
 
 
 def _results_in(folder: Path) -> str:
@@ -314,17 +322,24 @@ def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[C
     plot = sweep.settings.plot
     if plot is not None and curves:
         shown = Table(title=table.words(f"{sweep.name}: {plot.y} against {plot.x}"), title_justify="left")
-        for head in (plot.panels or "", plot.lines or ""):
-            shown.add_column(table.words(head))
-        ends = [f"at {curves[0].ticks[int(x)] if curves[0].ticks else f'{x:g}'}" for x in curves[0].x[[0, -1]]]
-        for head in (*ends, "slope", "±"):
-            shown.add_column(table.words(head), justify="right")
-        for i, curve in enumerate(curves):
-            panel = "" if i > 0 and curves[i - 1].panel == curve.panel else curve.panel
-            slope, error = ("" if v is None else f"{v:.3f}" for v in (curve.slope, curve.error))
-            shown.add_row(
-                table.words(panel), table.words(curve.line), f"{curve.y[0]:.4g}", f"{curve.y[-1]:.4g}", slope, error
-            )
+        x, ticks = curves[0].x, curves[0].ticks
+        end = lambda i: f"at {x[i]:g}" if ticks is None else f"at {ticks[int(x[i])]}"
+        three_digits = lambda value: "" if value is None else f"{value:.3f}"
+        previous = ["", *(curve.panel for curve in curves)]
+        columns = {
+            plot.panels or "": ["" if c.panel == p else c.panel for c, p in zip(curves, previous, strict=False)],
+            plot.lines or "": [curve.line for curve in curves],
+            end(0): [f"{curve.y[0]:.4g}" for curve in curves],
+            end(-1): [f"{curve.y[-1]:.4g}" for curve in curves],
+            "slope": [three_digits(curve.slope) for curve in curves],
+            "±": [three_digits(curve.error) for curve in curves],
+        }
+        columns = {head: texts for head, texts in columns.items() if any(texts)}
+        for head in columns:
+            justify: Any = "left" if head in (plot.panels, plot.lines) else "right"
+            shown.add_column(table.words(head), justify=justify)
+        for row in zip(*columns.values(), strict=True):
+            shown.add_row(*map(table.words, row))
     else:
         shown = Table("metric", "least", "mean", "greatest", title=table.words(sweep.name), title_justify="left")
         for name in metric_columns(sweep.settings, results.column_names):
