@@ -113,6 +113,6 @@ def soup(rng, count, resolution):
 
 
 def depth_rounding():
-    """By how much the depths of two programs that draw the same may differ: the XLA of jax 0.11 rounds the depth of a
-    plane otherwise in one program than in another."""
+    """By how much the depths of two programs that draw the same may differ. The XLA of jax 0.11 rounds the depth of a
+    plane differently in different programs."""
     return 0 if jax.__version_info__ >= (0, 12) else 1e-6

@@ -198,16 +198,17 @@ def _record(found: Findings, problems: Sequence[str]) -> dict[str, Any]:
 
 def _print(console: Console, name: str, found: Findings) -> None:
     """Prints the ranking and the verdict."""
-    heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", "ms")
+    heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", "ms", "× fastest")
     shown = Table(*heads, title=table.words(f"{name}: techniques by RMSE over {found.over}"), title_justify="left")
-    for column in shown.columns[2:6]:
+    for column in shown.columns[2:]:
         column.justify = "right"
     kept = {each.id for each in front(found.candidates)}
     for each in ranked(found.candidates):
         marks = ("*" if each.id in kept else " ") + ("←" if each.id == found.chosen.id else " ")
         rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
-        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f} {marks}")
+        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.ratio:.2f} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
-    table.print_lines(console, ["← is recommended; * marks those that no other beats in both error and time"])
+    legend = "← is recommended; * marks those that no other beats in both RMSE and time"
+    table.print_lines(console, [legend])
     table.print_lines(console, verdict(found))
