@@ -579,6 +579,16 @@ def test_plan_is_printed_and_nothing_written(finished):
     assert not Path("runs").exists()
 
 
+def test_a_plan_shows_labels_instead_of_their_sections():
+    section = "{list: [{label: a, bias: {slope: 1}}, {label: b}], grid: {filter: [{type: nearest}, {type: tent}]}}"
+    out = text_io.StringIO()
+    study.print_plan(Console(file=out, width=120), sweep_of(section))
+    lines = [line for line in out.getvalue().splitlines() if " = " in line]
+    assert len(lines) == 4
+    assert all("bias" not in line for line in lines)
+    assert 'label = a, filter = {"type": "nearest"}, seed = 0' in lines[0]
+
+
 # Curves.
 
 

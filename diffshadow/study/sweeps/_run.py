@@ -151,9 +151,10 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
     axes.columns[1].justify = "right"
     choices = {axis: sweep.runs.choices(axis) for axis in sweep.settings.axes}
-    if LABEL in choices:
-        # Labels stand for whole sections.
-        choices = {axis: values for axis, values in choices.items() if not any(isinstance(v, Mapping) for v in values)}
+    # A label stands for the sections of its entry.
+    labelled = {axis for entry in sweep.settings.list or () if LABEL in entry for axis in entry}
+    has_sections = lambda axis: any(isinstance(value, Mapping | list) for value in choices[axis])
+    choices = {axis: values for axis, values in choices.items() if not (axis in labelled and has_sections(axis))}
     for axis, chosen in choices.items():
         values = [_shown(value) for value in chosen]
         some = values[:_MOST_SHOWN] + ["…"] * (len(values) > _MOST_SHOWN)
