@@ -1,8 +1,8 @@
-"""Drawing a large image band by band, from the bottom to the top, so that the buffer stays in a CPU's cache.
+"""Drawing a large image in bands of rows, from the bottom to the top, so that the buffer stays in a CPU's cache.
 
 Triangles are sorted by the band that their first row lies in. Windows that reach into the next band are written into
-the padding of the buffer, which becomes the first rows of the next one. Large triangles are cut into blocks in each
-band anew.
+the padding of the buffer. The padding becomes the first rows of the next buffer. Large triangles are cut into blocks in
+each band anew.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ from ._compact import Groups, group
 from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, Drawing, DrawPass, Finish, Write
 
-# Buffers of at most so many bytes are drawn in one. The bands of others have at least so many bytes, and rows.
+# Buffers of at most so many bytes are not split. Bands of larger ones have at least so many bytes, and so many rows.
 _MOST_IN_ONE, _LEAST_BYTES, _LEAST_ROWS = 1 << 25, 1 << 21, 128
 
 
@@ -126,10 +126,10 @@ class _BandPass(DrawPass):
 def _by_band(
     groups: Groups, of_class: Int[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"], bands: int
 ) -> Groups:
-    """The elements sorted by band, but for those to be clipped, which stay last.
+    """The elements sorted by band, except those to be clipped, which stay last.
 
-    Group `band * LARGE + k` has the windows of class `k` in a band, group `bands * LARGE + band` its large
-    triangles, and the last group the tall ones, which reach further than into the next band.
+    Group `band * LARGE + k` has the windows of class `k` in a band, and group `bands * LARGE + band` its large
+    triangles. The last group has the tall ones, which reach further than into the next band.
 
     **Arguments:**
 

@@ -1,16 +1,16 @@
 """Writing triangles into the depth and face buffers, a window of pixels at a time.
 
 Every triangle of a size class is evaluated in a window of that size at its own lower left corner. Windows are set up in
-chunks. On a GPU a chunk is written by a scatter that keeps the least. On a CPU most are written one window after the
-other, so that each stays in registers. No sort and no list of triangles for each tile is needed. The buffers are
-padded, so that a window may reach beyond the image.
+chunks. On a GPU, a scatter writes a whole chunk and keeps the least value. On a CPU, most windows are written one after
+the other, so that each stays in registers. There is no sort, and no list of triangles for each tile. The buffers are
+padded, so that a window may reach beyond the image. Large images are drawn in bands on a CPU (`_band_pass.py`).
 
-All loops run as often as the triangles need, and nothing but the number of faces and the resolution has a static size:
-a compiled program draws any triangles.
+All loops run as often as the triangles need. Only the number of faces and the resolution are static: a compiled program
+draws any triangles.
 
-Where the face is needed too, depth and face travel together as one 64-bit number, the depth's bits above the face's:
-positive floats are ordered as their bits are, so the least number is the nearest depth and, among equals, the first
-face. That takes half the time of a second pass that looks for the face whose depth has settled.
+Where the face is needed too, depth and face are stored as one 64-bit number, with the depth's bits above the face's.
+Positive floats are ordered as their bits are. So the least number is the nearest depth, and among equal depths the
+first face. That takes half the time of a second pass that looks for the face with the final depth.
 """
 
 import abc
@@ -57,12 +57,10 @@ _ROWS_TO_BLOCKS = 2
 
 Write = Callable[[Array, EdgeForm, Int[Array, " n"], int], Array]
 """Writes windows of a side into a buffer, given their triangles and the faces that these are part of, -1 for none."""
-
-
 Finish = Callable[[Array, Array | int], Any]
-"""Makes images of all rows of an image, or of some, given the number of the first."""
+"""Makes results of the values of some rows of an image, or of all, and the number of the first row."""
 FinishDepth = Callable[[Float[Array, "*l h w"], Int[Array, "*l h w"] | None, Array | int], Any]
-"""The same of depth, infinite where there is none, and face, -1 where there is none."""
+"""The same for rows of depth, infinite where there is none, and of faces, -1 where there is none."""
 
 
 class Chunk(NamedTuple):
@@ -81,7 +79,7 @@ class Drawing(Protocol):
     test: DepthTest
 
     def image(self, write: Write, nothing: float | int, dtype: DTypeLike, finish: Finish) -> Any:
-        """What `finish` makes of an image that holds `nothing` before all triangles are written into it."""
+        """Writes all triangles into an image that holds `nothing` at first, and returns what `finish` makes of it."""
         ...
 
 
