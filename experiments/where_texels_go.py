@@ -98,7 +98,7 @@ def main(
         row = {"scene": path.stem, "technique": name, "texels": size**2, **best(cases[path], path, name, size)}
         rows.append(row)
         if name == names[-1]:
-            # So that an interruption loses no more than one size.
+            # Results are written after each size. An interrupted run keeps all sizes that are done.
             folder = common.write(cases[configs[0]].settings, NAME, picture(rows, floors), rows, summary)
     show(console, rows)
     console.print(str(folder), soft_wrap=True)

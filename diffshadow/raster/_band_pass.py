@@ -5,6 +5,7 @@ the padding of the buffer. The padding becomes the first rows of the next buffer
 each band anew.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -15,8 +16,8 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import is_on_gpu, take
 from .._types import ClipVertices, Faces, Resolution, Viewport
-from ._bins import CLASSES, CLIPPED, LARGE, Box, Corners, Facing, Triangles, classify
-from ._compact import Groups, group
+from ._bins import CLIPPED, LARGE, Box, Corners, Facing, classify
+from ._compact import Groups
 from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, Drawing, DrawPass, Finish, Write
 
@@ -54,10 +55,10 @@ class BandDrawing(Drawing):
         self.resolution, self.buffer, self.bands = resolution, buffer, bands
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
         self.rows = -(-buffer[0] // bands)
-        x, y, z, box, of_class = classify(clip, faces, resolution, facing)
-        groups = group(of_class, CLASSES)
-        self.triangles = Triangles(clip, x, y, z, faces, groups)
-        self.by_band = _by_band(groups, of_class, box.bottom // self.rows, box.top // self.rows, bands)
+        classified = classify(clip, faces, resolution, facing)
+        self.triangles = classified.grouped(clip, faces)
+        first, last = (row // self.rows for row in (classified.box.bottom, classified.box.top))
+        self.by_band = _by_band(self.triangles.groups, classified.of_class, first, last, bands)
 
     def image(self, write: Write, nothing: float | int, dtype: DTypeLike, finish: Finish) -> Any:
         height, width = self.buffer
@@ -97,7 +98,7 @@ class _BandPass(DrawPass):
         )
         groups = Groups(sorted_.elements, starts, counts)
         super().__init__(
-            Triangles(triangles.clip, triangles.x, triangles.y, triangles.z, triangles.faces, groups),
+            dataclasses.replace(triangles, groups=groups),
             whole.resolution,
             whole.facing,
             whole.test,

@@ -122,11 +122,14 @@ class Classified(NamedTuple):
     box: Box
     of_class: Int[Array, " f"]
 
+    def grouped(self, clip: ClipVertices, faces: Faces) -> Triangles:
+        """The triangles grouped by class, which were made of these vertices and faces."""
+        return Triangles(clip, self.x, self.y, self.z, faces, group(self.of_class, CLASSES))
+
 
 def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Facing) -> Triangles:
     """All triangles, grouped by class."""
-    x, y, z, _, of_class = classify(clip, faces, resolution, facing)
-    return Triangles(clip, x, y, z, faces, group(of_class, CLASSES))
+    return classify(clip, faces, resolution, facing).grouped(clip, faces)
 
 
 def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Facing) -> Classified:

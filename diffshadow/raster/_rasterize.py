@@ -207,18 +207,19 @@ def _rasterize(
         depth = jnp.where(seen, test.decode(depth), jnp.float32(test.clear))
         return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)
 
-    bands, in_front = bands_of(resolution, 8 if with_face else 4), None
+    bands = bands_of(resolution, 8 if with_face else 4)
     drawing: Drawing
-    if pages is not None:
-        drawing = paged = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
-        in_front = None if behind is None else paged.padded(behind, NO_FACE)
-    elif bands == 1 or behind is not None:
-        triangles = bin_triangles(clip, faces, (height, width), facing)
-        drawing = whole = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
-        in_front = None if behind is None else whole.padded(behind, NO_FACE)
-    else:
+    if pages is None and behind is None and bands > 1:
         drawing = BandDrawing(clip, faces, (height, width), facing, test, polygon_offset, resolution, bands)
-    return least_depth_and_face(drawing, in_front, finish) if with_face else least_depth(drawing, finish)
+    else:
+        if pages is None:
+            triangles = bin_triangles(clip, faces, (height, width), facing)
+            in_one = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
+        else:
+            in_one = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
+        behind = None if behind is None else in_one.padded(behind, NO_FACE)
+        drawing = in_one
+    return least_depth_and_face(drawing, behind, finish) if with_face else least_depth(drawing, finish)
 
 
 # In a trace, a viewport and culling that are known shorten the program.

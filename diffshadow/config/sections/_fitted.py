@@ -173,7 +173,7 @@ def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
     known = tuple(fit_paths(data))
     mend = "name one of these"
     if not any(name == f"filter.{field}" for kind in FILTERS.values() for field in kind.model_fields):
-        # A number of another filter is no misspelling.
+        # A parameter of another filter is not a misspelling.
         mend = did_you_mean(name, known, mend)
     technique = _holders(data)["technique"]
     kind = str(look(data, "technique", "type")) if issubclass(technique, EngineConfig) else None

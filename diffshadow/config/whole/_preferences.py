@@ -23,10 +23,10 @@ def preferences(fit: FitConfig) -> list[str]:
 def preference_faults(config: Parts) -> Iterator[Conflict]:
     """Faults of intervals and preferences that there cannot be."""
     fit = config.fit
-    for key, given in (("intervals", fit.intervals), ("prefer", fit.prefer), ("front", fit.front)):
-        if config.moves and given:
-            yield ("fit", key), fault("is given in a fit of lights or meshes", "a fit of a technique", "remove it")
     if config.moves:
+        for key, given in (("intervals", fit.intervals), ("prefer", fit.prefer), ("front", fit.front)):
+            if given:
+                yield ("fit", key), fault("is given in a fit of lights or meshes", "a fit of a technique", "remove it")
         return
     for name in fit.prefer:
         if name == LEAST_BIAS:
