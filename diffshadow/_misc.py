@@ -64,15 +64,19 @@ def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]
 
 def safe_norm(x: Float[Array, "*n d"]) -> Float[Array, "*n"]:
     """Euclidean norm over the last axis, with a zero instead of a NaN gradient at 0."""
-    squared = dot(x, x)
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    return safe_sqrt(dot(x, x))
 
 
 def safe_divide(a: Float[Array, "*#n"], b: Float[Array, "*#n"], otherwise: float = 0.0) -> Float[Array, "..."]:
     """`a / b`, and `otherwise` where `b` is 0; no NaN in value or gradient."""
     zero = b == 0
     return jnp.where(zero, otherwise, a / jnp.where(zero, 1, b))
+
+
+def safe_sqrt(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The square root, and 0 for negative numbers; no NaN in value or gradient."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
 
 
 @jax.jit
@@ -95,9 +99,11 @@ _RUN = 32
 
 
 def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`take` for indices of which neighbours are often equal, and none is negative. Its transpose adds up those of each
-    32 that are equal to the first, and then adds their sum and the others to their elements. That takes less time on a
-    GPU."""
+    """`take` for indices that are not negative, and of which many neighbours are equal.
+
+    In its transpose, each run of 32 indices first adds up the gradients of those that equal the first. That saves
+    additions to one place, for which a GPU waits.
+    """
     runs = jnp.pad(index.reshape(-1), (0, -index.size % _RUN)).reshape(-1, _RUN)
     first = runs[:, :1]
     is_first = runs == first
@@ -119,13 +125,13 @@ def round_up_to_power_of_two(n: int) -> int:
     return 0 if n <= 0 else 1 << (n - 1).bit_length()
 
 
-# Sizes that small arrays are filled up to.
+# Sizes that small arrays are padded to.
 _SMALL_SIZES = (256, 4096, 16384)
 
 
 def shared_size(n: int) -> int:
     """A size of at least `n`, so that arrays of like size share compiled programs: a few sizes for small ones, and four
-    to each octave for large ones, of which less than a fifth is filling."""
+    to each octave for large ones, of which less than a fifth is padding."""
     if n <= _SMALL_SIZES[-1]:
         return next(size for size in _SMALL_SIZES if n <= size)
     step = round_up_to_power_of_two(n) // 8
@@ -133,26 +139,29 @@ def shared_size(n: int) -> int:
 
 
 def shared_mesh_size(faces: int, vertices: int) -> tuple[int, int]:
-    """Numbers of faces and vertices that a mesh of these is filled up to: one size for both where the vertices fit."""
+    """The padded numbers of faces and vertices of a mesh: one size for both where the vertices fit."""
     size = shared_size(faces)
     return size, size if vertices <= size else shared_size(vertices)
 
 
-def filled(array: Any, size: int, value: Any = 0, axis: int = 0) -> Any:
-    """`array` filled up with `value` to `size` along an axis: on the host, which compiles nothing, unless the array is
-    on a GPU, since copies to the host and back take longer than to draw it."""
+def padded_to(array: Any, size: int, value: Any = 0, axis: int = 0) -> Any:
+    """`array` padded with `value` to `size` along an axis.
+
+    On the host, which compiles nothing. An array on a GPU stays there: copies to the host and back take longer than to
+    draw a mesh.
+    """
     if isinstance(array, jax.Array) and is_on_gpu():
-        return _filled_on_gpu(array, size, value, axis)
-    return _filled(np, np.asarray(array), size, value, axis)
+        return _padded_on_gpu(array, size, value, axis)
+    return _padded(np, np.asarray(array), size, value, axis)
 
 
-def _filled(xp: Any, array: Any, size: int, value: Any, axis: int) -> Any:
+def _padded(xp: Any, array: Any, size: int, value: Any, axis: int) -> Any:
     shape = list(array.shape)
     shape[axis] = size - shape[axis]
     return xp.concatenate([array, xp.broadcast_to(xp.asarray(value, array.dtype), shape)], axis)
 
 
-_filled_on_gpu = jax.jit(partial(_filled, jnp), static_argnums=(1, 3))
+_padded_on_gpu = jax.jit(partial(_padded, jnp), static_argnums=(1, 3))
 
 
 def is_on_gpu() -> bool:
@@ -161,8 +170,8 @@ def is_on_gpu() -> bool:
     return jax.default_backend() != "cpu"
 
 
-def a_step(on_cpu: int, on_gpu: int) -> int:
-    """How many elements a loop takes at a time: on a CPU what its cache has room for, on a GPU many more."""
+def chunk_size(on_cpu: int, on_gpu: int) -> int:
+    """How many elements a loop takes at a time: on a CPU as many as fit into its cache, on a GPU many more."""
     return on_gpu if is_on_gpu() else on_cpu
 
 

@@ -14,7 +14,6 @@ Vec2 = Float[Array, "2"]
 Vec3 = Float[Array, "3"]
 Mat4 = Float[Array, "4 4"]
 
-Points = Float[Array, "*n 3"]
 Vertices = Float[Array, "v 3"]
 ClipVertices = Float[Array, "v 4"]
 Faces = Int[Array, "f 3"]

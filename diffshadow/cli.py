@@ -31,8 +31,6 @@ SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 
 # More workers would only wait for each other, and each takes a gigabyte.
 _MOST_WORKERS_PER_CORE = 4
-# From the coarsest readable figure to the finest that a page can show.
-_DPI = (10, 2400)
 # Seconds until a Ctrl-C without effect is repeated.
 _INTERRUPT_INTERVAL = 0.2
 # Runs between updates of the progress bar: about a tenth of a second.
@@ -257,7 +255,7 @@ def advise(
 
 @app.command
 def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = None, dpi: int = 150) -> None:
-    """Rewrites the page of a finished run, sweep or advice from the files in FOLDER.
+    """Rewrites the page of a finished run, sweep or recommendation from the files in FOLDER.
 
     The path of the page is the last line printed.
 
@@ -266,13 +264,12 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     Parameters
     ----------
     folder
-        Folder of a fit, a render, a sweep or an advice.
+        Folder of a fit, a render, a sweep or a recommendation.
     figures
         Also rewrite the run's figures, in this format; the shadow map and debug views are kept.
     dpi
         Pixels per inch in these figures.
     """
-    _check_count("--dpi", dpi, *_DPI)
     from . import study
 
     _print_path(study.report(folder, form=figures, dpi=dpi))

@@ -121,9 +121,9 @@ def test_wrong_arguments_are_told_on_one_line(arguments, said, runner, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["report", ".", "--dpi", "0"], "--dpi is 0; expected a whole number at least 10 and at most 2400"),
-        (["report", ".", "--dpi=-1"], "--dpi is -1; expected a whole number at least 10"),
-        (["report", ".", "--dpi", "1000000000"], "--dpi is 1000000000; expected a whole number at least 10"),
+        (["report", ".", "--dpi", "0"], "dpi is 0; expected 10 to 2400 pixels per inch"),
+        (["report", ".", "--dpi=-1"], "dpi is -1; expected 10 to 2400 pixels per inch"),
+        (["report", ".", "--dpi", "1000000000"], "dpi is 1000000000; expected 10 to 2400 pixels per inch"),
         (["report", ".", "--dpi", "fine"], "--dpi"),
         (["report", ".", "--figures", "bmp"], "--figures"),
         (["compare", ".", "..", "--output", "."], "--output is ., a folder; expected the path of a page; name a file"),

@@ -15,6 +15,7 @@ from .reading._advise import load_advice as load_advice
 from .reading._advise import with_fitted as with_fitted
 from .reading._dump import Row as Row
 from .reading._dump import describe as describe
+from .reading._dump import dump as dump
 from .reading._dump import dump_resolved as dump_resolved
 from .reading._dump import fit_units as fit_units
 from .reading._load import load_config as load_config

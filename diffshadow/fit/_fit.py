@@ -125,7 +125,7 @@ def fit(
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, `solver`, `anneal`, `blurs`, `starts`, `evaluations` or `pixels` hold values that make no
-    sense, no pixel counts, or the visibility is not finite at the start.
+    sense, no pixel counts, the visibility is not finite at the start, or the number of silhouettes never settles.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
     fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import check_choice
 from .._misc import as_float, concrete
 from .._types import Scalar
 
 Over = Literal["mean", "worst", "cvar"]
-OVER: tuple[str, ...] = ("mean", "worst", "cvar")
 
 Errors = Float[Array, " v"]
 """A number for each image, (v,)."""
@@ -50,8 +50,7 @@ class Loss(eqx.Module):
     power: Scalar | None = None
 
     def __check_init__(self):
-        if self.over not in OVER:
-            raise ValueError(f"over is {self.over!r}; expected one of {', '.join(OVER)}")
+        check_choice("over", self.over, Over.__args__)
         fraction, dark, light = (concrete(x) for x in (self.fraction, self.false_shadow, self.false_light))
         if fraction is not None and not 0 < fraction <= 1:
             raise ValueError(f"fraction is {fraction}; expected more than 0 and at most 1")
@@ -74,8 +73,8 @@ class Loss(eqx.Module):
         """With the maximum itself."""
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light)
 
-    def tilted(self, ratio: float) -> "Loss":
-        """With factors of which that of false shadow over that of false light is `ratio` times as large."""
+    def reweighted(self, ratio: float) -> "Loss":
+        """With the ratio of its two factors, false shadow to false light, multiplied by `ratio`."""
         root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
         return Loss(self.over, self.fraction, dark * root, light / root, self.power)
 
@@ -107,7 +106,9 @@ class Loss(eqx.Module):
         taken = jnp.clip(self.fraction - before, 0, sorted_shares) / self.fraction
         return jnp.zeros_like(errors).at[order].set(taken)
 
-    def bends(self, errors: Errors, shares: Errors, gradients: Float[Array, "v p"]) -> Float[Array, "v p"] | None:
+    def curvature_rows(
+        self, errors: Errors, shares: Errors, gradients: Float[Array, "v p"]
+    ) -> Float[Array, "v p"] | None:
         """Rows B: BᵀB is what the change of the weights adds to the Gauss-Newton matrix.
 
         Since losses are homogeneous, it is to first order in E

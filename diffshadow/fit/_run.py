@@ -237,10 +237,10 @@ class Run:
     def refitted(self, values: Values, kept: Collection[int], *, ratio: float = 1.0, least_gain: float = 0.0) -> Values:
         """The end of the last phase if it starts at `values`, of which those at the indices `kept` stay.
 
-        **Arguments:** `ratio` as for `Loss.tilted`, `least_gain` as for `Stop`.
+        **Arguments:** `ratio` as for `Loss.reweighted`, `least_gain` as for `Stop`.
         """
         phase = self.phases[-1]
-        phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.tilted(ratio)))
+        phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.reweighted(ratio)))
         phase = phase._replace(stop=phase.stop._replace(least_gain=least_gain))
         active = np.asarray(phase.active)
         stays = np.isin(active, list(kept))
@@ -322,7 +322,7 @@ class Run:
                 return loss, hard_loss
             self.enlargements += 1
             self.judge = enlarged(self.judge, self.parameters, values[None])
-        raise RuntimeError(_NEVER_ENOUGH)
+        raise ValueError(_NEVER_ENOUGH)
 
     def _solution(self, number: int, free: Float[Array, " p"], values: Float[Array, " p"], scale: float) -> Solution:
         """What the program of a phase returns from the `free` values of `values`, repeated with memory for more
@@ -343,7 +343,7 @@ class Run:
             larger = enlarged(phase.joint, self.parameters, as_float(places))
             self.phases = [each.with_memory_of(larger) for each in self.phases]
             self.reporter.again()
-        raise RuntimeError(_NEVER_ENOUGH)
+        raise ValueError(_NEVER_ENOUGH)
 
     def _program(self, phase: Phase, arguments: tuple[Any, ...]) -> Any:
         """The compiled program of a phase for arguments of these shapes, which may differ between samples."""

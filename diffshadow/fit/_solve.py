@@ -52,13 +52,13 @@ def _solve(
         if joint.moves:
             report_overflow(token, overflow, y)
         compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
-        roots, bends = _weights(joint, compared, sloping)
+        roots, curvature_rows = _weights(joint, compared, sloping)
         weighted = lambda stacks: jax.vmap(lambda images: multiplied(images, roots))(stacks)
         change = fraction - fixed
         along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
         rows = [_flat(multiplied(compared, roots)) + along]
-        if bends is not None:
-            rows.append(jnp.matmul(bends, change, precision="highest"))
+        if curvature_rows is not None:
+            rows.append(jnp.matmul(curvature_rows, change, precision="highest"))
         return scale * jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes))
 
     solution = optx.least_squares(
@@ -88,7 +88,9 @@ def _weights(joint: Joint, compared: Images, slopes: Stacks) -> tuple[Float[Arra
     """The roots of the loss's weights, and the rows that stand for their change."""
     errors = squares(compared)
     gradients = 2 * jax.vmap(lambda slope: products(compared, slope), out_axes=1)(slopes)
-    return jnp.sqrt(joint.loss.weights(errors, joint.shares)), joint.loss.bends(errors, joint.shares, gradients)
+    return jnp.sqrt(joint.loss.weights(errors, joint.shares)), joint.loss.curvature_rows(
+        errors, joint.shares, gradients
+    )
 
 
 def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Stacks, Overflow]:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .._misc import as_array, as_int, concrete, filled, shared_size
+from .._misc import as_array, as_int, concrete, padded_to, shared_size
 from .._types import HostArray
 from ._mesh import Mesh
 
@@ -90,11 +90,11 @@ class Edges(eqx.Module):
             return self
         size = shared_size(self.vertices.shape[0])
         return Edges(
-            as_int(filled(self.vertices, size)),
-            as_int(filled(self.faces, size)),
-            as_int(filled(self.directions, size)),
-            as_int(filled(self.component, faces)),
-            as_array(filled(self.solid, shared_size(self.solid.shape[0]))),
+            as_int(padded_to(self.vertices, size)),
+            as_int(padded_to(self.faces, size)),
+            as_int(padded_to(self.directions, size)),
+            as_int(padded_to(self.component, faces)),
+            as_array(padded_to(self.solid, shared_size(self.solid.shape[0]))),
             self.is_closed,
         )
 

@@ -430,8 +430,7 @@ def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], 
     g = (1 + math.sqrt(5)) / 2
     rectangle = np.array([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]])
     vertices = _unit(np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)]))
-    hull_faces = _icosahedron_faces(vertices)
-    faces = hull_faces
+    faces = _icosahedron_faces(vertices)
     for _ in range(subdivisions):
         vertices, faces = _subdivide(vertices, faces)
         vertices = _unit(vertices)

@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._misc import array_module, as_float, as_int, concrete, filled, normalize, shared_mesh_size
+from .._misc import array_module, as_float, as_int, concrete, normalize, padded_to, shared_mesh_size
 from .._types import Faces, Mat4, Vertices
 from ._transforms import transform_points, transform_vectors
 
@@ -77,10 +77,10 @@ class Mesh(eqx.Module):
             return self
         corner = int(np.asarray(self.faces)[0, 0])
         arrays = [
-            filled(self.vertices, size, np.asarray(self.vertices)[corner]),
-            filled(self.faces, faces, corner),
-            filled(self.corner_normals, faces),
-            filled(self.albedo, faces),
+            padded_to(self.vertices, size, np.asarray(self.vertices)[corner]),
+            padded_to(self.faces, faces, corner),
+            padded_to(self.corner_normals, faces),
+            padded_to(self.albedo, faces),
         ]
         # Without the checks of a mesh from outside, which take longer.
         return jax.tree.unflatten(jax.tree.structure(self), jax.device_put(arrays))
@@ -100,7 +100,7 @@ def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
         return _face_normals(vertices, faces)
     # Filled up, so that meshes of like size share a program.
     size, count = shared_mesh_size(faces.shape[0], vertices.shape[0])
-    return as_float(np.asarray(_face_normals(filled(vertices, count), filled(faces, size)))[: faces.shape[0]])
+    return as_float(np.asarray(_face_normals(padded_to(vertices, count), padded_to(faces, size)))[: faces.shape[0]])
 
 
 @jax.jit

@@ -27,6 +27,5 @@ from ._rasterize import rasterize_depth as rasterize_depth
 from ._silhouettes import Silhouettes as Silhouettes
 from ._silhouettes import light_sides as light_sides
 from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
-from ._silhouettes import silhouettes_by_cancelling as silhouettes_by_cancelling
 from ._surface import Surface as Surface
 from ._surface import draw_surface as draw_surface

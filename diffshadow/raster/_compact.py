@@ -34,7 +34,7 @@ class Groups(NamedTuple):
     def chunk(
         self, of_class: int | Array, number: Array, length: int
     ) -> tuple[Int[Array, " length"], Bool[Array, " length"]]:
-        """The elements of chunk `number` of a class, and whether each is one: the last chunk is filled up."""
+        """The elements of chunk `number` of a class, and whether each is one: the last chunk is padded."""
         rank = number * length + jnp.arange(length, dtype=jnp.int32)
         used = rank < self.counts[of_class]
         return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used

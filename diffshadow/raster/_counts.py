@@ -17,7 +17,8 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_array, filled
+from .._checks import check_choice
+from .._misc import as_array, padded_to
 from .._types import ClipVertices, DepthMap, Faces
 from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth
@@ -51,11 +52,10 @@ def count_fragments(
 
     **Raises** `ValueError` if `when` is neither.
     """
-    if when not in ("pass", "fail"):
-        raise ValueError(f'the fragments to count are those that {when!r}; expected "pass" or "fail"')
+    check_choice("which fragments count", when, ("pass", "fail"))
     if not isinstance(weights, Tracer):
         clip, faces = padded(clip, faces)
-        weights = as_array(filled(weights, faces.shape[0]))
+        weights = as_array(padded_to(weights, faces.shape[0]))
     # Which ones is data, so that both ways to count share a program.
     return _count_fragments(clip, faces, weights, depth, np.bool_(when == "pass"))
 

@@ -145,7 +145,7 @@ def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: Depth
         z = _between(0, z + each(form.offset), 1)
     # Never -0, whose bits would order it otherwise.
     stored = test.encode(jnp.abs(z))
-    return jnp.where(inside & test.passes_clear(stored), stored, jnp.inf)
+    return jnp.where(inside & test.passes_empty(stored), stored, jnp.inf)
 
 
 def _between(least: Any, values: Float[Array, "*n"], greatest: Any) -> Float[Array, "*n"]:

@@ -5,32 +5,28 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._checks import check_choice
+
 _STEPS = {"unorm24": (1 << 24) - 1, "unorm16": (1 << 16) - 1}
 
 
 class DepthTest(NamedTuple):
-    """A depth buffer's format, comparison and clear value.
+    """A depth buffer's format and comparison. It is cleared to depth 1, and fragments must pass against that too.
 
     - `format`: `"float32"`, or `"unorm24"` and `"unorm16"`, which round to the nearest step (ties to even).
     - `compare`: `"less"`, with which the first of several equal depths is seen, or `"less_equal"`, with which the last
         is seen.
-    - `clear`: the buffer's initial value, in [0, 1]; fragments must pass the comparison against it too.
 
     `rasterize` **raises** `ValueError` for anything else.
     """
 
     format: Literal["float32", "unorm24", "unorm16"] = "float32"
     compare: Literal["less", "less_equal"] = "less"
-    clear: float = 1.0
 
     def check(self) -> None:
         """**Raises** `ValueError` if a field is not one of its choices."""
-        if self.format not in ("float32", *_STEPS):
-            raise ValueError(f'the depth format is {self.format!r}; expected "float32", "unorm24" or "unorm16"')
-        if self.compare not in ("less", "less_equal"):
-            raise ValueError(f'the depth comparison is {self.compare!r}; expected "less" or "less_equal"')
-        if not 0 <= self.clear <= 1:
-            raise ValueError(f"the depth buffer's clear value is {self.clear}; expected window depth in [0, 1]")
+        check_choice("the depth format", self.format, ("float32", *_STEPS))
+        check_choice("the depth comparison", self.compare, ("less", "less_equal"))
 
     def encode(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The buffer's value for window `depth`: the depth, or the number of steps, which float32 holds exactly."""
@@ -49,10 +45,10 @@ class DepthTest(NamedTuple):
         # and the second is so small that only the sum is rounded.
         return stored * (1 / (steps + 1)) + stored * (1 / (steps * (steps + 1)))
 
-    def passes_clear(self, stored: Float[Array, "*n"]) -> Array:
+    def passes_empty(self, stored: Float[Array, "*n"]) -> Array:
         """Whether the value `stored` passes the comparison against an empty buffer."""
-        clear = self.encode(jnp.asarray(self.clear, stored.dtype))
-        return stored < clear if self.compare == "less" else stored <= clear
+        empty = self.encode(jnp.ones((), stored.dtype))
+        return stored < empty if self.compare == "less" else stored <= empty
 
     def resolution_at(self, greatest: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The unit of polygon offset, window depth, for a triangle whose greatest depth is `greatest`.

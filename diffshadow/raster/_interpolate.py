@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import a_step, is_on_gpu, safe_divide, take, take_in_runs, with_gradient_of
+from .._misc import chunk_size, is_on_gpu, safe_divide, take, take_in_runs, with_gradient_of
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
 from ..geometry import Tile
 
@@ -55,7 +55,7 @@ def by_bands(
     **Returns:** the arrays for the whole image.
     """
     height, width = face.shape
-    band = band or a_step(_BAND, _BAND_ON_GPU)
+    band = band or chunk_size(_BAND, _BAND_ON_GPU)
     if height * width <= band:
         return function(face, Rows(0, height, tile))
     # The most rows that divide the height.

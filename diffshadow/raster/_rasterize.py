@@ -11,7 +11,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._misc import as_float, filled, shared_mesh_size
+from .._misc import as_float, padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
 from ._band_pass import BandDrawing, bands_of
@@ -31,7 +31,7 @@ class Fragments(eqx.Module):
     """What each pixel sees; row 0 is the bottom row. Neither field carries a gradient: `interpolate` does.
 
     - `face`: (h, w), index of the nearest face, `NO_FACE` where there is none.
-    - `depth`: (h, w), its window depth as the depth buffer holds it, the clear value where there is none.
+    - `depth`: (h, w), its window depth as the depth buffer stores it; 1 where there is none.
 
     Of several views, (b, h, w).
     """
@@ -43,7 +43,7 @@ class Fragments(eqx.Module):
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Any, Any]:
     """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled.
 
-    **Returns:** both arrays. On CPUs they are on the host where they had to be filled up.
+    **Returns:** both arrays. On CPUs they are on the host where they had to be padded.
     """
     if isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
@@ -51,7 +51,7 @@ def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Any, Any]:
     if (size, vertices) == (faces.shape[0], clip.shape[-2]):
         return clip, faces
     # In NumPy on CPUs, whose copies need no compiling, and which programs take as they are.
-    return filled(clip, vertices, axis=-2), filled(faces, size)
+    return padded_to(clip, vertices, axis=-2), padded_to(faces, size)
 
 
 def rasterize(
@@ -79,7 +79,7 @@ def rasterize(
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `resolution`: (height, width) in pixels, each at most 8192.
     - `cull`: which faces are left out.
-    - `depth_test`: format, comparison and clear value of the depth buffer; float32, `"less"` and 1 if left out.
+    - `depth_test`: format and comparison of the depth buffer; float32 and `"less"` if left out.
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or none.
     - `behind`: (h, w), a face map: at each pixel its face is passed over. Given the result of a first call, the
         second-nearest layer is drawn.
@@ -204,7 +204,7 @@ def _rasterize(
             row, column = (jnp.arange(size, dtype=jnp.int32) for size in depth.shape)
             depth = jnp.where((row[:, None] + first < height) & (column < width), depth, jnp.inf)
         seen = depth < jnp.inf
-        depth = jnp.where(seen, test.decode(depth), jnp.float32(test.clear))
+        depth = jnp.where(seen, test.decode(depth), jnp.float32(1))
         return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)
 
     bands = bands_of(resolution, 8 if with_face else 4)

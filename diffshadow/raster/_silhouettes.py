@@ -2,18 +2,14 @@
 
 Every face has an orientation: +1 if it counts as wound, -1 if it counts flipped, 0 if it does not count. The outline is
 the sum over these faces of their directed sides: sides of opposite direction along an edge cancel. The multiplicity of
-an edge is what remains. It is at most 2 on a two-manifold, and can be larger where more faces meet. Two functions
-compute the same sum: one from a table of the edges, and one from the faces alone.
+an edge is what remains. It is at most 2 on a two-manifold, and can be larger where more faces meet.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Int
 
 from .._misc import dot
-from .._types import Faces
 from ..geometry import AbstractLight, Edges, Mesh
 
 
@@ -53,26 +49,3 @@ def silhouettes_by_adjacency(edges: Edges, orientation: Int[Array, " f"]) -> Sil
     multiplicities add up.
     """
     return Silhouettes(edges.vertices, jnp.sum(edges.directions * orientation[edges.faces], axis=1))
-
-
-@eqx.filter_jit
-def silhouettes_by_cancelling(faces: Faces, orientation: Int[Array, " f"]) -> Silhouettes:
-    """The same silhouettes, by listing the directed sides of all faces and cancelling opposite ones.
-
-    It sorts all sides, so it takes longer than `silhouettes_by_adjacency`, but needs no table.
-
-    **Arguments:**
-
-    - `faces`: (f, 3), where neighbours use the same vertex indices, as from `share_vertices`.
-    - `orientation`: (f,), +1, -1 or 0.
-
-    **Returns:** (3 f,) rows. Each silhouette is in one row, from its lower vertex to its higher; all other rows have
-    multiplicity 0.
-    """
-    start, end = faces.reshape(-1), jnp.roll(faces, -1, axis=1).reshape(-1)
-    pushed = jnp.repeat(orientation, 3) * jnp.sign(end - start)
-    low, high, pushed = lax.sort((jnp.minimum(start, end), jnp.maximum(start, end), pushed), num_keys=2)
-    is_new = jnp.ones(low.shape, bool).at[1:].set((low[1:] != low[:-1]) | (high[1:] != high[:-1]))
-    edge = jnp.cumsum(is_new, dtype=jnp.int32) - 1
-    total = jax.ops.segment_sum(pushed, edge, low.shape[0], indices_are_sorted=True)
-    return Silhouettes(jnp.stack([low, high], axis=1), jnp.where(is_new, total[edge], 0))

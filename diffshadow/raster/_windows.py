@@ -25,7 +25,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import a_step, is_on_gpu, take, take_last
+from .._misc import chunk_size, is_on_gpu, take, take_last
 from .._types import Resolution, Viewport
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
@@ -96,7 +96,7 @@ class BufferDrawing(Drawing):
 
     @abc.abstractmethod
     def cut(self, buffer: Array) -> Array:
-        """What of a buffer is no padding."""
+        """A buffer without its padding."""
 
     @abc.abstractmethod
     def draw(self, buffer: Array, write: Write) -> Array:
@@ -130,7 +130,7 @@ class DrawPass(BufferDrawing):
         in_small, in_large, on_gpu = _CLIPPED_AT_ONCE
         is_large = math.prod(self.buffer) >= _MANY_PIXELS or triangles.faces.shape[0] >= _MANY_FACES
         # As many triangles or blocks are drawn at once as clipping makes, since XLA compiles equal kernels once.
-        self.clipped_at_once = a_step(in_large if is_large else in_small, on_gpu)
+        self.clipped_at_once = chunk_size(in_large if is_large else in_small, on_gpu)
         self.at_once = FAN * self.clipped_at_once
 
     def full(self, value: float | int, dtype: DTypeLike) -> Array:
@@ -174,7 +174,7 @@ class DrawPass(BufferDrawing):
         return self.triangles.groups.counts
 
     def _chunk(self, of_class: Array | int, number: Array, length: int) -> Chunk:
-        """Chunk `number` of a class; the last one is filled up."""
+        """Chunk `number` of a class; the last one is padded."""
         return Chunk(*self.triangles.groups.chunk(of_class, number, length), None)
 
     def _box(self, corners: Corners, layer: Array | None) -> Box:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import check_choice
 from .._misc import as_float, concrete, dot, normalize, safe_norm
 from .._types import Scalar, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
@@ -79,8 +80,7 @@ class Phong(AbstractShading):
     model: Model = eqx.field(static=True, default="blinn_phong")
 
     def __check_init__(self):
-        if self.model not in ("blinn_phong", "phong"):
-            raise ValueError(f'the shading model is {self.model!r}; expected "blinn_phong" or "phong"')
+        check_choice("the shading model", self.model, Model.__args__)
         shininess = concrete(self.shininess)
         if shininess is not None and not shininess > 0:
             raise ValueError(f"the shininess is {shininess}; expected more than 0")

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._checks import check_choice
 from .._misc import as_float, concrete
 from .._types import Scalar
 
@@ -48,8 +49,7 @@ class HardCompare(AbstractCompare):
     operator: Literal["less_equal", "less"] = eqx.field(static=True, default="less_equal")
 
     def __check_init__(self):
-        if self.operator not in ("less_equal", "less"):
-            raise ValueError(f'the comparison is {self.operator!r}; expected "less_equal" or "less"')
+        check_choice("the comparison", self.operator, ("less_equal", "less"))
 
     @property
     def has_depth_derivative(self) -> bool:
@@ -99,8 +99,7 @@ class SoftCompare(AbstractCompare):
     kernel: SoftKernel = eqx.field(static=True, default="logistic")
 
     def __check_init__(self):
-        if self.kernel not in _KERNELS:
-            raise ValueError(f"the soft compare's kernel is {self.kernel!r}; expected one of {', '.join(_KERNELS)}")
+        check_choice("the soft compare's kernel", self.kernel, tuple(_KERNELS))
         width = concrete(self.width)
         if width is not None and not width > 0:
             raise ValueError(f"the soft compare's width is {width}; expected more than 0 texels, or a HardCompare")

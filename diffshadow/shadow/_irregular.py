@@ -9,7 +9,7 @@ import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._misc import as_array, as_float, dot, filled, normalize
+from .._misc import as_array, as_float, dot, normalize, padded_to
 from .._types import Mask, Visibility
 from ..geometry import AbstractLight, Mesh, Scene
 from ..raster import Surface, hidden_points, seen_points
@@ -44,7 +44,7 @@ class IrregularZBuffer(AbstractTechnique):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> IrregularScene:
         """The scene's triangles. It does not depend on `surface`: the points are sorted by `visibility`."""
         mesh = scene.mesh.padded()
-        casts = filled(scene.casting_faces, mesh.faces.shape[0])
+        casts = padded_to(scene.casting_faces, mesh.faces.shape[0])
         return IrregularScene(mesh, as_array(casts), scene.light)
 
     def visibility(self, state: IrregularScene, surface: Surface) -> Visibility:

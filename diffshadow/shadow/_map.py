@@ -10,7 +10,8 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import a_step, as_array, round_up_to_power_of_two, with_gradient_of
+from .._checks import check_choice
+from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
@@ -118,32 +119,21 @@ def draw_shadow_map(
     `edges` for one with pages or with cascades of several sizes, and what `rasterize` raises; and a runtime error if
     the silhouettes have more `crossings`.
     """
-    if depth_layer not in ("nearest", "midpoint", "second"):
+    view = light.view()
+    check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
+    if edges is not None:
+        _check_allows_edges(light, view, depth_layer, cull)
+    if polygon_offset is not None and view.warp is not None:
         raise ValueError(
-            f'the shadow map\'s depth_layer is {depth_layer!r}; expected "nearest", "midpoint" or "second"'
-        )
-    if edges is not None and (depth_layer != "nearest" or cull != "none"):
-        raise ValueError(
-            f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '
-            "leave edges out, or change depth_layer and cull"
+            "the shadow map is warped, and polygon_offset was given; expected none: leave it out, or use a layout "
+            "without a warp"
         )
     if edges is not None and crossings is None:
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
     edges = None if edges is None else edges.padded(mesh.faces.shape[0])
-    view = light.view()
     clip = view.clip_vertices(mesh.vertices)
-    if view.warp is not None and (edges is not None or polygon_offset is not None):
-        raise ValueError(
-            f"the shadow map is warped, and {'polygon_offset' if edges is None else 'edges'} was given; expected "
-            "neither edges nor polygon_offset: leave them out, or use a layout without a warp"
-        )
     pages = light.pages if isinstance(light, PagedLight) else None
-    if view.tile is not None and edges is not None:
-        what = "cascades of several sizes" if pages is None else "pages"
-        raise ValueError(
-            f"the shadow map has {what}, and edges were given; expected no edges: leave them out, or use another layout"
-        )
     viewports = None if view.tile is None or pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
@@ -188,6 +178,21 @@ def draw_shadow_map(
             "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
         )
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
+
+
+def _check_allows_edges(light: AbstractLight, view: View, depth_layer: DepthLayer, cull: Cull) -> None:
+    """**Raises** `ValueError` for a map that cannot have silhouettes."""
+    if depth_layer != "nearest" or cull != "none":
+        raise ValueError(
+            f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '
+            "leave edges out, or change depth_layer and cull"
+        )
+    if view.warp is not None or view.tile is not None:
+        layout = "pages" if isinstance(light, PagedLight) else "cascades of several sizes"
+        raise ValueError(
+            f"edges were given for a map with {layout if view.warp is None else 'a warp'}, which has no silhouettes; "
+            "expected no edges: leave them out, or use another layout"
+        )
 
 
 # Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
@@ -351,4 +356,4 @@ def _depth(
     if clip.ndim == 2:
         return of_view(views)
     # On a CPU one after the other: bands of several images at once do not fit into the cache.
-    return lax.map(of_view, views, batch_size=a_step(1, clip.shape[0]))
+    return lax.map(of_view, views, batch_size=chunk_size(1, clip.shape[0]))

@@ -19,8 +19,7 @@ from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
 from ._receiver import project
 from ._technique import AbstractTechnique
-from .filters._prefilter import Blur, bilinear_fetch, check_kernel, check_radius, radius_limit
-from .kernels import Shape
+from .kernels import Blur, Shape, bilinear_fetch, check_kernel, check_radius, radius_limit
 
 LayerMap = Int[Array, "h w"]
 

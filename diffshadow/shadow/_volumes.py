@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._checks import check_choice
 from .._misc import as_float, dot, in_float64, normalize
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Scalar, Vec3, Visibility
 from ..geometry import (
@@ -99,8 +100,7 @@ class ShadowVolumes(AbstractTechnique):
     method: Literal["z_fail", "z_pass"] = eqx.field(static=True, default="z_fail")
 
     def __check_init__(self):
-        if self.method not in ("z_fail", "z_pass"):
-            raise ValueError(f'the method of shadow volumes is {self.method!r}; expected "z_fail" or "z_pass"')
+        check_choice("the method of shadow volumes", self.method, ("z_fail", "z_pass"))
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
         """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.

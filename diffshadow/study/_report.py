@@ -1,4 +1,4 @@
-"""Reports: one page of a finished run, sweep or advice, made again from its files."""
+"""Reports: one page of a finished run, sweep or recommendation, made again from its files."""
 
 from pathlib import Path
 
@@ -8,20 +8,20 @@ from .pages._report import write_report
 
 
 def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
-    """Writes the page of the finished run, sweep or advice in `folder` again.
+    """Writes the page of the finished run, sweep or recommendation in `folder` again.
 
     **Arguments:**
 
     - `form`: `"png"`, `"svg"` or `"pdf"` writes the run's figures again, too, beside the page.
-    - `dpi`: pixels an inch, of these figures.
+    - `dpi`: of these figures, in pixels per inch.
 
     **Returns** the page.
 
-    **Raises** `FileError` if `folder` is missing, holds neither, or only a part of one, or cannot be written to, and
-    `ValueError` if `dpi` makes no sense.
+    **Raises** `FileError` if `folder` is missing, holds no run, sweep or recommendation, or an unfinished one, or
+    cannot be written to, and `ValueError` if `dpi` is out of range.
     """
     if not 10 <= dpi <= 2400:
-        raise ValueError(f"dpi is {dpi}; expected 10 to 2400 pixels an inch, such as 300")
+        raise ValueError(f"dpi is {dpi}; expected 10 to 2400 pixels per inch, such as 300")
     kind = read_result(folder)["kind"]
     io.check_writable(folder)
     if kind == SWEEP:

@@ -50,8 +50,6 @@ DIFFERENCE = "PuOr"
 """A diverging colour map that is safe for the colour-blind: orange is too dark, purple too light."""
 DISTANCE = "cividis_r"
 DPI = 150
-FORMATS = ("png", "svg", "pdf")
-"""The formats of figures. Text stays text in SVG and PDF."""
 TITLE, TEXT = 10, 8.5
 # Embeds TrueType fonts in PDF, since many publishers reject Type 3, and makes ids in SVG the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}

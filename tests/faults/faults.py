@@ -477,8 +477,8 @@ _RASTER = (
     _fault(
         "arrays on a GPU: filled up at the front",
         "_misc.py",
-        "_filled_on_gpu = jax.jit(partial(_filled, jnp), static_argnums=(1, 3))",
-        "_filled_on_gpu = lambda array, *rest: _filled(jnp, array[::-1], *rest)",
+        "_padded_on_gpu = jax.jit(partial(_padded, jnp), static_argnums=(1, 3))",
+        "_padded_on_gpu = lambda array, *rest: _padded(jnp, array[::-1], *rest)",
         "test_as_on_gpu.py",
     ),
     _fault(
@@ -937,7 +937,7 @@ _SHADOW = (
     ),
     _fault(
         "receivers that move: outlines run with them",
-        "shadow/silhouettes/_corrections.py",
+        "shadow/kernels/_corrections.py",
         "motion = here.x - lookup.x, here.y - lookup.y",
         "motion = lookup.x - here.x, lookup.y - here.y",
         "test_silhouette_map.py",
@@ -986,7 +986,7 @@ _SHADOW = (
     ),
     _fault(
         "texels with silhouettes: receivers close to a part are not between",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "(least <= high) & (low <= greatest)",
         "(least < high) & (low < greatest)",
         "test_silhouette_map.py",
@@ -1000,14 +1000,14 @@ _SHADOW = (
     ),
     _fault(
         "texels with silhouettes: the depths of their parts alike",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "_in_steps(of_parts(jnp.minimum)) <<",
         "_in_steps(of_parts(jnp.maximum)) <<",
         "test_silhouette_map.py",
     ),
     _fault(
         "texels with silhouettes: compared at the look-up's depth, not the receiver plane's",
-        "shadow/silhouettes/_corrections.py",
+        "shadow/kernels/_corrections.py",
         "depth = footprint.depth(lookup, right, up)",
         "depth = lookup.depth",
         "test_silhouette_map.py",
@@ -1043,7 +1043,7 @@ _SHADOW = (
     ),
     _fault(
         "set bits: rank one too far",
-        "shadow/silhouettes/_set_bits.py",
+        "shadow/kernels/_set_bits.py",
         "above = rank >= low",
         "above = rank > low",
         "test_set_bits.py",
@@ -1085,7 +1085,7 @@ _SHADOW = (
     ),
     _fault(
         "silhouettes: texels are corrected at the first pixel's offsets",
-        "shadow/silhouettes/_corrections.py",
+        "shadow/kernels/_corrections.py",
         "index = index * n + (i if n > 1 else 0)",
         "index = index * n",
         "test_silhouette_map.py",
@@ -1211,28 +1211,28 @@ _SHADOW = (
     ),
     _fault(
         "block bounds: blocks that do not cover the square",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "(2 * reach + _ROUNDING) / 3",
         "(2 * reach + _ROUNDING) / 6",
         "test_silhouette_map.py",
     ),
     _fault(
         "block bounds: coarser blocks without their second half",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "level = _with_next(level, 2)[:, ::2, ::2]",
         "level = level[:, ::2, ::2]",
         "test_silhouette_map.py",
     ),
     _fault(
         "block bounds: the least depth above the nearest",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "least = jnp.minimum(bounds, after) & _NONE",
         "least = jnp.maximum(bounds, after) & _NONE",
         "test_silhouette_map.py",
     ),
     _fault(
         "block bounds: of silhouettes that look-ups do not reach too",
-        "shadow/silhouettes/_padded.py",
+        "shadow/kernels/_padded_silhouettes.py",
         "return low, jnp.maximum(high - 1, low)",
         "return low, high + 1",
         "test_silhouette_map.py",
@@ -1283,7 +1283,7 @@ _SHADOW = (
     ),
     _fault(
         "blurred map: half a texel off",
-        "shadow/filters/_prefilter.py",
+        "shadow/kernels/_blur.py",
         "jnp.clip(position - 0.5 + margin, 0, size - 1)",
         "jnp.clip(position + margin, 0, size - 1)",
         "test_prefiltered_maps.py",
@@ -2097,7 +2097,7 @@ _FIT = (
     _fault(
         "padded meshes: further faces are the first vertex's neighbours",
         "geometry/_mesh.py",
-        "filled(self.faces, faces, corner),",
+        "padded_to(self.faces, faces, corner),",
         "np.resize(self.faces, (faces, 3)),",
         "test_geometry.py",
     ),
@@ -2314,7 +2314,7 @@ _FIT = (
     _fault(
         "front: weights do not reach the loss",
         "fit/_run.py",
-        "phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.tilted(ratio)))",
+        "phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.reweighted(ratio)))",
         "phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss))",
         "test_sureness.py",
     ),

@@ -354,7 +354,7 @@ def test_impossible_fits_are_refused(known):
             PercentageCloser(2.0),
             0.0,
             8.0,
-            "bounds go further than its filter allows: .*8.0 texels; expected 0 to max_radius",
+            "bounds go further than the technique allows: .*8.0 texels; expected 0 to max_radius",
         ),
         (RandomDisk(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),
         (FourTap(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),

@@ -186,7 +186,7 @@ def test_impossible_choices_are_refused(settings, message, found):
 
 
 def test_tilted_losses_keep_the_product_of_their_factors():
-    loss = Loss("worst", false_shadow=2.0, false_light=0.5).in_phase(1.0).tilted(16.0)
+    loss = Loss("worst", false_shadow=2.0, false_light=0.5).in_phase(1.0).reweighted(16.0)
     assert float(loss.false_shadow) == pytest.approx(8.0)
     assert float(loss.false_light) == pytest.approx(0.125)
     assert loss.power is not None

@@ -137,7 +137,7 @@ def test_change_of_the_weights_adds_half_the_second_derivative_of_smooth_losses(
     step, one = 1e-4 * ERRORS.mean(), np.eye(5)
     at = lambda a, b: closed_form(loss, ERRORS + step * (a + b))
     hessian = np.array([[(at(a, b) - at(a, -b) - at(-a, b) + at(-a, -b)) / (4 * step**2) for a in one] for b in one])
-    bends = np.asarray(eqx.filter_jit(loss.bends)(np.float32(ERRORS), SHARES, np.float32(gradients)))
+    bends = np.asarray(eqx.filter_jit(loss.curvature_rows)(np.float32(ERRORS), SHARES, np.float32(gradients)))
     expected = gradients.T @ hessian @ gradients / 2
     np.testing.assert_allclose(bends.T @ bends, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
@@ -145,7 +145,7 @@ def test_change_of_the_weights_adds_half_the_second_derivative_of_smooth_losses(
 def test_losses_that_are_not_smooth_bend_nothing():
     numbers = [jnp.asarray(each, jnp.float32) for each in (ERRORS, SHARES, np.zeros((5, 2)))]
     for name in ("mean", "maximum", "cvar"):
-        assert LOSSES[name].bends(*numbers) is None
+        assert LOSSES[name].curvature_rows(*numbers) is None
 
 
 def test_views_without_an_error_or_a_pixel_make_no_trouble():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from triangle_soups import depth_rounding, soup
 
-from diffshadow._misc import filled, take, take_in_runs
+from diffshadow._misc import padded_to, take, take_in_runs
 from diffshadow.raster import Items, rasterize, visible_depth
 
 RESOLUTION = (59, 83)
@@ -79,9 +79,9 @@ def test_reading_in_runs_is_reading(columns):
 def test_arrays_are_filled_up_alike(on):
     array, value = jnp.arange(12, dtype=jnp.float32).reshape(2, 3, 2), np.array([5.0, 6.0])
     on("cpu")
-    on_host = filled(array, 5, value, axis=1)
+    on_host = padded_to(array, 5, value, axis=1)
     on("gpu")
-    on_device = filled(array, 5, value, axis=1)
+    on_device = padded_to(array, 5, value, axis=1)
     assert isinstance(on_host, np.ndarray)
     assert isinstance(on_device, jax.Array)
     assert on_host.dtype == on_device.dtype == np.float32

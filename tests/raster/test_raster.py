@@ -29,7 +29,7 @@ NOTHING_PASSED = np.full(RESOLUTION, NO_FACE, np.int32)
 LESS_EQUAL = DepthTest(compare="less_equal")
 
 
-def filled(clip, faces):
+def padded_to(clip, faces):
     """Vertices and faces, and more of either that are not seen."""
     vertices = np.full((MOST_VERTICES, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
     vertices[: len(clip)] = clip
@@ -39,7 +39,7 @@ def filled(clip, faces):
 
 
 def draw(clip, faces=FACES, resolution=RESOLUTION, **options):
-    drawn = rasterize(*filled(clip, faces), resolution, **options)
+    drawn = rasterize(*padded_to(clip, faces), resolution, **options)
     return np.asarray(drawn.face), np.asarray(drawn.depth)
 
 
@@ -348,7 +348,7 @@ def window_triangles(*sides):
     """Triangles whose pixel boxes are as wide."""
     corners = np.concatenate([[[0, 0], [side - 0.1, 0], [0, side - 0.1]] for side in sides])
     clip = from_window(corners, np.full(len(corners), 0.5), np.ones(len(corners)), RESOLUTION)
-    return filled(clip, np.arange(len(corners)).reshape(-1, 3))
+    return padded_to(clip, np.arange(len(corners)).reshape(-1, 3))
 
 
 def test_a_drawing_carries_no_gradient_and_shares_its_program_with_those_in_double_precision():

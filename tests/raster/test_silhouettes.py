@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import lax
 from scenes import filled
 
 from diffshadow.geometry import (
@@ -23,7 +24,7 @@ from diffshadow.geometry import (
     merge,
     share_vertices,
 )
-from diffshadow.raster import Silhouettes, light_sides, silhouettes_by_adjacency, silhouettes_by_cancelling
+from diffshadow.raster import Silhouettes, light_sides, silhouettes_by_adjacency
 
 SMALL = {
     "sphere": {"subdivisions": 2},
@@ -71,6 +72,21 @@ _sides = eqx.filter_jit(light_sides)
 def sides_of(mesh, light):
     """Which side of each face (f,) the light sees."""
     return np.asarray(_sides(filled_up(mesh)[0], light))[: len(mesh.faces)]
+
+
+def silhouettes_by_cancelling(faces, orientation):
+    """The same silhouettes, by listing the directed sides of all faces and cancelling opposite ones.
+
+    `faces` (f, 3) name the same vertices where they meet, as from `share_vertices`. There are (3 f,) rows. Each
+    silhouette is in one of them, from its lower vertex to its higher; all others have multiplicity 0.
+    """
+    start, end = faces.reshape(-1), jnp.roll(faces, -1, axis=1).reshape(-1)
+    pushed = jnp.repeat(orientation, 3) * jnp.sign(end - start)
+    low, high, pushed = lax.sort((jnp.minimum(start, end), jnp.maximum(start, end), pushed), num_keys=2)
+    is_new = jnp.ones(low.shape, bool).at[1:].set((low[1:] != low[:-1]) | (high[1:] != high[:-1]))
+    edge = jnp.cumsum(is_new, dtype=jnp.int32) - 1
+    total = jax.ops.segment_sum(pushed, edge, low.shape[0], indices_are_sorted=True)
+    return Silhouettes(jnp.stack([low, high], axis=1), jnp.where(is_new, total[edge], 0))
 
 
 @eqx.filter_jit

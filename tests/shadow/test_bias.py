@@ -308,7 +308,7 @@ def test_any_two_biases_add_up(one, other):
         (lambda: ReceiverPlane(-1.0), r"receiver plane's fudge is -1.0; expected 0 or more times the slope"),
         (lambda: ReceiverPlane(limit=-1.0), r"receiver plane's limit is -1.0; expected 0 or more texels"),
         (lambda: ReceiverPlane(deepening=float("nan")), r"receiver plane's deepening is nan; expected 0 or more"),
-        (lambda: LinearBias({}), r"linear bias has the terms none; expected one or more"),
+        (lambda: LinearBias({}), r"linear bias has no terms; expected one or more"),
         (lambda: LinearBias({"tangent": 1.0}), r"linear bias has a term 'tangent'; expected some of one, slope, sine"),
         (lambda: LinearBias({"one": float("nan")}), r"weight of one is nan; expected a finite number of texels"),
         (lambda: network((40,)), r"perceptron has 163 weights; expected at most 100"),

@@ -559,7 +559,7 @@ def test_cascades_lower_the_aliasing():
                 edges=Edges.of(floor_and_card()),
                 crossings=64,
             ),
-            "cascades of several sizes, and edges were given",
+            "edges were given for a map with cascades of several sizes",
         ),
         (lambda: fitted(Cascades(shadow_distance=200.0)), "shadow_distance is 200; .* to its far, 100"),
         (lambda: fitted(Cascades(distances=(1.0, 200.0))), "distances are 1, 200; .* to its far, 100"),

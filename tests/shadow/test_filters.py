@@ -238,5 +238,5 @@ def test_unknown_lookup_is_refused():
     disk = RandomDisk(1.0)
     # Where types are checked, as in these tests, the constructor does not get so far.
     object.__setattr__(disk, "lookup", "cubic")
-    with pytest.raises(ValueError, match=r"lookup is 'cubic'; expected \"bilinear\" or \"nearest\""):
+    with pytest.raises(ValueError, match=r"lookup is 'cubic'; expected one of nearest, bilinear"):
         disk.__check_init__()

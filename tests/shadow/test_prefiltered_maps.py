@@ -18,7 +18,8 @@ from diffshadow.shadow import (
     ShadowMap,
     VarianceShadowMap,
 )
-from diffshadow.shadow.filters._prefilter import Blur, chebyshev, linear_depth
+from diffshadow.shadow.filters._prefilter import chebyshev, linear_depth
+from diffshadow.shadow.kernels import Blur
 
 HARD = HardCompare()
 KINDS = {

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffshadow.shadow.silhouettes._set_bits import SetBits, empty_words, put_bits
+from diffshadow.shadow.kernels._set_bits import SetBits, empty_words, put_bits
 
 
 @functools.partial(jax.jit, static_argnames=("at_once", "size"))

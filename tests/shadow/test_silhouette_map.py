@@ -50,9 +50,9 @@ from diffshadow.shadow._lookup import Lookup, look_up
 from diffshadow.shadow._map import _about_corners, _silhouettes
 from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
+from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
 from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, _outermost
-from diffshadow.shadow.silhouettes._padded import BlockBounds
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)

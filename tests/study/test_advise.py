@@ -20,7 +20,7 @@ from diffshadow.cli import main
 from diffshadow.config import ConfigError, load_advice, load_config, parse_config, with_fitted
 from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._candidates import Candidate, front, ranked, recommended
-from diffshadow.study.advice._measure import Enough, bias_for, times_of
+from diffshadow.study.advice._measure import LeastBias, least_bias_for, times_of
 from diffshadow.study.advice._verdict import Findings, verdict
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
@@ -274,29 +274,29 @@ def test_times_are_medians_and_techniques_of_one_program_share_them():
     assert (steady[3].map_ms, steady[3].lookup_ms) == pytest.approx((4, 2))
 
 
-def findings(*others: Candidate, noise: float | None = 0.001, **enough: Enough) -> Findings:
+def findings(*others: Candidate, noise: float | None = 0.001, **least_biases: LeastBias) -> Findings:
     """About a chosen slope bias, and others."""
     chosen = candidate("s", 0.04, 2.0, bias="slope", false_shadow=0.001, false_light=0.002)
-    in_texels = {bias: ("texels", each) for bias, each in enough.items()}
+    in_texels = {bias: ("texels", each) for bias, each in least_biases.items()}
     return Findings([chosen, *others], chosen, 0.03, "4 views for validation", noise, in_texels)
 
 
 def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
     other = candidate("c", 0.05, 2.02, false_shadow=0.03, false_light=0.002)
     say = lambda each: " ".join(verdict(findings(other, constant=each)))
-    lossy = say(Enough(4.2, 0.001, 0.021))
+    lossy = say(LeastBias(4.2, 0.001, 0.021))
     assert "No constant bias removes acne to the 0.10 % of slope without 2.1 % of false light, at 4.2 texels" in lossy
     assert "slope has 0.20 %, in the same time." in lossy
-    none = say(Enough(30.0, 0.012, 0.05))
+    none = say(LeastBias(30.0, 0.012, 0.05))
     assert (
         "No constant bias within its bounds removes acne to the 0.10 % of slope: the least, 1.2 %, is at 30 texels"
         in none
     )
-    free = say(Enough(2.5, 0.001, 0.00205))
+    free = say(LeastBias(2.5, 0.001, 0.00205))
     assert "The constant bias removes acne to the 0.10 % of slope at 2.5 texels, with as little false light" in free
     # With as little acne as it is, nothing is to be said.
     alike = candidate("c", 0.05, 2.0, false_shadow=0.00105, false_light=0.002)
-    assert "removes acne" not in " ".join(verdict(findings(alike, constant=Enough(4.2, 0.001, 0.021))))
+    assert "removes acne" not in " ".join(verdict(findings(alike, constant=LeastBias(4.2, 0.001, 0.021))))
 
 
 def test_verdict_claims_no_difference_below_the_noise():
@@ -396,7 +396,7 @@ def test_damaged_and_incomplete_folders_are_told(finished, tmp_path):
     for change, said in (
         ({"advice": {**result["advice"], "recommended": "x"}}, "advice.recommended|recommended: is x"),
         ({"advice": {**result["advice"], "candidates": []}}, "advice.candidates"),
-        ({"advice": None}, "incomplete advice|expected"),
+        ({"advice": None}, "incomplete recommendation|expected"),
     ):
         (tmp_path / "result.json").write_text(json.dumps({**result, **change}))
         with pytest.raises(FileError, match=said):
@@ -408,14 +408,14 @@ def test_advice_that_is_started_again_fits_and_times_nothing_twice(finished, mon
 
     advice, folder, _ = finished
     before = result_of(folder)["advice"]
-    for name in ("measure_times", "bias_for"):
+    for name in ("measure_times", "least_bias_for"):
         monkeypatch.setattr(module, name, lambda *_: pytest.fail("measured again"))
     monkeypatch.setitem(work._MEASURES, "fit", lambda *_: pytest.fail("fitted again"))
     with staying_in(folder.parent.parent):
         run(advice)
     assert result_of(folder)["advice"] == before
     # Other techniques are timed again.
-    (folder / "measured.json").write_text('{"ids": [], "times": [], "enough": {}}')
+    (folder / "measured.json").write_text('{"ids": [], "times": [], "least_biases": {}}')
     with staying_in(folder.parent.parent), pytest.raises(pytest.fail.Exception, match="measured again"):
         run(advice)
 
@@ -443,7 +443,7 @@ def quick(monkeypatch):
     monkeypatch.setitem(work._MEASURES, "fit", measure)
     timed = lambda configs, progress: times_of(np.ones((1, len(configs), 2)), range(len(configs)))
     monkeypatch.setattr(module, "measure_times", timed)
-    monkeypatch.setattr(module, "bias_for", lambda *_: Enough(2.0, 0.0, 0.0))
+    monkeypatch.setattr(module, "least_bias_for", lambda *_: LeastBias(2.0, 0.0, 0.0))
     return measure
 
 
@@ -523,18 +523,18 @@ def test_bias_for_less_acne_is_the_least_that_has_it():
     text = BASE.replace("fit: {", "bias: {constant: 0, slope: 0}\nfilter: {type: bilinear}\nfit: {")
     text = text.replace("fit: {", "fit: {parameters: {bias.constant: {lower: 0, upper: 16}}, ")
     config = parse_config(text, fitting=True)
-    enough = bias_for(config, "bias.constant", 0.01)
-    assert 0 < enough.value < 16
-    assert enough.false_shadow <= 0.01
-    just_less = with_fitted(config, {"bias.constant": enough.value - 16 / 2**9})
-    assert bias_for(just_less, "bias.constant", 1.0).false_shadow > 0.01
+    found = least_bias_for(config, "bias.constant", 0.01)
+    assert 0 < found.value < 16
+    assert found.false_shadow <= 0.01
+    just_less = with_fitted(config, {"bias.constant": found.value - 16 / 2**9})
+    assert least_bias_for(just_less, "bias.constant", 1.0).false_shadow > 0.01
     # No bias has less than none, so the search returns the one with the least. Any bias has at most all.
-    least = bias_for(config, "bias.constant", -1.0)
-    greatest = bias_for(with_fitted(config, {"bias.constant": 16}), "bias.constant", 1.0)
+    least = least_bias_for(config, "bias.constant", -1.0)
+    greatest = least_bias_for(with_fitted(config, {"bias.constant": 16}), "bias.constant", 1.0)
     assert greatest.value == 16
-    assert least.false_shadow <= min(greatest.false_shadow, enough.false_shadow)
-    assert enough.value < least.value <= 16
-    assert bias_for(config, "bias.constant", 1.0).value == 0
+    assert least.false_shadow <= min(greatest.false_shadow, found.false_shadow)
+    assert found.value < least.value <= 16
+    assert least_bias_for(config, "bias.constant", 1.0).value == 0
 
 
 @pytest.mark.exhaustive

@@ -125,13 +125,12 @@ def test_result_follows_its_schema(finished):
     assert 0 < result["metrics"]["reference_noise_floor"] < 0.2
     solver = result["solver"]
     assert solver["name"] == "levenberg_marquardt"
-    assert isinstance(solver["result"], str)
-    assert solver["gradient_norm"] >= 0
     assert solver["seconds_compiling"] > 0
     assert solver["seconds_running"] > 0
     assert len(solver["phases"]) == 2
     assert solver["steps"] == sum(phase["steps"] for phase in solver["phases"]) <= 120
     assert all(phase["values"].keys() == result["fitted"].keys() for phase in solver["phases"])
+    assert all(phase["result"] and phase["gradient_norm"] >= 0 for phase in solver["phases"])
     assert {"loading", "drawing", "tracing reference", "compiling", "fitting"} <= result["seconds"].keys()
     packages = {"diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy", "python", "platform", "device"}
     assert packages <= result["versions"].keys()

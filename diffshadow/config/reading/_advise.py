@@ -1,4 +1,4 @@
-"""Makes the fits of an advice: a sweep over techniques."""
+"""Makes the fits of a recommendation: a sweep over techniques."""
 
 import itertools
 import os
@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from .._errors import ConfigError, KeyPath, Mistake, Origin
 from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
 from ..sections._axes import LABEL
-from ..sections._section import look
+from ..sections._section import value_at
 from ..sections._sweep import SweepConfig
 from ..sections._technique import ShadowMapConfig
 from ..whole._schema import Config
@@ -30,7 +30,7 @@ _DIGITS = 8
 
 
 class Technique(NamedTuple):
-    """A technique of an advice.
+    """A technique of a recommendation.
 
     - `bias`, `filter`: the labels of its entries.
     - `resolution`: of its map, (height, width) in texels.
@@ -42,7 +42,7 @@ class Technique(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """The fits of an advice.
+    """The fits of a recommendation.
 
     - `sweep`: a fit for each technique; `techniques`: these, in the same order.
     """
@@ -105,7 +105,7 @@ def _settings_of(draft: Draft) -> AdviseConfig:
         message = "makes this file a sweep; expected one without; override sweep=null"
         mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
     for kind in ("views", "validation"):
-        if _changes_size(look(draft.data, "fit", kind)):
+        if _changes_size(value_at(draft.data, "fit", kind)):
             path = ("fit", kind)
             message = (
                 f"changes {_SIZE}, which all views of a technique share; expected other keys; use advise.resolutions"
@@ -136,7 +136,7 @@ def _sizes_of(draft: Draft) -> tuple[tuple[int, int], ...]:
     default = ShadowMapConfig.model_fields["resolution"].default
     try:
         height, width = ShadowMapConfig.model_validate(
-            {"resolution": look(draft.data, "shadow_map", "resolution", default=default)}
+            {"resolution": value_at(draft.data, "shadow_map", "resolution", default=default)}
         ).resolution
     except ValidationError:
         # Every fit reports it.

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from .._errors import KeyPath, Mistake, Origin, did_you_mean, dotted, listing, nearest, show
-from ..sections._section import FAULT, Conflict, fault, look, type_of
+from ..sections._section import FAULT, Conflict, fault, type_of, value_at
 from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
@@ -41,7 +41,7 @@ def _explain(details: Any, origin: Origin) -> tuple[KeyPath, str]:
         case "missing":
             return path, f"is missing; expected {slot.expected()}; add it: {_description(slot)}"
         case "union_tag_invalid" | "union_tag_not_found":
-            return (*path, "type"), _wrong_value(look(details["input"], "type"), slot)
+            return (*path, "type"), _wrong_value(value_at(details["input"], "type"), slot)
         case _:
             return path, _wrong_value(details["input"], slot)
 

@@ -9,7 +9,7 @@ from ..sections._axes import QuasiRandomAxisConfig
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
 from ..sections._poses import pose_of
-from ..sections._section import is_index, look
+from ..sections._section import is_index, value_at
 from ._yaml import has_surrogate, read_yaml
 
 
@@ -82,7 +82,7 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
             known = lambda name, rest: name in existing and (bool(keys) or not rest or is_index(rest[0]))
         case _:
             return words
-    existing = look(data, *words[:start])
+    existing = value_at(data, *words[:start])
     existing = existing if isinstance(existing, Mapping) else {}
     end = start + _length_of_name(words[start:], known, () if isinstance(value, dict) else keys)
     return [*words[:start], ".".join(words[start:end]), *words[end:]]

@@ -12,7 +12,7 @@ from .._errors import ConfigError, KeyPath, Mistake, Origin, show
 from ..sections._axes import LABEL
 from ..sections._paths import path_of
 from ..sections._scene import BUILTIN
-from ..sections._section import is_number, look
+from ..sections._section import is_number, value_at
 from ..sections._views import ViewsConfig
 from ..whole._costs import MOST_PIXELS
 from ..whole._schema import Config, View
@@ -58,7 +58,7 @@ def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> 
 def resolve_views(data: dict[str, Any], origin: Origin, folder: Path) -> None:
     """Makes the paths of input files in the views of `data` absolute."""
     for kind in KINDS:
-        for holder, key, path in _files(look(data, "fit", kind), ("fit", kind)):
+        for holder, key, path in _files(value_at(data, "fit", kind), ("fit", kind)):
             # Paths in overrides are relative to the current folder.
             base = folder if origin.place(path).line is not None else Path()
             holder[key] = os.path.abspath(base / path_of(holder[key]))

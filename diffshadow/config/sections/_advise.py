@@ -1,4 +1,4 @@
-"""Section of an advice: the techniques to fit and to compare."""
+"""Section of a recommendation: the techniques to fit and to compare."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any

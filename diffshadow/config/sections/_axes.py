@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from .._errors import KeyPath, dotted, show
-from ._section import Conflict, Degrees, Form, Section, Turn, Unit, as_list, fault, is_number, look, ordered
+from ._section import Conflict, Degrees, Form, Section, Turn, Unit, as_list, fault, is_number, ordered, value_at
 
 LABEL = "label"
 """The key in an entry of `list` that names the entry; all others are set."""
@@ -134,10 +134,10 @@ def settings_of(data: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str]]:
     for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):
         yield from ((("list", i, key), key) for key in _keys(entry) if key != LABEL)
     for path in (("grid",), ("files",), ("zip",), ("path", "through")):
-        yield from (((*path, key), key) for key in _keys(look(data, *path)))
+        yield from (((*path, key), key) for key in _keys(value_at(data, *path)))
     if isinstance(data.get("sun"), Mapping):
         yield from ((("sun",), key) for key in SUN)
-    yield from ((("qmc", "axes", key), key) for key in _keys(look(data, "qmc", "axes")))
+    yield from ((("qmc", "axes", key), key) for key in _keys(value_at(data, "qmc", "axes")))
     yield from (((key,), "seed") for key in ("repeats", "seeds") if data.get(key) is not None)
 
 
@@ -163,7 +163,7 @@ def _bad_lists(data: Mapping[str, Any]) -> Iterator[Conflict]:
     """Faults of lists that are empty, repeat a value or differ in length."""
     rows: dict[KeyPath, Any] = {("list",): data.get("list"), ("seeds",): data.get("seeds")}
     for kind in ("grid", "zip"):
-        rows |= {(kind, key): look(data, kind, key) for key in _keys(data.get(kind))}
+        rows |= {(kind, key): value_at(data, kind, key) for key in _keys(data.get(kind))}
     for path, values in rows.items():
         if not isinstance(values, list | tuple):
             continue

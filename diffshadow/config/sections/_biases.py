@@ -17,8 +17,8 @@ from ._section import (
     by_type,
     fault,
     given,
-    look,
     ordered,
+    value_at,
 )
 
 MOST_LAYERS = 8
@@ -168,7 +168,7 @@ class BiasConfig(Section):
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         # The defaults are in texels, and a bias from the receiver's plane or of terms needs no other.
-        plain = look(data, "plane", "type", default="none") == "none" and not _has_terms(data)
+        plain = value_at(data, "plane", "type", default="none") == "none" and not _has_terms(data)
         if plain and data.get("unit") != "depth":
             return data
         return {"constant": 0.0, "slope": 0.0, **data}

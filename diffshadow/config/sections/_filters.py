@@ -30,6 +30,11 @@ class _FilterConfig(Section):
     """How far beyond its radius the filter reads the map, in texels."""
 
     @property
+    def looks_up_nearest(self) -> bool:
+        """Whether it reads nearest texels, so that it has no gradient by where it reads."""
+        return False
+
+    @property
     def reach(self) -> float:
         """How far from the receiver's texel coordinates the filter reads the map, in texels."""
         return getattr(self, self.radius_key, 0.0) + self.beyond_radius
@@ -40,6 +45,10 @@ class NearestConfig(_FilterConfig):
 
     type: Literal["nearest"] = "nearest"
     builds: ClassVar[str] = "Nearest"
+
+    @property
+    def looks_up_nearest(self) -> bool:
+        return True
 
 
 class BilinearConfig(_FilterConfig):
@@ -145,6 +154,10 @@ class RandomDiskConfig(PatternedConfig):
     )
     builds: ClassVar[str] = "RandomDisk"
     beyond_radius: ClassVar[float] = 0.5
+
+    @property
+    def looks_up_nearest(self) -> bool:
+        return self.lookup == "nearest"
 
 
 class PercentageCloserSoftConfig(PatternedConfig):

@@ -12,7 +12,7 @@ from ._engines import EngineConfig
 from ._filters import FilterConfig
 from ._marks import Limits, bare, marked
 from ._poses import could_be_pose, is_pose, pose_faults, pose_of
-from ._section import Conflict, Fitted, Section, fault, is_index, is_number, look, variants_of
+from ._section import Conflict, Fitted, Section, fault, is_index, is_number, value_at, variants_of
 from ._technique import ShadowMappingConfig, TechniqueConfig
 
 FILTERS = variants_of(FilterConfig)
@@ -36,7 +36,7 @@ def fit_paths(data: Any) -> dict[str, str]:
         f"{holder}.{key}{entry}": f"{_field(holder, section)}{mark.path or key}{entry}"
         for holder, section in _holders(data).items()
         for key, mark in _fitted_keys(section).items()
-        for entry in _entries(section.model_fields[key], mark, look(data, *holder.split("."), key))
+        for entry in _entries(section.model_fields[key], mark, value_at(data, *holder.split("."), key))
     }
 
 
@@ -65,10 +65,10 @@ def key_of(name: str) -> tuple[str, str, int | None]:
 def start_of(data: Any, name: str) -> Any:
     """The value of the key `name` in `data`, or its default."""
     holder, key, index = key_of(name)
-    section, given = _holders(data)[holder], look(data, *holder.split("."), default={})
+    section, given = _holders(data)[holder], value_at(data, *holder.split("."), default={})
     if isinstance(given, Mapping):
         given = section.completed(given)
-    value = look(given, key, default=section.model_fields[key].default)
+    value = value_at(given, key, default=section.model_fields[key].default)
     return value if index is None else value[index]
 
 
@@ -102,7 +102,7 @@ def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Confl
 def _start_outside(name: str, parameter: Any, start: Any, limits: Limits) -> Iterator[Conflict]:
     """A fault if `name` has no initial value and `start`, the value of its key, is missing or out of bounds."""
     path = ("fit", "parameters", name)
-    lower, upper, initial = (look(parameter, key) for key in ("lower", "upper", "initial"))
+    lower, upper, initial = (value_at(parameter, key) for key in ("lower", "upper", "initial"))
     if initial is not None or not (is_number(lower) and is_number(upper)):
         return
     # A value beyond the limits is reported for the key that sets it.
@@ -150,8 +150,8 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
-    plane = _PLANES.get(str(look(data, "bias", "plane", "type", default="none")), _PLANES["none"])
-    technique = _TECHNIQUES.get(str(look(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
+    plane = _PLANES.get(str(value_at(data, "bias", "plane", "type", default="none")), _PLANES["none"])
+    technique = _TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
     if issubclass(technique, EngineConfig):
         return {"technique": technique}
     return {
@@ -165,7 +165,7 @@ def _holders(data: Any) -> dict[str, type[Section]]:
 
 def _filter_type(data: Any) -> str:
     # A misspelt type is reported elsewhere. A name may still be wrong for every filter.
-    kind = str(look(data, "filter", "type", default=DEFAULT_FILTER))
+    kind = str(value_at(data, "filter", "type", default=DEFAULT_FILTER))
     return kind if kind in FILTERS else DEFAULT_FILTER
 
 
@@ -176,14 +176,14 @@ def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
         # A parameter of another filter is not a misspelling.
         mend = did_you_mean(name, known, mend)
     technique = _holders(data)["technique"]
-    kind = str(look(data, "technique", "type")) if issubclass(technique, EngineConfig) else None
+    kind = str(value_at(data, "technique", "type")) if issubclass(technique, EngineConfig) else None
     of = f"filter type {_filter_type(data)!r}" if kind is None else f"technique type {kind!r}"
     return fault(f"cannot be fitted with {of}", listing(known), mend)
 
 
 def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:
     """Faults of bounds beyond the limits of the number `name`."""
-    path, lower, upper = ("fit", "parameters", name), look(parameter, "lower"), look(parameter, "upper")
+    path, lower, upper = ("fit", "parameters", name), value_at(parameter, "lower"), value_at(parameter, "upper")
     if is_number(lower) and limits.undercut_by(lower):
         yield (*path, "lower"), fault(f"is {lower}", f"a number {limits.least}, as for {name}", "raise it")
     if is_number(upper) and limits.exceeded_by(upper):

@@ -7,7 +7,7 @@ from pydantic_core import PydanticCustomError
 
 from .._errors import did_you_mean, listing
 from ._marks import Limits
-from ._section import FARTHEST, MOST_DEGREES, NARROWEST, fault, is_index, look
+from ._section import FARTHEST, MOST_DEGREES, NARROWEST, fault, is_index, value_at
 
 _AXES = ("x", "y", "z")
 _DEGREES, _WORLD = "degrees", "world units"
@@ -57,7 +57,7 @@ def poses(data: Any) -> dict[str, Pose]:
     """The numbers of the scene that can be fitted, by name. Vertices are left out: there are too many."""
     found = {}
     for i, (key, light) in enumerate(_lights(data)):
-        for name, unit in _OF_LIGHTS.get(str(look(light, "type", default="directional")), {}).items():
+        for name, unit in _OF_LIGHTS.get(str(value_at(light, "type", default="directional")), {}).items():
             found[f"scene.{key}.{name}"] = Pose(f"lights.{i}.{'radius' if name in _SIZES else name}", unit)
     for i in range(_count(data, "meshes")):
         found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", unit) for name, unit in _OF_MESHES.items()}
@@ -97,18 +97,18 @@ def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
         return
     if not pose.is_size:
         return
-    if look(data, "filter", "type") != "pcss" or look(data, "filter", "light_size") is not None:
+    if value_at(data, "filter", "type") != "pcss" or value_at(data, "filter", "light_size") is not None:
         message = "cannot be fitted with a filter that does not use the light's size"
         yield fault(message, "filter type pcss without a light_size", "change the filter, or remove the parameter")
 
 
 def _lights(data: Any) -> list[tuple[str, Any]]:
-    several = look(data, "scene", "lights")
+    several = value_at(data, "scene", "lights")
     if isinstance(several, list | tuple):
         return [(f"lights.{i}", light) for i, light in enumerate(several)]
-    return [("light", look(data, "scene", "light", default={}))]
+    return [("light", value_at(data, "scene", "light", default={}))]
 
 
 def _count(data: Any, key: str) -> int:
-    entries = look(data, "scene", key)
+    entries = value_at(data, "scene", key)
     return len(entries) if isinstance(entries, list | tuple) else 0

@@ -29,8 +29,8 @@ from ._section import (
     exclusive,
     fault,
     given,
-    look,
     ordered,
+    value_at,
 )
 
 BUILTIN = "builtin:"
@@ -199,7 +199,7 @@ class SceneConfig(Section):
         meshes = data.get("meshes")
         if isinstance(meshes, list | tuple) and not meshes:
             yield ("meshes",), fault("is an empty list", "at least one mesh", "add '- path: builtin:torus_knot'")
-        if isinstance(meshes, list | tuple) and meshes and all(look(mesh, "casts") is False for mesh in meshes):
+        if isinstance(meshes, list | tuple) and meshes and all(value_at(mesh, "casts") is False for mesh in meshes):
             mend = "remove casts from one of them"
             yield ("meshes",), fault("hold no mesh that casts a shadow", "at least one mesh that casts", mend)
         yield from exclusive(data, "light", "lights")

@@ -213,7 +213,7 @@ def by_type(default: str) -> Discriminator:
     """Selects the variant of a section by its key `type`, which defaults to `default`."""
 
     def kind(value: Any) -> str:
-        return str(look(value, "type", default=default))
+        return str(value_at(value, "type", default=default))
 
     return Discriminator(kind)
 
@@ -229,7 +229,7 @@ def variants_of(union: Any) -> dict[str, type[Section]]:
     return {type_of(variant): variant for variant in (get_args(kind)[0] for kind in marked)}
 
 
-def look(data: Any, *path: str, default: Any = None) -> Any:
+def value_at(data: Any, *path: str, default: Any = None) -> Any:
     """The value at `path` in nested mappings or sections, or `default` if there is none."""
     for step in path:
         data = data.get(step) if isinstance(data, Mapping) else getattr(data, step, None)

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from .._errors import KeyPath, did_you_mean, listing, show
 from ._axes import LABEL, AxesConfig, settings_of
-from ._section import Conflict, Form, Section, Unit, as_list, exclusive, fault, look
+from ._section import Conflict, Form, Section, Unit, as_list, exclusive, fault, value_at
 
 _FIXED = ("name", "output", "sweep")
 _ERRORS = ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate")
@@ -78,11 +78,11 @@ def _bad_plot(data: Mapping[str, Any], settings: Sequence[tuple[KeyPath, str]]) 
     if isinstance(entries, list | tuple) and any(isinstance(entry, Mapping) and LABEL in entry for entry in entries):
         axes[LABEL] = None
     for key in ("x", "lines", "panels"):
-        axis = look(data, "plot", key)
+        axis = value_at(data, "plot", key)
         if isinstance(axis, str) and axes and axis not in axes:
             mend = did_you_mean(axis, axes, "name one of these")
             yield ("plot", key), fault(f"is {show(axis)}, which is not swept", listing(axes), mend)
-    y, metrics = look(data, "plot", "y", default="rmse"), _metrics(data)
+    y, metrics = value_at(data, "plot", "y", default="rmse"), _metrics(data)
     if isinstance(data.get("plot"), Mapping) and isinstance(y, str) and data.get("run") != "fit" and y not in metrics:
         yield ("plot", "y"), fault(f"is {show(y)}", listing(metrics), did_you_mean(y, metrics, "name one of these"))
 

@@ -9,7 +9,7 @@ from ..sections._engines import BabylonJsConfig, EngineConfig, ThreeJsConfig
 from ..sections._filters import PercentageCloserSoftConfig
 from ..sections._fitted import is_searched, parameter_faults
 from ..sections._lights import DirectionalLightConfig, PointLightConfig
-from ..sections._section import Conflict, fault, look
+from ..sections._section import Conflict, fault, value_at
 from ..sections._technique import (
     SPARE,
     CascadesConfig,
@@ -146,7 +146,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
 
 def data_faults_of_fit(data: Any) -> Iterator[Conflict]:
     """Faults that only a fit has, of a configuration or the unchecked data of one."""
-    parameters = look(data, "fit", "parameters", default={})
+    parameters = value_at(data, "fit", "parameters", default={})
     if isinstance(parameters, Mapping):
         yield from parameter_faults(data, parameters)
 

@@ -7,7 +7,7 @@ from pydantic import PrivateAttr
 
 from ..sections._fit import UPPER
 from ..sections._fitted import misnamed
-from ..sections._section import MOST_TEXELS, Conflict, is_number, look
+from ..sections._section import MOST_TEXELS, Conflict, is_number, value_at
 from ._between import data_faults_of_fit, fit_faults, run_faults
 from ._parts import Parts
 
@@ -45,13 +45,13 @@ class Config(Parts):
         if not isinstance(section, Mapping) or "parameters" in section:
             return data
         # The default bounds contain the start.
-        start = look(data, "bias", "constant", default=0)
+        start = value_at(data, "bias", "constant", default=0)
         upper = min(max(UPPER, 2 * start), MOST_TEXELS) if is_number(start) else UPPER
         return {**data, "fit": {**section, "parameters": {"bias.constant": {"lower": 0.0, "upper": float(upper)}}}}
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        parameters = look(data, "fit", "parameters", default={})
+        parameters = value_at(data, "fit", "parameters", default={})
         if isinstance(parameters, Mapping):
             yield from misnamed(data, parameters)
 

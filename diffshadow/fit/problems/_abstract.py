@@ -62,4 +62,4 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def padded(self) -> "AbstractProblem":
-        """With its meshes filled up to few sizes, so that problems of like size share compiled programs."""
+        """With its meshes padded to few sizes, so that problems of like size share compiled programs."""

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._checks import check_again
 from ..._misc import array_module, as_array
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
@@ -264,14 +265,13 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
 
 
 def _check_allowed(technique: FittableTechnique) -> None:
-    """Repeats the own checks of the technique and its filter at an end of the bounds."""
-    for part, what in ((technique, "the technique"), (getattr(technique, "filter", None), "its filter")):
-        try:
-            getattr(part, "__check_init__", lambda: None)()
-        except ValueError as error:
-            raise ValueError(
-                f"a parameter's bounds go further than {what} allows: {error}, or narrow the bounds"
-            ) from error
+    """Repeats the checks of the technique and its parts at an end of the bounds."""
+    try:
+        check_again(technique)
+    except ValueError as error:
+        raise ValueError(
+            f"a parameter's bounds go further than the technique allows: {error}, or narrow the bounds"
+        ) from error
 
 
 def _check_layout(joint: Joint, parameters: Parameters, end: Float[Array, " p"]) -> None:

@@ -173,7 +173,7 @@ class PoseProblem(AbstractProblem):
         return self
 
     def padded(self) -> "PoseProblem":
-        """With its meshes filled up to few sizes, so that problems of like size share compiled programs.
+        """With its meshes padded to few sizes, so that problems of like size share compiled programs.
 
         A mesh of which single vertices are fitted stays as it is: what fills it up would not move with them.
         """
@@ -184,7 +184,7 @@ class PoseProblem(AbstractProblem):
             return dataclasses.replace(self, scene=scene)
         casts = self.scene.casts or [True] * len(own)
         sizes = lambda of: [(len(of(a)), len(of(b))) for a, b, c in zip(own, meshes, casts, strict=True) if c]
-        # Where the casters' own vertices and faces are among those that are filled up.
+        # Where the casters' own vertices and faces are among those that are padded.
         places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
         edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
         return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))

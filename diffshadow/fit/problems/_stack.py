@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._misc import a_step, as_array, as_int
+from ..._misc import as_array, as_int, chunk_size
 from ...shadow import Atlas, Overflow, ShadowMap
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
@@ -49,7 +49,7 @@ class Stack(eqx.Module):
         """Those of all problems. Nothing is drawn that could overflow."""
         images, *sides = self.problems.reference.shape
         # Several small ones keep all cores busy, and none is left over, which would be a second program.
-        most = max(a_step(*_AT_ONCE) // math.prod(sides), 1)
+        most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
         at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
 
         def difference(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Float[Array, "h w"]:

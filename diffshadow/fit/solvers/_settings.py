@@ -5,11 +5,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Array
 
+from ..._checks import check_choice
+
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 # Fraction of the loss.
 _NOISE_OF_POSES = 0.25
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
-_SOLVERS = ("levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam")
 
 
 class Solver(NamedTuple):
@@ -55,8 +56,7 @@ class Stop(NamedTuple):
 
 def check_solver(solver: Solver) -> None:
     """**Raises** `ValueError` unless `solver` is known and its numbers make sense."""
-    if solver.name not in _SOLVERS:
-        raise ValueError(f"the solver is {solver.name!r}; expected one of {', '.join(_SOLVERS)}")
+    check_choice("the solver", solver.name, SolverName.__args__)
     if solver.max_steps < 1:
         raise ValueError(f"the solver's max_steps is {solver.max_steps}; expected 1 or more")
     if solver.noise is not None and not 0 <= solver.noise < 1:

@@ -46,9 +46,9 @@ class AbstractLight(eqx.Module):
         light, a vector of arbitrary length towards it.
         """
 
-    @abc.abstractmethod
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
         """Which of its views sees each of `points`; `None` for a light with one view."""
+        return None
 
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """The fraction of its light, (...,) in [0, 1], that the light emits towards each of `points` (..., 3), in world

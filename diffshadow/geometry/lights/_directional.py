@@ -122,9 +122,6 @@ class DirectionalLight(AbstractLight):
             return backward
         return backward + jnp.tan(jnp.deg2rad(self.angular_radius)) * on_plane(self.direction, self.up, sample)
 
-    def layer(self, points: Float[Array, "*n 3"]) -> None:
-        return None
-
     @property
     def domain(self) -> Domain:
         return "disk"

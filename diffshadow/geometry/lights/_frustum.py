@@ -54,15 +54,14 @@ class Frustum(NamedTuple):
         """
         target = _centre(points) if target is None else as_float(target)
         check_pose(name, position, target)
-        tight, is_clear = _tight(position, target, up, points, as_float(aspect))
-        if outer_angle is not None:
-            return tight._replace(outer_angle=outer_angle)
-        if not bool(is_clear):
+        direction = target - position
+        angle, near, far, is_clear = _fitted(position, points, up, direction, as_float(aspect))
+        if outer_angle is None and not bool(is_clear):
             raise ValueError(
                 f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
                 "position outside, or an outer_angle in degrees: move the light or give the angle"
             )
-        return tight._replace(outer_angle=float(tight.outer_angle))
+        return cls(direction, float(angle) if outer_angle is None else outer_angle, near, far)
 
     @classmethod
     def framing(
@@ -77,24 +76,23 @@ class Frustum(NamedTuple):
         outside the frustum."""
         if direction is None:
             direction = _centre(points) - position
-        return cls(direction, *_framing(position, points, up, direction, as_float(aspect)))
+        angle, near, far, _ = _fitted(position, points, up, direction, as_float(aspect))
+        return cls(direction, jnp.clip(angle, _NARROWEST, _WIDEST), near, far)
 
 
 @jax.jit
-def _framing(
+def _fitted(
     position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3, aspect: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """The angle, near and far of the frustum along `direction`."""
+) -> tuple[Scalar, Scalar, Scalar, Array]:
+    """The angle, near and far of the frustum along `direction` around the points before the light, and whether all
+    points are."""
     eye = transform_points(look_at(position, direction, up), points)[..., :3]
     distance = -eye[..., 2]
-    ahead = distance > 0
-    tangent = jnp.max(
-        jnp.where(
-            ahead[..., None], jnp.abs(eye[..., :2]) / _sides(aspect) / jnp.where(ahead, distance, 1)[..., None], 0
-        )
-    )
-    angle = jnp.rad2deg(jnp.arctan(tangent * (1 + 2 * MARGIN)))
-    return jnp.clip(angle, _NARROWEST, _WIDEST), *near_far(*_reach(distance))
+    ahead = (distance > 0)[..., None]
+    slopes = jnp.abs(eye[..., :2]) / _sides(aspect) / jnp.where(ahead, distance[..., None], 1)
+    angle = jnp.rad2deg(jnp.arctan(jnp.max(jnp.where(ahead, slopes, 0)) * (1 + 2 * MARGIN)))
+    low, high = _reach(distance)
+    return angle, *near_far(low, high), _is_clear(low, high)
 
 
 @jax.jit
@@ -108,19 +106,6 @@ def _centre(points: Float[Array, "n 3"]) -> Vec3:
     xp = array_module(points)
     points = xp.asarray(points)
     return as_float((points.min(axis=0) + points.max(axis=0)) / 2)
-
-
-@jax.jit
-def _tight(
-    position: Vec3, target: Vec3, up: Vec3, points: Float[Array, "n 3"], aspect: Scalar
-) -> tuple[Frustum, Array]:
-    """The tight frustum from `position` towards `target`, and whether all points lie before the light."""
-    direction = target - position
-    eye = transform_points(look_at(position, direction, up), points)[..., :3]
-    distance = -eye[..., 2]
-    low, high = _reach(distance)
-    tangent = jnp.max(jnp.abs(eye[..., :2]) / _sides(aspect) / distance[..., None]) * (1 + 2 * MARGIN)
-    return Frustum(direction, jnp.rad2deg(jnp.arctan(tangent)), *near_far(low, high)), _is_clear(low, high)
 
 
 def _sides(aspect: Scalar | float) -> Float[Array, "2"]:

@@ -53,9 +53,6 @@ class MatrixLight(AbstractLight):
             return self.position - points
         return jnp.broadcast_to(self.world_to_eye[2, :3], points.shape)
 
-    def layer(self, points: Float[Array, "*n 3"]) -> None:
-        return None
-
     @property
     def domain(self) -> Domain:
         return "disk"

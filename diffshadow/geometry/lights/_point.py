@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, concrete, normalize, safe_norm
+from ..._misc import as_float, concrete, normalize, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Vec3
 from .._camera import check_near_far
 from .._transforms import perspective, tangents
@@ -114,8 +114,7 @@ class PointLight(AbstractLight):
         distance = safe_norm(centre)[..., None]
         is_outside = distance > self.radius
         sine = jnp.where(is_outside, self.radius / jnp.where(is_outside, distance, 1), 0)
-        squared = (1 - sine) * (1 + sine)
-        cosine = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+        cosine = safe_sqrt((1 - sine) * (1 + sine))
         w = normalize(centre)
         right, up = tangents(w)
         on_disk = sample[..., 0:1] * right + sample[..., 1:2] * up

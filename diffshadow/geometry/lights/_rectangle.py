@@ -88,9 +88,6 @@ class RectangleLight(AbstractLight):
         centre = self.position - points
         return centre if sample is None else centre + on_plane(self.direction, self.up, sample * self.size / 2)
 
-    def layer(self, points: Float[Array, "*n 3"]) -> None:
-        return None
-
     @property
     def domain(self) -> Domain:
         return "square"

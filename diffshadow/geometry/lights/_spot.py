@@ -112,9 +112,6 @@ class SpotLight(AbstractLight):
         centre = self.position - points
         return centre if sample is None else centre + self.radius * on_plane(self.direction, self.up, sample)
 
-    def layer(self, points: Float[Array, "*n 3"]) -> None:
-        return None
-
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         if self.inner_angle is None:
             return super().cone_fraction(points)

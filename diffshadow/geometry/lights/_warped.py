@@ -39,9 +39,6 @@ class WarpedLight(AbstractFittedLight):
         turned, scaled = _turned_and_scaled(own.world_to_eye, own.eye_to_clip, self.up, self.scale, self.offset)
         return View(turned, scaled, own.near, own.far, own.is_perspective, warp=self.warp)
 
-    def layer(self, points: Float[Array, "*n 3"]) -> None:
-        return None
-
     def reaches(self, points: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
         """Which of `points` are no deeper than the map's end."""
         return self.depth(points) <= self.end

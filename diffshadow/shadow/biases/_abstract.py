@@ -5,10 +5,9 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float
 from ..._types import Scalar, VectorMap
 from .._receiver import Receiver
 
@@ -73,19 +72,6 @@ def at_least(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
 def optional_float(x: Any) -> Scalar | None:
     """`x` as a scalar; none stays none."""
     return None if x is None else as_float(x)
-
-
-def check_not_negative(name: str, value: Scalar | None, unit: str = "texels") -> None:
-    """**Raises** `ValueError` if `value` is negative or not finite."""
-    known = None if value is None else concrete(value)
-    if known is not None and not (known >= 0 and np.isfinite(known)):
-        raise ValueError(f"{name} is {known}; expected 0 or more {unit}")
-
-
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """**Raises** `ValueError` if `value` is not one of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
 
 
 def _either(both: Any, a: Array | None, b: Array | None) -> Array | None:

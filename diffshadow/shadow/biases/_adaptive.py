@@ -4,10 +4,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
+from ..._checks import check_not_negative
 from ..._misc import as_float, dot
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, check_not_negative, in_depth
+from ._abstract import AbstractBias, BiasTerms, in_depth
 
 
 class AdaptiveBias(AbstractBias):

@@ -2,10 +2,11 @@
 
 import equinox as eqx
 
+from ..._checks import check_choice, check_not_negative
 from ..._misc import as_float
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import UNIT_NAMES, AbstractBias, BiasTerms, BiasUnit, check_choice, check_not_negative, in_depth
+from ._abstract import UNIT_NAMES, AbstractBias, BiasTerms, BiasUnit, in_depth
 
 
 class ConstantBias(AbstractBias):

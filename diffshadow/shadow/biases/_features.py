@@ -1,12 +1,12 @@
 """What a bias may depend on, in JAX and in GLSL."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import safe_norm
+from ..._misc import safe_norm, safe_sqrt
 from .._receiver import Receiver
 
 # Blockers farther away than this count as this far away, in texels.
@@ -41,9 +41,7 @@ GLSL_INPUTS = {
 
 def _sine(receiver: Receiver) -> Float[Array, "h w"]:
     cosine = jnp.clip(receiver.cosine, 0, 1)
-    squared = 1 - cosine * cosine
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    return safe_sqrt(1 - cosine * cosine)
 
 
 def _blocker_distance(receiver: Receiver) -> Float[Array, "h w"]:
@@ -66,12 +64,3 @@ FEATURES = {
     "blocker_distance": Feature(_blocker_distance, "texels", f"clamp(blocker_distance, 0.0, {_MOST_TEXELS})"),
 }
 """Each feature by its name. None depends on the scene's scale."""
-
-
-def check_features(what: str, names: Sequence[str]) -> None:
-    """**Raises** `ValueError` unless each of `names` is a feature, and none occurs twice."""
-    for name in names:
-        if name not in FEATURES:
-            raise ValueError(f"{what} has a term {name!r}; expected some of {', '.join(FEATURES)}")
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"{what} has the terms {', '.join(names) or 'none'}; expected one or more, each once")

@@ -10,7 +10,7 @@ from ..._misc import as_float, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, at_least, in_depth
-from ._features import FEATURES, check_features
+from ._features import FEATURES
 
 
 class LinearBias(AbstractBias):
@@ -36,8 +36,11 @@ class LinearBias(AbstractBias):
         self.weights = {name: as_float(weight) for name, weight in weights.items()}
 
     def __check_init__(self):
-        check_features("the linear bias", list(self.weights))
+        if not self.weights:
+            raise ValueError("the linear bias has no terms; expected one or more")
         for name, weight in self.weights.items():
+            if name not in FEATURES:
+                raise ValueError(f"the linear bias has a term {name!r}; expected some of {', '.join(FEATURES)}")
             known = concrete(weight)
             if known is not None and not np.isfinite(known):
                 raise ValueError(f"the linear bias's weight of {name} is {known}; expected a finite number of texels")

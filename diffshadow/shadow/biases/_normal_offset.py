@@ -5,10 +5,11 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..._checks import check_choice, check_not_negative
 from ..._misc import as_float
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, check_choice, check_not_negative
+from ._abstract import AbstractBias, BiasTerms
 from ._features import FEATURES
 
 OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]

@@ -4,6 +4,7 @@ from typing import Literal
 
 import equinox as eqx
 
+from ..._checks import check_choice, check_not_negative
 from ..._misc import as_float, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
@@ -14,8 +15,6 @@ from ._abstract import (
     BiasUnit,
     at_least,
     at_most,
-    check_choice,
-    check_not_negative,
     in_depth,
     optional_float,
 )

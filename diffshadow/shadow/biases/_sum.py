@@ -5,10 +5,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from ..._checks import check_not_negative
 from ..._misc import as_float
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, check_not_negative
+from ._abstract import AbstractBias, BiasTerms
 from ._constant import ConstantBias
 from ._normal_offset import NormalOffset
 from ._slope import SlopeBias

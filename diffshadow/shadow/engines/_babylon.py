@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..._checks import check_choice
 from ..._misc import as_float, concrete, dot, normalize, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
-from ..biases._abstract import check_choice
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._babylon_filters import (
     BabylonQuality,

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete, safe_norm
+from ..._checks import check_choice, check_not_negative
+from ..._misc import as_float, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
-from ..biases._abstract import check_choice
+from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._engine_map import EngineMap, Side, Sides, each_of
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
@@ -21,8 +22,6 @@ ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMS
 
 _TAPS = 5
 _GOLDEN_ANGLE = 2.399963229728653
-# Interleaved gradient noise (Jimenez, "Next Generation Post Processing in Call of Duty: Advanced Warfare", 2014).
-_NOISE = 52.9829189
 # The side that casts, of each side of a material: the renderer's own table.
 _OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
 # Added to the axis of a light that looks straight up or down.
@@ -72,9 +71,7 @@ class ThreeJs(AbstractEngineShadows):
 
     def __check_init__(self):
         check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
-        radius = concrete(self.radius)
-        if radius is not None and not radius >= 0:
-            raise ValueError(f"three.js' radius is {radius}; expected 0 or more texels")
+        check_not_negative("three.js' radius", self.radius)
         if self.blur_samples < 1:
             raise ValueError(f"three.js' blur_samples is {self.blur_samples}; expected 1 or more")
 
@@ -144,10 +141,7 @@ def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 
 
 def _mean_over_disk(tap: Any, shape: tuple[int, ...]) -> Float[Array, "h w"]:
     """The mean of `tap(x, y)` over Vogel's disk, turned at each pixel by noise."""
-    # Of pixel centres, counted from the lower left.
-    x, y = jnp.arange(shape[1]) + 0.5, (jnp.arange(shape[0]) + 0.5)[:, None]
-    fraction = lambda t: t - jnp.floor(t)
-    turn = 2 * jnp.pi * fraction(_NOISE * fraction(0.06711056 * x + 0.00583715 * y))
+    turn = 2 * jnp.pi * interleaved_gradient_noise(shape, 0.5)
 
     def add(total: Array, k: Array) -> tuple[Array, None]:
         angle, distance = _GOLDEN_ANGLE * k + turn, jnp.sqrt((k + 0.5) / _TAPS)
@@ -188,9 +182,7 @@ def _blurred(depth: Float[Array, "h w"], settings: ThreeJs) -> tuple[Float[Array
 
 def _as_stored(total: Array, squares: Array, samples: int) -> tuple[Array, Array]:
     mean, square = total / samples, squares / samples
-    variance = square - mean * mean
-    deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 0)
-    return as_half(mean), as_half(deviation)
+    return as_half(mean), as_half(safe_sqrt(square - mean * mean))
 
 
 def _chebyshev(mean: Array, deviation: Array, z: Array) -> Array:

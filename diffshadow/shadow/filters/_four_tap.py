@@ -2,9 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
-from ..._misc import as_float, concrete
+from ..._checks import check_not_negative
+from ..._misc import as_float
 from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -23,9 +23,7 @@ class FourTap(AbstractFilter):
     radius: Scalar = eqx.field(converter=as_float, default=1.0)
 
     def __check_init__(self):
-        radius = concrete(self.radius)
-        if radius is not None and not (radius >= 0 and np.isfinite(radius)):
-            raise ValueError(f"the four taps' radius is {radius}; expected 0 or more texels")
+        check_not_negative("the four taps' radius", self.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

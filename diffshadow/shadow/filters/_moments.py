@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, safe_divide
+from ..._misc import as_float, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
 from ..kernels import Shape
 from ._prefilter import AbstractPrefiltered
@@ -95,9 +95,7 @@ def _roots(c1: DepthMap, c2: DepthMap, c3: DepthMap) -> tuple[DepthMap, DepthMap
     """Both roots of c₁ + c₂ x + c₃ x², which are real, the smaller first."""
     # A root at infinity has no mass, on whichever side it lies.
     c3 = jnp.where(jnp.abs(c3) < _ALMOST_LINEAR, _ALMOST_LINEAR, c3)
-    squared = c2 * c2 - 4 * c1 * c3
-    positive = squared > 0
-    root = jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    root = safe_sqrt(c2 * c2 - 4 * c1 * c3)
     # Adding terms of the same sign avoids cancellation; the other root follows from the product c₁ / c₃.
     q = -(c2 + jnp.where(c2 < 0, -root, root)) / 2
     one, other = q / c3, safe_divide(c1, q)

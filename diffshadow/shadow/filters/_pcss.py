@@ -6,7 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete
+from ..._checks import check_not_negative
+from ..._misc import as_float, concrete, safe_sqrt
 from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
 from .._compare import AbstractCompare
@@ -69,9 +70,7 @@ class PercentageCloserSoft(AbstractFilter):
         self.max_radius = as_float(max_radius)
 
     def __check_init__(self):
-        size = None if self.light_size is None else concrete(self.light_size)
-        if size is not None and not (size >= 0 and math.isfinite(size)):
-            raise ValueError(f"the soft shadows' light_size is {size}; expected 0 or more degrees or world units")
+        check_not_negative("the soft shadows' light_size", self.light_size, "degrees or world units")
         low, high = concrete(self.min_radius), concrete(self.max_radius)
         if low is not None and high is not None and not 0 <= low <= high < math.inf:
             raise ValueError(
@@ -198,5 +197,4 @@ def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
     sides = getattr(light, "size", None)
     if sides is None:
         raise ValueError(f"{type(light).__name__} has no radius; set the light's radius or pass light_size")
-    area = jnp.prod(sides)
-    return jnp.where(area > 0, jnp.sqrt(jnp.where(area > 0, area, 1) / jnp.pi), 0)
+    return safe_sqrt(jnp.prod(sides) / jnp.pi)

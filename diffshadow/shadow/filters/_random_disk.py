@@ -1,11 +1,10 @@
 """Random disk sampling (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2, ch. 17)."""
 
-import math
-
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float, concrete
+from ..._checks import check_choice, check_not_negative
+from ..._misc import as_float
 from ..._types import Mask, Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -44,11 +43,8 @@ class RandomDisk(AbstractFilter):
         self.early_out = early_out
 
     def __check_init__(self):
-        if self.lookup not in ("bilinear", "nearest"):
-            raise ValueError(f'the random disk\'s lookup is {self.lookup!r}; expected "bilinear" or "nearest"')
-        radius = concrete(self.radius)
-        if radius is not None and not (radius >= 0 and math.isfinite(radius)):
-            raise ValueError(f"the random disk's radius is {radius}; expected 0 or more texels")
+        check_choice("the random disk's lookup", self.lookup, TapMode.__args__)
+        check_not_negative("the random disk's radius", self.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         def mean(pattern: Pattern, active: Mask | None = None) -> Visibility:

@@ -10,9 +10,8 @@ from ..._types import Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import AbstractRow, sum_over_rows
+from ..kernels import AbstractRow, check_radius, radius_limit, sum_over_rows
 from ._abstract import AbstractFilter
-from ._prefilter import check_radius, radius_limit
 
 
 class AbstractSizedFilter(AbstractFilter):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from ...geometry import View
 from .._map import ShadowMap
 from .._receiver import is_in_front
-from ..silhouettes._padded import PaddedSilhouettes
+from ._padded_silhouettes import PaddedSilhouettes
 
 # The depth of empty texels: behind any receiver by far more than the width of any soft compare.
 _NOTHING = 1e6

@@ -11,11 +11,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from ..._misc import a_step, round_up_to_power_of_two, take
+from ..._misc import chunk_size, round_up_to_power_of_two, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from .._map import ShadowMap
-from ..silhouettes._corrections import Corrections
+from ._corrections import Corrections
 from ._kernel import AbstractKernel, AbstractRow
 from ._padded_map import PaddedMap, pad
 from ._terms import AbstractTerms, checkpoint, total, zeros_like
@@ -131,7 +131,7 @@ class _Plain(AbstractTerms):
         number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
         rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
         most = jnp.max(rank) + 1
-        at_once = min(i * j, round_up_to_power_of_two(max(1, a_step(*_AT_ONCE) // (p * q))))
+        at_once = min(i * j, round_up_to_power_of_two(max(1, chunk_size(*_AT_ONCE) // (p * q))))
         capacity = math.ceil(i * j / at_once) * at_once
         # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
         queue = jnp.full((p, capacity + 1), runs, jnp.int32)

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import equinox as eqx
 
+from ..._checks import check_again, check_choice
 from ..._misc import concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
-from ..biases._abstract import check_choice
 from ._abstract import AbstractLayout
 from ._frustum import DepthRange
 
@@ -43,7 +43,7 @@ class AbstractFittedLayout(AbstractLayout):
         `resolution` have texels within their margin, the shadow distance lies within the camera's depths, and there is
         a surface if one is needed."""
         # Numbers may have been replaced since the layout was made.
-        self.__check_init__()
+        check_again(self)
         if not light.is_directional:
             raise ValueError(
                 f"the light is a {type(light).__name__}, whose map cannot be fitted to a camera; expected a "

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from ..._checks import check_choice
 from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
 from ...raster import MOST_VIRTUAL, Surface
 from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
-from ..biases._abstract import check_choice
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange

@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from ..._checks import check_choice
 from ..._misc import as_float, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
 from ...geometry import (
@@ -21,7 +22,6 @@ from ...geometry import (
     transform_vectors,
 )
 from ...raster import Surface
-from ..biases._abstract import check_choice
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange, Frustum, depths_of

@@ -37,10 +37,15 @@ class Pattern(eqx.Module):
         return self.offsets.shape[0]
 
 
-def interleaved_gradient_noise(shape: tuple[int, ...]) -> Float[Array, "h w"]:
-    """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 of them."""
+def interleaved_gradient_noise(shape: tuple[int, ...], first: float = 0.0) -> Float[Array, "h w"]:
+    """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 of them.
+
+    After Jimenez (2014), as cited for `Pattern`. `first` is both coordinates of the lower left pixel: 0.5 where pixels
+    are at their centres.
+    """
     height, width = shape
-    x, y = jnp.arange(width, dtype=jnp.float32), jnp.arange(height, dtype=jnp.float32)[:, None]
+    x, y = (jnp.arange(size, dtype=jnp.float32) + first for size in (width, height))
+    y = y[:, None]
     fraction = lambda t: t - jnp.floor(t)
     return fraction(52.9829189 * fraction(0.06711056 * x + 0.00583715 * y))
 

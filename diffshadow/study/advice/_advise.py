@@ -1,4 +1,4 @@
-"""Runs an advice: fits techniques, times them, and recommends one."""
+"""Runs a recommendation: fits techniques, times them, and recommends one."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,13 +17,13 @@ from ..runs._progress import counting
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
-from ._measure import Enough, Times, bias_for, measure_times, single_bias, steps_of
+from ._measure import LeastBias, Times, least_bias_for, measure_times, single_bias, steps_of
 from ._report import RECOMMENDED, report_advice
 from ._special_cases import as_special_case
 from ._verdict import Findings, verdict
 
 SUFFIX = "-advise"
-"""The suffix of an advice's folder."""
+"""The suffix of the folder of a recommendation."""
 _MEASURED = "measured.json"
 
 
@@ -64,8 +64,10 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]
         chosen = recommended(candidates, advice.settings.within)
         with counting(console, "comparing biases", len(fitted)) as progress:
-            enough = _enough(folder, candidates, chosen, fitted, progress)
-        found = Findings(candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), enough)
+            least_biases = _least_biases(folder, candidates, chosen, fitted, progress)
+        found = Findings(
+            candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), least_biases
+        )
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
         named = best.model_copy(update={"name": f"{sweep.name}-recommended"})
         with io.atomic_path(folder / RECOMMENDED) as temporary:
@@ -110,14 +112,14 @@ def _times(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> list[Times
     stored = _stored(folder)
     if stored.get("ids") != ids:
         times = measure_times([each.config for each in fitted], progress)
-        stored = {"ids": ids, "times": [time._asdict() for time in times], "enough": {}}
+        stored = {"ids": ids, "times": [time._asdict() for time in times], "least_biases": {}}
         _store(folder, stored)
     return [Times(**time) for time in stored["times"]]
 
 
-def _enough(
+def _least_biases(
     folder: Path, candidates: Sequence[Candidate], chosen: Candidate, fitted: Sequence[_Fitted], progress: Any
-) -> dict[str, tuple[str, Enough]]:
+) -> dict[str, tuple[str, LeastBias]]:
     """For each other bias with a single fitted number, with the same filter and map: how large it has to be for no more
     acne than `chosen` has. It is searched for now unless it is stored in `folder`."""
     stored, found = _stored(folder), {}
@@ -128,10 +130,10 @@ def _enough(
         if not alike or name is None or candidate.bias == chosen.bias:
             continue
         key = f"{candidate.id} {chosen.id}"
-        if key not in stored["enough"]:
-            stored["enough"][key] = bias_for(each.config, name, chosen.false_shadow)._asdict()
+        if key not in stored["least_biases"]:
+            stored["least_biases"][key] = least_bias_for(each.config, name, chosen.false_shadow)._asdict()
             _store(folder, stored)
-        found[candidate.bias] = candidate.units[name], Enough(**stored["enough"][key])
+        found[candidate.bias] = candidate.units[name], LeastBias(**stored["least_biases"][key])
     return found
 
 

@@ -1,4 +1,4 @@
-"""The figure of an advice: errors against times. This module loads Matplotlib, so import it only to draw."""
+"""The figure of a recommendation: errors against times. This module loads Matplotlib, so import it only to draw."""
 
 from collections.abc import Sequence
 from typing import Any

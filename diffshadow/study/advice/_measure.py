@@ -96,7 +96,7 @@ def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence
     return [found[program] for program in programs]
 
 
-class Enough(NamedTuple):
+class LeastBias(NamedTuple):
     """A bias that leaves no more false shadow than asked for.
 
     - `value`: the least such bias that was found, in its unit. If there is none, the one with the least false shadow.
@@ -108,7 +108,7 @@ class Enough(NamedTuple):
     false_light: float
 
 
-def bias_for(config: Config, name: str, most: float) -> Enough:
+def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
     """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its upper bound.
 
     It is searched for upwards from the value in `config`, by steps and then by bisection. All other numbers stay the
@@ -126,10 +126,10 @@ def bias_for(config: Config, name: str, most: float) -> Enough:
     drawn = [each for view in views.validation or views.fitted for each in view.drawn]
     path, low, high = fit_paths(config)[name], config.initial(name), config.fit.parameters[name].upper
 
-    def at(value: float) -> Enough:
+    def at(value: float) -> LeastBias:
         changed: Any = fit.with_values(technique, [path], as_float([value]))  # type: ignore[arg-type]
         errors = record.combined([record.measured(visibility_of(changed, each), each) for each in drawn], drawn)
-        return Enough(value, errors["false_shadow_rate"], errors["false_light_rate"])
+        return LeastBias(value, errors["false_shadow_rate"], errors["false_light_rate"])
 
     tried = []
     for value in np.linspace(low, high, _STEPS + 1):

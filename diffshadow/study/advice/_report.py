@@ -1,4 +1,4 @@
-"""The page of an advice, made of its folder's files."""
+"""The page of a recommendation, made of its folder's files."""
 
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ _FIGURE = "front"
 
 
 def report_advice(folder: Path, form: str | None = None, dpi: int | None = None) -> Path:
-    """Writes the page of the advice in `folder`, and its figure if a format `form` is given. **Returns** the page.
+    """Writes the page of the recommendation in `folder`, and its figure if a format `form` is given.
 
-    **Raises** `FileError` if the advice is incomplete or damaged.
+    **Returns** the page. **Raises** `FileError` if the recommendation is incomplete or damaged.
     """
     from .. import style
     from ..pages._page import write_page
@@ -23,7 +23,9 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
 
     result = read_result(folder)
     if "advice" not in result or not (folder / RECOMMENDED).is_file():
-        raise io.FileError(f"{folder} holds an incomplete advice; expected all techniques fitted: advise again")
+        raise io.FileError(
+            f"{folder} holds an incomplete recommendation; expected all techniques fitted: run advise again"
+        )
     advice = result["advice"]
     candidates = [_candidate(each) for each in advice["candidates"]]
     chosen = next(each for each in candidates if each.id == advice["recommended"])

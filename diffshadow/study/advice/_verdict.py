@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from ._candidates import SAME_TIME, Candidate, front
-from ._measure import Enough
+from ._measure import LeastBias
 
 # The least difference of rates that is called one: 26 pixels of 512 × 512. The reference's noise hardly touches rates,
 # since they count only pixels that all of its rays see alike.
@@ -17,8 +17,8 @@ class Findings(NamedTuple):
     - `candidates`: all of them; `chosen`: the recommended one; `within`: the fraction that it may be worse.
     - `over`: what errors are measured over, in words.
     - `noise`: the reference's own RMSE; `None` if unknown.
-    - `enough`: by label, for other biases with a single fitted number: its unit, and the value at which they have no
-        more false shadow than the chosen one.
+    - `least_biases`: by label, for other biases with a single fitted number: its unit, and the value at which they have
+        no more false shadow than the chosen one.
     """
 
     candidates: Sequence[Candidate]
@@ -26,7 +26,7 @@ class Findings(NamedTuple):
     within: float
     over: str
     noise: float | None
-    enough: Mapping[str, tuple[str, Enough]]
+    least_biases: Mapping[str, tuple[str, LeastBias]]
 
     @property
     def same_rmse(self) -> float:
@@ -102,26 +102,26 @@ def _less_acne(found: Findings) -> Iterator[str]:
     """What other biases lose if they are raised until they have no more acne than the recommended one."""
     chosen = found.chosen
     for peer in found.like_chosen("filter", "resolution")[1:]:
-        if peer.bias not in found.enough or peer.false_shadow <= chosen.false_shadow + _SAME_RATE:
+        if peer.bias not in found.least_biases or peer.false_shadow <= chosen.false_shadow + _SAME_RATE:
             continue
-        unit, enough = found.enough[peer.bias]
-        value = f"{enough.value:.3g} {unit}".rstrip()
+        unit, least = found.least_biases[peer.bias]
+        value = f"{least.value:.3g} {unit}".rstrip()
         rest = f"{chosen.bias} has {_percent(chosen.false_light)}, {_time(chosen, peer)}."
-        if enough.false_shadow > chosen.false_shadow + _SAME_RATE:
+        if least.false_shadow > chosen.false_shadow + _SAME_RATE:
             yield (
                 f"No {peer.bias} bias within its bounds removes acne to the {_percent(chosen.false_shadow)} of "
-                f"{chosen.bias}: the least, {_percent(enough.false_shadow)}, is at {value}, with "
-                f"{_percent(enough.false_light)} of false light; {rest}"
+                f"{chosen.bias}: the least, {_percent(least.false_shadow)}, is at {value}, with "
+                f"{_percent(least.false_light)} of false light; {rest}"
             )
-        elif enough.false_light > chosen.false_light + _SAME_RATE:
+        elif least.false_light > chosen.false_light + _SAME_RATE:
             yield (
                 f"No {peer.bias} bias removes acne to the {_percent(chosen.false_shadow)} of {chosen.bias} without "
-                f"{_percent(enough.false_light)} of false light, at {value}; {rest}"
+                f"{_percent(least.false_light)} of false light, at {value}; {rest}"
             )
         else:
             yield (
                 f"The {peer.bias} bias removes acne to the {_percent(chosen.false_shadow)} of {chosen.bias} at "
-                f"{value}, with as little false light, {_percent(enough.false_light)}."
+                f"{value}, with as little false light, {_percent(least.false_light)}."
             )
 
 

@@ -308,18 +308,18 @@ class _Times(_Part):
     ratio: Seconds
 
 
-class _Enough(_Part):
+class _LeastBias(_Part):
     value: Single
     false_shadow: Fraction
     false_light: Fraction
 
 
 class _Measurements(_Part):
-    """Of an advice: times of techniques by `ids` of their runs, and biases by pairs of these."""
+    """Of a recommendation: times of techniques by `ids` of their runs, and biases by pairs of these."""
 
     ids: list[str]
     times: list[_Times]
-    enough: dict[str, _Enough]
+    least_biases: dict[str, _LeastBias]
 
 
 class _Outcome(_Part):
@@ -374,7 +374,7 @@ def _plain(value: Any) -> Any:
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """The known keys of the result of a fit, a render, a sweep or an advice. `file` is where it came from.
+    """The known keys of the result of a fit, a render, a sweep or a recommendation. `file` is where it came from.
 
     **Raises** `FileError` that names the first invalid key.
     """
@@ -410,7 +410,7 @@ def is_outcome(stored: Any, id: str, kinds: Mapping[str, type], others: tuple[st
 
 
 def are_measurements(stored: Any) -> bool:
-    """Whether `stored` is what an advice keeps of its measurements."""
+    """Whether `stored` is what a recommendation keeps of its measurements."""
     try:
         found = _Measurements.model_validate(stored)
     except ValidationError:

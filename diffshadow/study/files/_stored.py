@@ -119,7 +119,8 @@ def read_run(folder: Path) -> StoredRun:
 def read_result(folder: Path) -> Mapping[str, Any]:
     """The content of `result.json` in `folder`, checked against its schema.
 
-    **Raises** `FileError` if there is none, if it is damaged, or if it is not of a fit, a render, a sweep or an advice.
+    **Raises** `FileError` if there is none, if it is damaged, or if it is not of a fit, a render, a sweep or a
+    recommendation.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -131,8 +132,8 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     kind = result.get("kind") if isinstance(result, dict) else None
     if kind not in (*KINDS, SWEEP, ADVISE):
         raise io.FileError(
-            f"{file} is not of a fit, render, sweep or advice; expected one of these: runs inside a sweep keep only "
-            "numbers, unless sweep.figures is true"
+            f"{file} is not of a fit, render, sweep or recommendation; expected one of these: runs inside a sweep keep "
+            "only numbers, unless sweep.figures is true"
         )
     return checked_result(result, file)
 

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 
 from ... import io
-from ...config import load_config
+from ...config import dump, load_config
 from ..pages import _table as table
 from ._settings import Chosen, ShadowType, Technique, choose, settings_of
 
@@ -87,17 +86,9 @@ def _plain_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").lower()[:60] or "scene"
 
 
-class _Dumper(yaml.SafeDumper):
-    """Writes lists of plain values on one line."""
-
-    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
-        plain = not any(isinstance(entry, list | dict) for entry in sequence)
-        return super().represent_sequence(tag, sequence, flow_style=plain)
-
-
 def _text(settings: dict[str, Any], source: str) -> str:
-    folder = f"# Taken from {source!r} by diffshadow import. Lengths are in its world units.\n"
-    return folder + yaml.dump(settings, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    header = f"# Taken from {source!r} by diffshadow import. Lengths are in its world units.\n"
+    return header + dump(settings)
 
 
 def _say(console: Console, chosen: Chosen, remarks: Sequence[str]) -> None:

@@ -306,7 +306,6 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
     result, config = fitted.result, fitted.config
     views = fitted.views
     seen = len(views.fitted)
-    outcome = result.phases[result.chosen]
     phases = [
         {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
     ]
@@ -342,8 +341,6 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
         "solver": {
             "name": fitted.plan.solver.name,
             "steps": result.steps,
-            "result": outcome.result,
-            "gradient_norm": outcome.gradient_norm,
             "chosen_phase": result.chosen,
             "flat": result.flat,
             "seconds_compiling": result.seconds_compiling,

@@ -130,7 +130,7 @@ def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
 def _cause(config: Config, name: str) -> str:
     section, *_, key = name.split(".")
     if section != "scene":
-        if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
+        if config.filter.looks_up_nearest:
             return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
         return "since no pixel changes with it: try another initial value"
     if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
@@ -141,7 +141,7 @@ def _cause(config: Config, name: str) -> str:
             return "since its mesh does not cast: set casts: true"
     if not config.has_silhouettes:
         return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
-    if config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest":
+    if config.filter.looks_up_nearest:
         return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
     if "meshes" in name:
         return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"

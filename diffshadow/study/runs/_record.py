@@ -15,7 +15,9 @@ import numpy as np
 
 from ... import metrics, shadow
 from ...config import Config, dump_resolved
+from ..files._run_folder import RESULT
 from ..files._schema import write_json
+from ..files._stored import ARRAYS, CONFIG
 from ._setup import Drawn
 
 SCHEMA_VERSION = 1
@@ -44,7 +46,7 @@ def _processor() -> str:
 
 def command(verb: str, folder: Path) -> str:
     """The shell command that repeats the run of `folder`."""
-    return shlex.join(["diffshadow", verb, str(folder / "config.yaml")])
+    return shlex.join(["diffshadow", verb, str(folder / CONFIG)])
 
 
 def measured(image: Any, drawn: Drawn) -> dict[str, float]:
@@ -117,15 +119,15 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
 
 def write_config(folder: Path, config: Config) -> None:
     """Writes `config.yaml`, including all defaults."""
-    (folder / "config.yaml").write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
+    (folder / CONFIG).write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
 
 
 def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
     """Writes `arrays.npz`."""
-    np.savez_compressed(folder / "arrays.npz", allow_pickle=False, **{k: np.asarray(a) for k, a in arrays.items()})
+    np.savez_compressed(folder / ARRAYS, allow_pickle=False, **{k: np.asarray(a) for k, a in arrays.items()})
 
 
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes `result.json`. Call it last, since it lists all other files."""
-    files = sorted([*(entry.name for entry in folder.iterdir()), "result.json"])
-    write_json(folder / "result.json", {"schema_version": SCHEMA_VERSION, **record, "files": files})
+    files = sorted([*(entry.name for entry in folder.iterdir()), RESULT])
+    write_json(folder / RESULT, {"schema_version": SCHEMA_VERSION, **record, "files": files})

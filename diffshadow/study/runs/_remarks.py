@@ -87,8 +87,7 @@ def _named(phase: Outcome) -> str:
 
 def _flat(config: Config, name: str) -> str:
     remark = f"{name} was not fitted: its gradient is zero throughout"
-    looks_up_nearest = config.filter.type == "nearest" or getattr(config.filter, "lookup", "bilinear") == "nearest"
-    if name == "filter.radius" and looks_up_nearest:
+    if name == "filter.radius" and config.filter.looks_up_nearest:
         return f"{remark}, since nearest look-ups have no gradient by it: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
         return f"{remark}, since it starts at 0: give it an initial value above 0"

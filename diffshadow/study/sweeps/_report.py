@@ -15,7 +15,7 @@ from pyarrow import parquet
 
 from ... import io
 from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
-from ..files._stored import REPORT, read_result
+from ..files._stored import CONFIG, REPORT, read_result
 from ._curves import curves_of, unit_of, with_unit
 from ._table import MISSING, RESULTS, metric_columns
 from ._work import FAILED, FIGURES, OK, RUNS
@@ -198,7 +198,7 @@ def _values(run: Runs, axes: Sequence[str]) -> str:
 def _settings(folder: Path, runs: Runs) -> list[Row]:
     """The settings of the first run whose configuration can be read."""
     for id in runs["id"]:
-        file = folder / RUNS / id / "config.yaml"
+        file = folder / RUNS / id / CONFIG
         if file.is_file():
             with contextlib.suppress(ConfigError):
                 return describe(load_config(file, [], files=False))

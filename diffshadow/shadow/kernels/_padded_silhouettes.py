@@ -11,8 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ..._misc import take
 from .._lookup import Lookup
-from ._half_planes import Rectangle
-from ._silhouette_map import NO_SILHOUETTE, SilhouetteMap
+from ..silhouettes import NO_SILHOUETTE, Rectangle, SilhouetteMap
 
 # Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
 _LEAST_AREA = 1e-9

@@ -16,15 +16,15 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import a_step, take
+from ..._misc import chunk_size, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
-from ..kernels._kernel import Footprint, Span
-from ..kernels._padded_map import PaddedMap
-from ..kernels._terms import KEPT, AbstractTerms, At, checkpoint, zeros_like
-from ._half_planes import Rectangle
-from ._padded import may_part
+from ..silhouettes import Rectangle
+from ._kernel import Footprint, Span
+from ._padded_map import PaddedMap
+from ._padded_silhouettes import may_part
 from ._set_bits import WIDTH, SetBits, empty_words, put_bits
+from ._terms import KEPT, AbstractTerms, At, checkpoint, zeros_like
 
 # Look-ups, and texels with silhouettes, per iteration of the loops over them, on a CPU and on a GPU. Arrays of a power
 # of two would begin in the same sets of a CPU's cache: a kernel that reads 26 of them took twice as long.
@@ -61,7 +61,7 @@ class Corrections(AbstractTerms):
             return lookup, function(here, (jax.tree.map(at_step, steps), row % texels))
 
         lookups, count = at[1].depth.size, jax.tree.leaves(steps)[0].shape[0]
-        return _sums(found, values_at, lookups, count * texels * lookups, a_step(*_TEXELS_AT_ONCE))
+        return _sums(found, values_at, lookups, count * texels * lookups, chunk_size(*_TEXELS_AT_ONCE))
 
     def where(self, active, function, at, steps):
         """Gathers single look-ups, since few are active."""
@@ -86,7 +86,7 @@ class Corrections(AbstractTerms):
             here = rearranged(at, lambda a: take(a, lookup))
             return lookup, function(here, jax.tree.map(own, steps))
 
-        sums = _sums(SetBits.of(active.reshape(-1)), values_at, size, size, a_step(*_LOOKUPS_AT_ONCE))
+        sums = _sums(SetBits.of(active.reshape(-1)), values_at, size, size, chunk_size(*_LOOKUPS_AT_ONCE))
         return jax.tree.map(lambda a: a.reshape(shape), sums)
 
 
