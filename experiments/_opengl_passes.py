@@ -69,7 +69,7 @@ class OpenGL:
     """A depth pass and a surface pass, with their triangles already uploaded.
 
     The depth pass writes depth alone; the surface pass also writes depth, position, normal and face to float targets,
-    32 bytes a pixel, from vertices that have a normal each.
+    32 bytes per pixel, from vertices that have a normal each.
 
     The GPU draws with `on_gpu`, and llvmpipe without.
 

@@ -4,14 +4,14 @@
     python experiments/benchmark_exact.py --triangles 1000 10000 100000 --pixels 256 512 1024
 
 The scene is a torus knot on the ground, under a sun, a spot light and a point light without size. All find one
-visibility a pixel, at its centre. Times are medians of compiled runs that take turns:
+visibility per pixel, at its centre. Times are medians of compiled runs that take turns:
 
 - `surface`: what the camera sees; `map` and `irregular` need it in addition to their own time.
 - `map`: a plain shadow map, drawn and looked up in with one tap.
 - `irregular`: points sorted, and triangles tested against them.
 - `volumes`: shadow volumes, by z-fail, with a table of edges made beforehand. They see the surface themselves.
 - `camera rays`: the reference's first half, which finds the surface.
-- `reference`: camera rays and one shadow ray a pixel, by Embree on all cores.
+- `reference`: camera rays and one shadow ray per pixel, by Embree on all cores.
 
 The last columns are ratios. Both are of whole pictures: the surface and the irregular z-buffer, over the reference, and
 over the surface and the map.

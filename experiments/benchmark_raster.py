@@ -75,7 +75,7 @@ the cascades do, and each is drawn on its own."""
 
 
 class Comparison(NamedTuple):
-    """The ratio of two measurements, or without `peer` nanoseconds a texel; `limits` at some sizes, if not at all."""
+    """The ratio of two measurements, or without `peer` nanoseconds per texel; `limits` at some sizes, if not at all."""
 
     title: str
     measure: str
@@ -90,7 +90,7 @@ COMPARISONS = {
     "depth": Comparison("depth / OpenGL's", "depth", "opengl_depth", {1024: 1.0, 2048: 1.2}),
     "face": Comparison("depth and face / depth", "rasterize", "depth", {2048: 1.5}),
     "surface": Comparison("surface / OpenGL's", "surface", "opengl_surface", {512: 1.2, 1024: 1.5, 2048: 2.0}),
-    "interpolation": Comparison("interpolation, ns a texel", "attributes", None, 35.0),
+    "interpolation": Comparison("interpolation, ns per texel", "attributes", None, 35.0),
     "forward": Comparison("forward / depth", "forward", "depth", {1024: 8.0}),
     "reverse": Comparison("reverse / depth", "reverse", "depth", {1024: 12.0}),
     "cascades": Comparison("cascades / four maps", "cascades", "maps", {1024: 1.1}),

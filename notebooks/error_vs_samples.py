@@ -67,7 +67,7 @@ rms = lambda values: float(np.sqrt(np.mean(np.square(values))))
 floor_of_limit = rms(again.rmse_to_limit) / np.sqrt(2)
 floor_of_rays = rms(table.reference_noise_floor)
 print(f"RMSE of the limit of {LIMIT:,} taps: {floor_of_limit:.2g}")
-print(f"RMSE of {RAYS} rays a pixel: {floor_of_rays:.2g}")
+print(f"RMSE of {RAYS} rays per pixel: {floor_of_rays:.2g}")
 
 # %% [markdown]
 # **Slopes**, of a straight line through the logarithms by least squares, one for each seed; the interval holds their mean
@@ -104,7 +104,7 @@ axes[0].set(title="against the filter's limit", ylabel="RMSE [visibility]")
 axes[1].set(title="against the ray-traced truth")
 figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", title="slope, 95 % confidence", alignment="left")
 for ax in axes:
-    ax.set(xlabel="taps a pixel")
+    ax.set(xlabel="taps per pixel")
     ax.set_xticks(SAMPLES, [f"{n}" for n in SAMPLES], minor=False)
     ax.minorticks_off()
     ax.grid(True)

@@ -83,7 +83,7 @@ for ax, curve, name in zip(axes, exact(sigma), ("visibility", "its derivative by
     ax.set(title=name, xlabel="distance from the edge [texels]")
     ax.legend()
 axes[2].loglog(counts, errors, "o-", label=["visibility", "derivative [1/texel]"])
-axes[2].set(title="greatest error", xlabel="taps a pixel")
+axes[2].set(title="greatest error", xlabel="taps per pixel")
 axes[2].legend()
 for ax in axes:
     ax.grid(True)

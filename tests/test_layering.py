@@ -14,7 +14,7 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
-COMMON = {"_types", "_misc"}
+COMMON = {"_types", "_misc", "_checks"}
 # Folders and files within a subpackage, each of which imports only those to its left. Files that are not listed come
 # before all of them.
 FOLDERS = {
@@ -25,8 +25,8 @@ FOLDERS = {
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
 IMPORTED_BY = {
-    "reference": {"fit", "config", "study", "cli"},
-    "metrics": {"fit", "config", "study", "cli"},
+    "reference": {"fit", "study"},
+    "metrics": {"study"},
     "io": {"config", "study", "cli"},
     "_xla": {"study", "cli"},
     "_memory": {"study", "cli"},

@@ -14,10 +14,10 @@ from ._parameters import parameter_names as parameter_names
 from ._parameters import resolve as resolve
 from ._parameters import with_values as with_values
 from ._precision import Precision as Precision
+from ._profile import Bound as Bound
 from ._profile import End as End
 from ._profile import Interval as Interval
 from ._profile import Profile as Profile
-from ._profile import Side as Side
 from ._run import Outcome as Outcome
 from ._run import Start as Start
 from ._train import Training as Training

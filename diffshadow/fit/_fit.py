@@ -16,7 +16,7 @@ from ._loss import Loss
 from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
-from ._profile import Profile, Profiler, Side
+from ._profile import Bound, Profile, Profiler
 from ._run import Outcome, Run, Start
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
@@ -83,7 +83,7 @@ def fit(
     loss: Loss | None = None,
     pixels: int = PIXELS,
     within: Sequence[float] = (),
-    prefer: Sequence[tuple[str, Side]] = (),
+    prefer: Sequence[tuple[str, Bound]] = (),
     tolerance: float = 0.01,
     front: int = 0,
     on_step: Callable[[Step], None] | None = None,
@@ -182,7 +182,7 @@ def _check_choice(
     joint: Joint,
     parameters: Sequence[Parameter],
     within: Sequence[float],
-    prefer: Sequence[tuple[str, Side]],
+    prefer: Sequence[tuple[str, Bound]],
     tolerance: float,
 ) -> None:
     """**Raises** `ValueError` for intervals and preferences that cannot be found."""

@@ -14,12 +14,12 @@ FEWEST = 3
 
 
 class FrontPoint(NamedTuple):
-    """A setting than which none found has both less false shadow and less false light.
+    """A Pareto-optimal setting: no other one that was found has both less false shadow and less false light.
 
     - `values`: of the parameters, (p,).
     - `false_shadow`, `false_light`: roots of the losses of the pixels that are too dark, and of those too light. For a
         mean over the pixels, the sum of their squares is the loss.
-    - `ratio`: the factor of false shadow over that of false light, of whose weighted sum it is the least.
+    - `ratio`: the weight of false shadow divided by the weight of false light. This setting minimizes the weighted sum.
     - `is_knee`: whether it is farthest from the line between the ends of the front, both errors in units of what they
         range over: beyond it one error grows much for little of the other.
     """

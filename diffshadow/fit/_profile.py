@@ -19,7 +19,7 @@ _MARGIN = 0.1
 # A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
 _BETTER, _RESTARTS = 1e-3, 4
 
-Side = Literal["lower", "upper"]
+Bound = Literal["lower", "upper"]
 
 
 class End(NamedTuple):
@@ -76,7 +76,7 @@ class Profiler:
     def __init__(self, run: Run, parameters: Sequence[Parameter], values: Values):
         self.run, self.parameters = run, parameters
         self.best = Trial(values, run.error(values))
-        self._trials: dict[tuple[int, Side], list[Trial]] = {}
+        self._trials: dict[tuple[int, Bound], list[Trial]] = {}
 
     def profiles(self, within: Sequence[float]) -> list[Profile]:
         """The profile of each parameter, with an interval for each of the fractions `within`."""
@@ -88,7 +88,7 @@ class Profiler:
                 break
         return found
 
-    def preferred(self, order: Sequence[tuple[str, Side]], within: float) -> Trial:
+    def preferred(self, order: Sequence[tuple[str, Bound]], within: float) -> Trial:
         """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` of the best.
 
         The first parameter goes as far as it can; the next as far as it then can, and so on.
@@ -124,7 +124,7 @@ class Profiler:
             ],
         )
 
-    def _furthest(self, start: Trial, index: int, side: Side, limit: float, kept: Collection[int] = ()) -> Trial:
+    def _furthest(self, start: Trial, index: int, side: Bound, limit: float, kept: Collection[int] = ()) -> Trial:
         """The trial with an error of at most `limit` that lies furthest to a `side` of `start`, within its interval."""
         bound = getattr(self.parameters[index], side)
         span = self.parameters[index].upper - self.parameters[index].lower
@@ -173,7 +173,7 @@ class Profiler:
         # What is fitted under a soft compare may be worse under the hard one.
         return min(trial, Trial(moved, self.run.error(moved)), key=lambda trial: trial.error)
 
-    def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Side, limit: float) -> float:
+    def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Bound, limit: float) -> float:
         """The value to try: where a parabola about `start` has an error as close to `limit` as is needed."""
         parameter, here = self.parameters[index], start.values[index]
         known = inside if outside is None else outside

@@ -138,7 +138,7 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
     # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
     x, y, z = lax.optimization_barrier(to_window(clip.T, resolution))
     fixed_x, fixed_y = lax.optimization_barrier((snap(x), snap(y)))
-    # One gather a corner, which XLA fuses with what follows: a million faces take half the time.
+    # One gather per corner, which XLA fuses with what follows: a million faces take half the time.
     xs, ys = ([take(values, faces[:, k]) for k in range(3)] for values in (fixed_x, fixed_y))
     box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1
@@ -160,7 +160,7 @@ def draws(x: OfCorners, y: OfCorners, box: Box, facing: Facing) -> Bool[Array, "
 def _sides(clip: ClipVertices, faces: Faces, resolution: Viewport) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
     """Which faces may be seen at all, and which of those need clipping."""
     x, y, z, w = (clip[:, k] for k in range(4))
-    # One code a vertex, and so one gather a corner: 6 bits for the frustum's planes, 1 for clipping.
+    # One code per vertex, and so one gather per corner: 6 bits for the frustum's planes, 1 for clipping.
     tests = [x > w, x < -w, y > w, y < -w, z > w, z < -w, needs_clipping(clip, resolution)]
     codes = lax.optimization_barrier(sum(test.astype(jnp.int32) << bit for bit, test in enumerate(tests)))
     first, second, third = take(codes, faces.T)

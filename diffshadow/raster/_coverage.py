@@ -18,7 +18,7 @@ _OVERSHOOT = 0.02
 
 
 class DepthPlane(NamedTuple):
-    """Planes of window depth: depth at the centre of pixel (0, 0), and its change a pixel along x and y; (n,) each."""
+    """Planes of window depth: its value at the centre of pixel (0, 0), and its slopes per pixel; (n,) each."""
 
     origin: Float[Array, " n"]
     slope_x: Float[Array, " n"]

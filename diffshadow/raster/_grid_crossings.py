@@ -8,7 +8,7 @@ from .._misc import take
 from ._items import Items
 
 
-class Crossings(eqx.Module):
+class GridCrossings(eqx.Module):
     """Crossings of segments with grid lines, on which x or y is an integer.
 
     - `segment`: (n,), which segment; -1 for no crossing.
@@ -33,7 +33,7 @@ def count_crossings(start: Float[Array, "s 2"], end: Float[Array, "s 2"], used: 
 
 def grid_crossings(
     start: Float[Array, "s 2"], end: Float[Array, "s 2"], counts: Int[Array, "s 2"], capacity: int
-) -> Crossings:
+) -> GridCrossings:
     """All crossings of segments from `start` to `end`, in pixels.
 
     **Arguments:**
@@ -46,4 +46,4 @@ def grid_crossings(
     segment, axis = owner // 2, owner % 2
     low = jnp.floor(jnp.minimum(start, end)).astype(jnp.int32).reshape(-1)
     line = take(low, owner) + 1 + number
-    return Crossings(jnp.where(exists, segment, -1), axis, line)
+    return GridCrossings(jnp.where(exists, segment, -1), axis, line)

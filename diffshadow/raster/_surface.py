@@ -23,7 +23,7 @@ from ._rasterize import rasterize
 class Surface(eqx.Module):
     """The receiver points of an image; row 0 is the bottom row.
 
-    It does not depend on light, bias or filter: compute it once a view.
+    It does not depend on light, bias or filter: compute it once per view.
 
     - `position`: (h, w, 3), world units.
     - `normal`: (h, w, 3), unit geometric normal of the face, turned to the camera.

@@ -32,7 +32,7 @@ class IrregularZBuffer(AbstractTechnique):
     """Hard shadows by testing triangles against the surface's points in the light's view.
 
     Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility a
-    point: for several a pixel, give it the surface that a camera with more pixels sees, and average (Wyman, Hoetzlein
+    point: for several per pixel, give it the surface that a camera with more pixels sees, and average (Wyman, Hoetzlein
     & Lefohn 2015, "Frustum-traced raster shadows", take 32).
 
     A light's size is ignored. A point outside of the light's frustum, or behind a light with a cone, is lit and does

@@ -224,7 +224,7 @@ BROKEN = {
     ),
     "out of range": (
         "reference: {samples: 0}\n",
-        "2: reference.samples: is 0; expected a whole number at least 1 and at most 65536, in rays a pixel; "
+        "2: reference.samples: is 0; expected a whole number at least 1 and at most 65536, in rays per pixel; "
         "give such a value (the default is 64)",
     ),
     "short list": (

@@ -328,7 +328,7 @@ def test_verdict_names_what_the_recommended_one_loses_against_the_best():
     best = candidate("b", 0.0392, 3.0, bias="plane")
     said = verdict(findings(best, noise=0.0001))
     assert said[0].startswith("Recommended: slope with tent at 64², with bias.constant 1.5 texels. Its RMSE is 0.0400")
-    assert "5.0 ms a view, 3.0 ms of them for the map" in said[0]
+    assert "5.0 ms per view, 3.0 ms of them for the map" in said[0]
     assert said[1] == (
         "It is the fastest within 3 % of the least RMSE. Plane with tent at 64² has 0.0392, in 1.50 times the time; "
         "the recommended one has 2.0 % more."

@@ -52,7 +52,7 @@ class FitPlan(NamedTuple):
     evaluations: int = 30
     truth: dict[str, float] = {}  # noqa: RUF012
     within: tuple[float, ...] = ()
-    prefer: tuple[tuple[str, fit.Side], ...] = ()
+    prefer: tuple[tuple[str, fit.Bound], ...] = ()
     tolerance: float = 0.01
     front: int = 0
 
@@ -248,7 +248,7 @@ def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tu
     return path if arrangement is None else f"technique.{path}", config.initial(name)
 
 
-def _towards_zero(bounds: FitParameterConfig) -> fit.Side:
+def _towards_zero(bounds: FitParameterConfig) -> fit.Bound:
     """The bound that is closer to 0."""
     return "lower" if abs(bounds.lower) <= abs(bounds.upper) else "upper"
 

@@ -123,7 +123,7 @@ class PatternedConfig(_FilterConfig):
     pattern: Literal["stratified", "uniform", "poisson", "vogel", "sobol", "halton"] = Field(
         default="stratified", description="how the taps are distributed on a disk"
     )
-    samples: Annotated[int, Unit("taps a pixel")] = Field(default=32, ge=1, le=4096, description="taps per pixel")
+    samples: Annotated[int, Unit("taps per pixel")] = Field(default=32, ge=1, le=4096, description="taps per pixel")
     pattern_size: Annotated[int, Unit("pixels")] = Field(
         default=8, ge=1, le=256, description="width of the tile of patterns, in pixels; default: 8, or 1 for vogel"
     )
@@ -171,7 +171,7 @@ class PercentageCloserSoftConfig(PatternedConfig):
         description="light's radius in world units, or half a directional light's angle in degrees; "
         "default: the light's own",
     )
-    search_samples: Annotated[int, Unit("taps a pixel")] = Field(
+    search_samples: Annotated[int, Unit("taps per pixel")] = Field(
         default=16, ge=1, le=4096, description="taps per pixel of the blocker search"
     )
     min_radius: Radius = Field(default=0.0, ge=0, description="least radius of the disk, in texels")

@@ -11,11 +11,11 @@ class TracedReferenceConfig(Section):
     """A ray-traced reference."""
 
     type: Literal["traced"] = "traced"
-    samples: Annotated[int, Unit("rays a pixel")] = Field(
+    samples: Annotated[int, Unit("rays per pixel")] = Field(
         default=64, ge=1, le=65536, description="shadow rays per pixel"
     )
     sampler: Literal["sobol", "stratified"] = Field(default="sobol", description="how points of the light are chosen")
-    supersampling: Annotated[int, Unit("camera rays a pixel's side")] = Field(
+    supersampling: Annotated[int, Unit("camera rays per pixel side")] = Field(
         default=1,
         ge=1,
         le=8,

@@ -35,7 +35,7 @@ class SweepConfig(AxesConfig):
     seeds: Annotated[tuple[int, ...], as_list, Form("a list of whole numbers")] | None = Field(
         default=None, description="explicit seeds, instead of repeats"
     )
-    limit_samples: Annotated[int | None, Unit("taps a pixel")] = Field(
+    limit_samples: Annotated[int | None, Unit("taps per pixel")] = Field(
         default=None,
         ge=1,
         le=2**20,

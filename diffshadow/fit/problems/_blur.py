@@ -1,8 +1,8 @@
 """The Gaussian under which images are compared where lights or meshes move.
 
-Without it, a shadow that is further off than its outline is wide has no derivative towards its place; and outlines here
-are as soft as the map's texels, but sharp in a reference, which sharp differences would mistake for a light in another
-place.
+Without it, a shadow that lies farther from its target than its outline is wide has no gradient towards it. The outlines
+of a map are also as soft as its texels, while those of a reference are sharp. Without a blur, a fit would take that
+difference for a light in another place.
 """
 
 import itertools

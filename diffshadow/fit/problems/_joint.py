@@ -21,9 +21,9 @@ from ._stack import Atlases, stacked, stacked_order
 Samples = dict[tuple[int, int], tuple[Any, Any]]
 """Problems and their samples, by the problem's id and the number of pixels."""
 
-# The part of a sample that is of the worst problems.
+# The fraction of a sample that is taken from the worst problems.
 _OF_WORST = 0.75
-# Bounds of what corrects a sample's error.
+# Bounds of the factor that corrects a sample's error.
 _LEAST_ERROR, _MOST_FACTOR = 1e-10, 4.0
 
 Images = tuple[Float[Array, "..."], ...]

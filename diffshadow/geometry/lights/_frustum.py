@@ -26,7 +26,7 @@ _CLEAR = 1e-2
 _NARROWEST, _WIDEST = 0.1, 80.0
 
 
-class Frustum(NamedTuple):
+class LightFrustum(NamedTuple):
     """A frustum: its axis (3,), its half-angle in degrees, and its near and far distances along the axis."""
 
     direction: Vec3
@@ -44,7 +44,7 @@ class Frustum(NamedTuple):
         up: Vec3,
         outer_angle: float | None,
         aspect: Scalar | float = 1.0,
-    ) -> "Frustum":
+    ) -> "LightFrustum":
         """The tight frustum around `points` from `position` towards `target`, by default the centre of their box.
 
         Its width is `aspect` times its height, of which `outer_angle` is the half-angle.
@@ -71,7 +71,7 @@ class Frustum(NamedTuple):
         up: Vec3,
         direction: Vec3 | None = None,
         aspect: Scalar | float = 1.0,
-    ) -> "Frustum":
+    ) -> "LightFrustum":
         """As `around`, also under a trace, and along `direction` if given. Points beside or behind the light stay
         outside the frustum."""
         if direction is None:

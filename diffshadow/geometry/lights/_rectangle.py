@@ -10,7 +10,7 @@ from ..._misc import as_float
 from ..._types import Scalar, Vec2, Vec3
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
-from ._frustum import Frustum, check_frustum, frustum_view, on_plane
+from ._frustum import LightFrustum, check_frustum, frustum_view, on_plane
 from ._pose import LightPose, Vector
 
 
@@ -64,7 +64,7 @@ class RectangleLight(AbstractLight):
         """
         position, up = as_float(position), as_float(UP if up is None else up)
         check_direction("the rectangle light", up, "up")
-        fitted = Frustum.around("the rectangle light", position, points, target, up, outer_angle)
+        fitted = LightFrustum.around("the rectangle light", position, points, target, up, outer_angle)
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
 
     def pose(self) -> LightPose:
@@ -78,7 +78,7 @@ class RectangleLight(AbstractLight):
         """The same light with angle, near and far refitted to `points` (n, 3), also under a trace; they carry no
         gradient. Its direction is kept, and the angle is at most 80 degrees."""
         seen = lax.stop_gradient((self.position, points, self.up, self.direction))
-        _, angle, near, far = Frustum.framing(*seen)
+        _, angle, near, far = LightFrustum.framing(*seen)
         return RectangleLight(self.position, self.direction, self.size, angle, near, far, self.up)
 
     def view(self) -> View:

@@ -11,7 +11,7 @@ from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._view import View
 from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
-from ._frustum import Frustum, check_frustum, distances_along, frustum_view, on_plane
+from ._frustum import LightFrustum, check_frustum, distances_along, frustum_view, on_plane
 from ._pose import LightPose, Vector, angles
 
 
@@ -82,7 +82,7 @@ class SpotLight(AbstractLight):
         """
         position, up = as_float(position), as_float(UP if up is None else up)
         check_direction("the spot light", up, "up")
-        frustum = Frustum.around("the spot light", position, points, target, up, outer_angle, aspect)
+        frustum = LightFrustum.around("the spot light", position, points, target, up, outer_angle, aspect)
         return cls(position, *frustum, radius, inner_angle, up, aspect)
 
     def pose(self) -> LightPose:
@@ -100,9 +100,9 @@ class SpotLight(AbstractLight):
         """
         if self.inner_angle is not None:
             near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))
-            framed = Frustum(self.direction, self.outer_angle, near, far)
+            framed = LightFrustum(self.direction, self.outer_angle, near, far)
         else:
-            framed = Frustum.framing(*lax.stop_gradient((self.position, points, self.up)), aspect=self.aspect)
+            framed = LightFrustum.framing(*lax.stop_gradient((self.position, points, self.up)), aspect=self.aspect)
         return SpotLight(self.position, *framed, self.radius, self.inner_angle, self.up, self.aspect)
 
     def view(self) -> View:

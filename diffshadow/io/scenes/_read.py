@@ -18,7 +18,7 @@ from ._three_json import read_three
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     """Reads a scene: a JSON file of three.js (`scene.toJSON()`, or its editor's), GLB or glTF 2.0.
 
-    Which of them it is says its content.
+    The content decides which it is.
 
     **Raises** `FileError` if the file is missing, damaged, or none of these.
     """

@@ -52,7 +52,7 @@ _COSINE = "clamp(cosine, 0.0, 1.0)"
 FEATURES = {
     "one": Feature(lambda at: jnp.ones_like(at.cosine), "", "1.0"),
     # With square texels and a directional light, the tangent of the angle to the light.
-    "slope": Feature(lambda at: safe_norm(at.slope), "texels' widths a texel", "length(slope)"),
+    "slope": Feature(lambda at: safe_norm(at.slope), "texels per texel", "length(slope)"),
     "sine": Feature(_sine, "", f"sqrt(1.0 - {_COSINE} * {_COSINE})"),
     "one_minus_cosine": Feature(lambda at: 1 - jnp.clip(at.cosine, 0, 1), "", f"1.0 - {_COSINE}"),
     "texel_size": Feature(

@@ -21,8 +21,8 @@ class Bias(AbstractBias):
     - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module.
     - `terms`: a `LinearBias`, a `PerceptronBias` or none.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
-    - `factors`: for a map with layers, such as cascades: by what all of these but `plane` are multiplied in
-        each layer. They are in texels of each layer without it, too.
+    - `factors`: for a map with layers, such as cascades: a factor for each layer, by which all of these but `plane` are
+        multiplied there. Biases are in texels of their own layer with or without it.
 
     **Raises** `ValueError` if a number is negative or not finite; and when called with `factors` for a map without
     layers.

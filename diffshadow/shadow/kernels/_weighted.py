@@ -1,4 +1,4 @@
-"""Kernels with given weights: bilinear compares a texel apart."""
+"""Kernels with given weights: bilinear compares that lie one texel apart."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from ._kernel import AbstractRow, Footprint, Span
 
 
 class WeightedRow(AbstractRow):
-    """One row of the texels under a square of bilinear compares a texel apart, numbered from the lowest.
+    """One row of the texels under a square of bilinear compares that lie one texel apart, numbered from the lowest.
 
     A position between two texel centres, a fraction s of the way to the right one, has the weights (1 - s) k + s k',
     where k' is the kernel k shifted by one texel.

@@ -18,7 +18,7 @@ from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSel
 from ...raster import MOST_PIXELS_ACROSS, SUBPIXELS, Surface
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout, check_depths
-from ._frustum import DepthRange, Frustum, depths_of
+from ._frustum import DepthRange, ViewFrustum, depths_of
 
 MOST_CASCADES = 8
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
@@ -283,7 +283,7 @@ def _cascaded_light(
     begins = jnp.concatenate([splits[:1], ends[:-1] - layout.max_blend * lengths[:-1]])
     # As data, whether or not there are shares, so that both are computed in the same way.
     sides = lax.optimization_barrier(layout.sides(resolution))
-    texels, frustum = as_float(sides), Frustum.of(from_camera)
+    texels, frustum = as_float(sides), ViewFrustum.of(from_camera)
     firsts = jnp.broadcast_to(splits[0], ends.shape) if layout.fit == "scene" else begins
     if layout.stabilize:
         scale, offset = _around_spheres(from_light, *frustum.spheres(firsts, ends), texels, layout.margin)

@@ -15,7 +15,7 @@ DepthRange = Literal["camera", "surface"]
 """Whether a layout fits maps to all depths between the camera's near and far, or to those of the surface it sees."""
 
 
-class Frustum(NamedTuple):
+class ViewFrustum(NamedTuple):
     """What a camera sees.
 
     - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
@@ -28,7 +28,7 @@ class Frustum(NamedTuple):
     is_perspective: bool
 
     @classmethod
-    def of(cls, view: View) -> "Frustum":
+    def of(cls, view: View) -> "ViewFrustum":
         turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
         # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
         across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]

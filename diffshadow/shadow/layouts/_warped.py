@@ -24,7 +24,7 @@ from ...geometry import (
 from ...raster import Surface
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
-from ._frustum import DepthRange, Frustum, depths_of
+from ._frustum import DepthRange, ViewFrustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
 _LEAST_SINE = 1e-3
@@ -185,7 +185,7 @@ def _warped_light(
     from_camera, from_light = lax.stop_gradient((camera.view(), light.view()))
     near, end = lax.stop_gradient(depths_of(from_camera, surface, layout.shadow_distance))
     from_camera = eqx.tree_at(lambda view: (view.near, view.far), from_camera, (near, end))
-    axes, frustum = _Axes.of(from_light, from_camera), Frustum.of(from_camera)
+    axes, frustum = _Axes.of(from_light, from_camera), ViewFrustum.of(from_camera)
     points, valid = _common_points(from_light, from_camera, frustum)
     x, y = axes(from_light, points)
     smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
@@ -278,14 +278,14 @@ def _range(values: Float[Array, " k"], valid: Bool[Array, " k"], least: Scalar) 
     return jnp.where(narrow, middle - least, low), jnp.where(narrow, middle + least, high)
 
 
-def _common_points(light: View, camera: View, frustum: Frustum) -> tuple[Float[Array, "k 3"], Bool[Array, " k"]]:
+def _common_points(light: View, camera: View, frustum: ViewFrustum) -> tuple[Float[Array, "k 3"], Bool[Array, " k"]]:
     """The corners of what the camera sees, between its near and far, within the light's frustum. All points count if
     there are none.
 
     A corner of the intersection of two convex bodies is an end of an edge of one, cut off where it leaves the other.
     """
     of_camera = frustum.corners_at(jnp.stack([camera.near, camera.far])).reshape(8, 3)[_EDGES]
-    of_light = Frustum.of(light).corners_at(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
+    of_light = ViewFrustum.of(light).corners_at(jnp.stack([light.near, light.far])).reshape(8, 3)[_EDGES]
     parts = (
         _cut(of_camera, _to_planes(light, of_camera)),
         _cut(of_light, _to_planes(camera, of_light)),

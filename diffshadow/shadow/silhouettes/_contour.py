@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._misc import normalize, take
-from ._crossings import BOTTOM, RIGHT, TOP, Crossings, Grid
+from ._crossings import BOTTOM, RIGHT, TOP, Grid, OutlineCrossings
 from ._half_planes import HalfPlanes
 
 # An offset so low that the half-plane contains every texel.
@@ -49,8 +49,8 @@ class _Points(NamedTuple):
     motion: Float[Array, "2 t 2"]
 
     @classmethod
-    def of(cls, crossings: Crossings, crossing: Int[Array, "4 t"], side: Int[Array, "2 t"]) -> "_Points":
-        """The crossings of these sides, of those of all sides; the middle of the side if there is none."""
+    def of(cls, crossings: OutlineCrossings, crossing: Int[Array, "4 t"], side: Int[Array, "2 t"]) -> "_Points":
+        """The crossing of each given side, looked up among all; the middle of the side if it has none."""
         texels = crossing.shape[1]
         own = take(crossing.reshape(-1), side * texels + jnp.arange(texels, dtype=jnp.int32))
         along, is_level = take(crossings.place, own) - 0.5, (side == BOTTOM) | (side == TOP)
@@ -63,7 +63,9 @@ class _Points(NamedTuple):
         return jnp.any(lax.stop_gradient(self.direction) != 0, axis=-1)
 
 
-def find_contours(depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: Crossings, grid: Grid) -> Contours:
+def find_contours(
+    depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: OutlineCrossings, grid: Grid
+) -> Contours:
     """The contours of texels with crossings, (t,).
 
     Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where

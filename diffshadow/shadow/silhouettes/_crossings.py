@@ -39,7 +39,7 @@ class Grid(NamedTuple):
         return (layer * (self.height + 1) + row) * (self.width + 1) + column
 
 
-class Crossings(eqx.Module):
+class OutlineCrossings(eqx.Module):
     """Where the outline crosses the sides of texels. Sides are directed upwards or to the right.
 
     - `texel`: (t,), the number of each texel with crossings; `grid.texels` stands for none.
@@ -58,7 +58,7 @@ class Crossings(eqx.Module):
     motion: Float[Array, "c 2"]
 
 
-def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int) -> Crossings:
+def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int) -> OutlineCrossings:
     """The crossings of all sides.
 
     **Arguments:**
@@ -110,7 +110,7 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     direction = normalize(end - start)
     # If samples show a crossing but no edge does, the crossing is put at the side's middle.
     none = jnp.zeros((1, 2), place.dtype)
-    return Crossings(
+    return OutlineCrossings(
         texel=texel,
         at=_outermost(jnp.where(hides[:, None], own[beside], texel.size), side, begins, offset, texel.size),
         place=jnp.concatenate([*offset, jnp.full(1, 0.5, place.dtype)]),
@@ -121,8 +121,8 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
 
 
 def _distinct(texel: Int[Array, " t"], texels: int) -> tuple[Int[Array, " t"], Int[Array, " n"]]:
-    """Texels without repetitions, `texels` in their place, and for each texel of the map its place among them, t if it
-    is not."""
+    """The distinct texels, with `texels` in place of repetitions, and the index of each texel of the map among them, t
+    for a texel that is not."""
     number = jnp.arange(texel.size, dtype=jnp.int32)
     place = jnp.full(texels + 1, texel.size, jnp.int32).at[texel].min(number).at[texels].set(texel.size)
     return jnp.where(place[texel] == number, texel, texels), place
@@ -135,7 +135,8 @@ def _outermost(
     offset: Float[Array, "2 c"],
     count: int,
 ) -> Int[Array, "2 4 t"]:
-    """`Crossings.at`, from the texels at `place`, on either side of each crossing, and which of their sides it is on.
+    """`OutlineCrossings.at`, from the texels at `place` on both sides of each crossing, and the side of each that it is
+    on.
 
     A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if none
     lies on it. Of `count` texels; that number stands for none.

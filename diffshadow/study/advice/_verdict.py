@@ -51,7 +51,7 @@ def _choice(found: Findings) -> Iterator[str]:
     values = ", ".join(f"{name} {value:.3g} {chosen.units[name]}".rstrip() for name, value in chosen.values.items())
     yield (
         f"Recommended: {chosen.name}, with {values}. Its RMSE is {chosen.rmse:.4f} over {found.over}, and it takes "
-        f"{chosen.ms:.1f} ms a view, {chosen.map_ms:.1f} ms of them for the map."
+        f"{chosen.ms:.1f} ms per view, {chosen.map_ms:.1f} ms of them for the map."
     )
 
 

@@ -23,7 +23,7 @@ from ._progress import Stages
 from ._remarks import remarks
 from ._setup import Drawn, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
-from ._views import Seen, Views, draw_views
+from ._views import DrawnView, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
 # Of views, the worst have pictures.
@@ -226,7 +226,7 @@ def _shaded(fitted: FittedRun) -> list[Pictures]:
 
 
 def _with_flip(
-    errors: dict[str, dict[str, float]], views: Sequence[Seen], shaded: Sequence[Pictures]
+    errors: dict[str, dict[str, float]], views: Sequence[DrawnView], shaded: Sequence[Pictures]
 ) -> dict[str, dict[str, float | None]]:
     """`errors` of the states of `views`, with the mean of ꟻLIP; this is `None` without the package for it."""
 

@@ -51,7 +51,7 @@ class Drawn(NamedTuple):
         return int(self.mask.sum())
 
 
-class Seen(NamedTuple):
+class SeenScene(NamedTuple):
     """A scene as its lights and the camera see it, before any ray is traced.
 
     - `keys`: of the lights.
@@ -75,7 +75,7 @@ class Loaded(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
-def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechnique, stages: Stages) -> Seen:
+def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechnique, stages: Stages) -> SeenScene:
     """Reads the reference's image, if there is one, and draws the scene as camera and lights see it.
 
     **Raises** `ConfigError` if the image does not match the camera, or no pixel counts.
@@ -97,7 +97,7 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     for key, each, pixels in zip(keys, lit, covered, strict=True):
         if not pixels.any():
             raise _error(config, key, blind_light(config, each, surface))
-    return Seen(keys, lit, surface, states, covered, image)
+    return SeenScene(keys, lit, surface, states, covered, image)
 
 
 def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> list[Drawn]:

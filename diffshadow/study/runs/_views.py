@@ -11,7 +11,7 @@ from ._scene_remarks import scene_remarks
 from ._setup import Drawn, Loaded, draw, load
 
 
-class Seen(NamedTuple):
+class DrawnView(NamedTuple):
     """A view, drawn.
 
     - `name`: what tells it from the others; empty for the configuration's own scene.
@@ -29,11 +29,11 @@ class Views(NamedTuple):
     - `fitted`: those that it sees; `validation`: those that its result is measured on.
     """
 
-    fitted: list[Seen]
-    validation: list[Seen]
+    fitted: list[DrawnView]
+    validation: list[DrawnView]
 
     @property
-    def all(self) -> list[Seen]:
+    def all(self) -> list[DrawnView]:
         """All of them, those that the fit sees first."""
         return [*self.fitted, *self.validation]
 
@@ -43,7 +43,7 @@ class Views(NamedTuple):
         return [each for view in self.all for each in view.drawn]
 
     @property
-    def parts(self) -> list[tuple[Seen, slice]]:
+    def parts(self) -> list[tuple[DrawnView, slice]]:
         """Each view, and where its scenes and lights are among all."""
         ends = list(itertools.accumulate(len(view.drawn) for view in self.all))
         return [(view, slice(end - len(view.drawn), end)) for view, end in zip(self.all, ends, strict=True)]
@@ -77,12 +77,12 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
-    own = lambda: [Seen("", config, draw(config, loaded, technique, stages))]
+    own = lambda: [DrawnView("", config, draw(config, loaded, technique, stages))]
     fitted = [_drawn(view.name, view.config, stages) for view in config.views] or own()
     return Views(fitted, [_drawn(view.name, view.config, stages) for view in config.validation])
 
 
-def _drawn(name: str, config: Config, stages: Stages) -> Seen:
+def _drawn(name: str, config: Config, stages: Stages) -> DrawnView:
     try:
         loaded = load(config, stages)
         drawn = draw(config, loaded, build_technique(config), stages)
@@ -90,4 +90,4 @@ def _drawn(name: str, config: Config, stages: Stages) -> Seen:
         named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
         raise ConfigError(named) from error
     key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
-    return Seen(name, config, [each._replace(key=key(each)) for each in drawn])
+    return DrawnView(name, config, [each._replace(key=key(each)) for each in drawn])
