@@ -449,6 +449,11 @@ def _repeated_interrupts() -> Iterator[None]:
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
     try:
         yield
+    except RuntimeError as error:
+        # JAX reports an interrupt within a callback as an error of its own, whose text alone names it.
+        if KeyboardInterrupt.__name__ in str(error):
+            raise KeyboardInterrupt from error
+        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():

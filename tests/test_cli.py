@@ -222,6 +222,18 @@ def test_lack_of_memory_is_told_without_a_traceback(error, monkeypatch, capsys):
     assert capsys.readouterr().err.startswith("error: ran out of memory; expected enough for all images")
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("INTERNAL: CpuCallback error: KeyboardInterrupt")])
+def test_interrupts_are_told_without_a_traceback(error, monkeypatch, capsys):
+    """JAX makes an error of its own of an interrupt in a callback."""
+
+    def stopped(config, *, console):
+        raise error
+
+    monkeypatch.setattr(diffshadow.study, "run_fit", stopped, raising=False)
+    assert run("fit", QUICKSTART) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
+
+
 def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsys):
     def strict(config, *, console):
         from diffshadow.geometry import merge
