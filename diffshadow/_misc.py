@@ -187,6 +187,16 @@ def sums_along(values: Float[Array, "..."], weights: Sequence[float] | Float[Arr
     return sum((weights[k] * part for k, part in enumerate(shifted)), start=jnp.zeros((), values.dtype))
 
 
+def at_most(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -> Float[Array, "*n"]:
+    """`min(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
+    return x if bound is None else jnp.where(x > bound, bound, x)
+
+
+def at_least(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -> Float[Array, "*n"]:
+    """`max(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
+    return x if bound is None else jnp.where(x < bound, bound, x)
+
+
 @jax.custom_jvp
 def with_gradient_of(smooth: Float[Array, "*n"], value: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """`value`, with the derivative of `smooth`: for what is rounded or found by a search."""
@@ -195,7 +205,8 @@ def with_gradient_of(smooth: Float[Array, "*n"], value: Float[Array, "*n"]) -> F
 
 @with_gradient_of.defjvp
 def _with_gradient_of_jvp(primals, tangents):
-    return primals[1], tangents[0]
+    # The value once more with its derivative, for derivatives of derivatives.
+    return with_gradient_of(*primals), tangents[0]
 
 
 def in_unit_range(mean: Float[Array, "*n"]) -> Float[Array, "*n"]:

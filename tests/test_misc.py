@@ -15,7 +15,7 @@ import pytest
 from scenes import compiled_programs
 
 import diffshadow
-from diffshadow._misc import as_array, as_float, round_up_to_power_of_two, safe_divide, safe_norm
+from diffshadow._misc import as_array, as_float, in_unit_range, round_up_to_power_of_two, safe_divide, safe_norm
 
 
 def test_a_norm_has_no_slope_at_zero_and_its_own_elsewhere():
@@ -29,6 +29,12 @@ def test_a_quotient_by_zero_is_the_other_value_and_has_no_slope():
     value, slope = jax.vmap(jax.value_and_grad(quotient))(jnp.array([[3.0, 0.0], [3.0, 2.0]]))
     np.testing.assert_allclose(value, [7, 1.5])
     np.testing.assert_allclose(slope, [[0, 0], [0.5, -0.75]])
+
+
+def test_what_is_kept_in_range_has_second_derivatives():
+    square = lambda x: in_unit_range(x) ** 2
+    forward, reverse = jax.jacfwd(jax.jacfwd(square)), jax.grad(jax.grad(square))
+    assert [float(second(jnp.asarray(0.3))) for second in (forward, reverse)] == [2, 2]
 
 
 def test_numbers_are_rounded_up_to_powers_of_two():

@@ -93,7 +93,8 @@ class Parameters(eqx.Module):
 
     def at(self, fraction: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
         """The values that lie this far between the bounds."""
-        return self.lower + (self.upper - self.lower) * fraction
+        # Rounding may carry the sum past the upper bound.
+        return jnp.minimum(self.lower + (self.upper - self.lower) * fraction, self.upper)
 
     @eqx.filter_jit
     def to_bounded(self, y: Float[Array, " p"]) -> Float[Array, " p"]:

@@ -15,6 +15,7 @@ from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradien
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
+    MOST_PIXELS_ACROSS,
     Cull,
     DepthTest,
     Fragments,
@@ -122,7 +123,7 @@ def draw_shadow_map(
     view = light.view()
     check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
     if edges is not None:
-        _check_allows_edges(light, view, depth_layer, cull)
+        _check_allows_edges(light, view, resolution, depth_layer, cull)
     if polygon_offset is not None and view.warp is not None:
         raise ValueError(
             "the shadow map is warped, and polygon_offset was given; expected none: leave it out, or use a layout "
@@ -180,8 +181,16 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
-def _check_allows_edges(light: AbstractLight, view: View, depth_layer: DepthLayer, cull: Cull) -> None:
+def _check_allows_edges(
+    light: AbstractLight, view: View, resolution: Resolution, depth_layer: DepthLayer, cull: Cull
+) -> None:
     """**Raises** `ValueError` for a map that cannot have silhouettes."""
+    if max(resolution) >= MOST_PIXELS_ACROSS:
+        raise ValueError(
+            f"edges were given for a map of {resolution} texels, (height, width); expected at most "
+            f"{MOST_PIXELS_ACROSS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
+            "the resolution"
+        )
     if depth_layer != "nearest" or cull != "none":
         raise ValueError(
             f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '

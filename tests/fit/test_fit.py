@@ -285,6 +285,8 @@ def test_bounded_and_free_values_are_each_others_inverse(value):
     bounds = Parameters.of([Parameter("a", 1.0, -1.0, 4.0), Parameter("b", 1.0, 0.0, 1e3)])
     x = bounds.lower + value * (bounds.upper - bounds.lower)
     np.testing.assert_allclose(bounds.to_bounded(bounds.to_free(x)), x, rtol=1e-5)
+    # As single-precision numbers, the sum of 0.65 and 2.05 is more than 2.7.
+    assert float(Parameters.of([Parameter("a", 1.0, 0.65, 2.7)]).at(jnp.ones(1))[0]) == np.float32(2.7)
     edge = bounds.to_bounded(bounds.to_free(bounds.lower))
     np.testing.assert_allclose(edge, bounds.lower + 0.01 * (bounds.upper - bounds.lower), rtol=1e-4)
 
@@ -367,6 +369,11 @@ def test_bounds_that_the_filter_does_not_allow_are_refused(kernel, lower, upper,
             eqx.tree_at(lambda p: p.technique, known, technique(kernel)),
             [Parameter("filter.radius", 2.0, lower, upper)],
         )
+
+
+def test_bounds_that_the_bias_does_not_allow_are_refused(known):
+    with pytest.raises(ValueError, match=r"bounds go further than the technique allows: .*bias is -1.0; expected 0 or"):
+        fit(known, [Parameter("bias.constant", -0.5, -1.0, -0.2)])
 
 
 @pytest.mark.parametrize(

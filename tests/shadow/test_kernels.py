@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scenes import apply, lookups_at, map_of
 
-from diffshadow.shadow import AbstractFilter, HardCompare, SoftCompare
+from diffshadow.shadow import AbstractFilter, HardCompare, PercentageCloser, SoftCompare, Tent
 from diffshadow.shadow.kernels import (
     AbstractRow,
     Footprint,
     SeparableRow,
     Span,
+    Tap,
     sum_over_rows,
     weight_between,
 )
@@ -92,3 +93,33 @@ def test_weights_of_texels_sum_to_one(shape):
         weights = weight_between(shape, jnp.float32(radius), edges[:-1], edges[1:])
         assert float(weights.sum()) == pytest.approx(1, abs=1e-6)
         assert float(weights.min()) >= 0
+
+
+@pytest.mark.parametrize("shape", ["box", "tent", "gaussian"])
+def test_weights_whose_texels_end_with_the_kernel_have_the_slopes_of_a_smaller_one(shape):
+    """Their sum does not change, and differences from a slightly smaller kernel agree."""
+    with jax.enable_x64(True):
+        edges = jnp.arange(-3.5, 4.0)
+        weights = jax.jit(lambda radius: weight_between(shape, radius, edges[:-1], edges[1:]))
+        slopes = jax.jit(jax.jacfwd(weights))(jnp.asarray(2.5))
+        smaller = (weights(jnp.asarray(2.5)) - weights(jnp.asarray(2.5 - 1e-6))) / 1e-6
+        assert float(jnp.sum(slopes)) == pytest.approx(0, abs=1e-12)
+        assert float(jnp.abs(smaller).max()) > 0.01
+        np.testing.assert_allclose(slopes, smaller, atol=1e-5)
+
+
+@pytest.mark.parametrize("kernel", [PercentageCloser, Tent])
+def test_a_radius_at_its_greatest_has_the_slope_of_a_smaller_one(kernel):
+    with jax.enable_x64(True):
+        shadow_map, lookup = map_of(np.where(HALF_PLANE < 1, 0.45, 1.0)), lookups_at(np.linspace(6, 10, 9), 8.3)
+        of = lambda radius, most: jnp.sum(kernel(radius, most)(shadow_map, lookup, SoftCompare(1.0)) ** 2)
+        slope = jax.jit(jax.grad(of), static_argnums=1)
+        assert abs(float(slope(2.5, 4.0))) > 1e-3
+        assert float(slope(2.5, 2.5)) == pytest.approx(float(slope(2.5, 4.0)), rel=1e-9)
+
+
+def test_a_tap_may_reach_further_along_one_axis_than_along_the_other():
+    lookup = lookups_at(np.array([6.5]), 8.5)
+    radii, offset = jnp.array([3.0, 0.75]), jnp.array([1.0, -1.0])
+    read = Tap("nearest", tuple(radii)).footprint(lookup, tuple(offset))
+    assert (float(read.column[0, 0]), float(read.row[0, 0])) == (9, 7)

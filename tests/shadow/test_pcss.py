@@ -54,6 +54,8 @@ DISTANCE = 4.0
 """Of lamps over the floor."""
 LIGHTS = {
     "directional": DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -3, 3, angular_radius=3.0),
+    # With texels four times as wide as high.
+    "wide": DirectionalLight((0, -1, 0), (0, 0, 0), (8, 2), -3, 3, angular_radius=3.0, up=(0, 0, -1)),
     "spot": SpotLight((0, DISTANCE, 0), (0, -1, 0), outer_angle=30.0, near=1.0, far=4.5, radius=0.1),
     "point": PointLight((0, DISTANCE, 0), near=1.0, far=4.5, radius=0.1),
 }
@@ -104,7 +106,7 @@ def check_penumbra(light, height, compare, shadow_map, surface, across):
     assert np.interp(0.5, visibility, across) == pytest.approx(0, abs=0.05 * exact)
 
 
-@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
+@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "wide", "spot"])
 def test_penumbra_grows_as_the_blocker_rises(light):
     light = LIGHTS[light]
     for height in (0.7, 2.0):

@@ -771,3 +771,8 @@ def test_too_little_memory_for_crossings_is_an_error():
 def test_silhouettes_are_of_the_nearest_surface(settings):
     with pytest.raises(ValueError, match=r"edges were given with depth_layer.*leave edges out"):
         draw_shadow_map(_square(), _sun(STILL), (TEXELS, TEXELS), edges=Edges.of(_square()), **settings)
+
+
+def test_silhouettes_need_room_for_the_corners_of_texels():
+    with pytest.raises(ValueError, match=r"map of \(8192, 16\) texels.*expected at most 8191 on a side"):
+        draw_shadow_map(_square(), _sun(STILL), (8192, 16), edges=Edges.of(_square()))

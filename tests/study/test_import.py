@@ -163,6 +163,13 @@ def test_a_scene_that_cannot_be_lit_gets_one_message(tmp_path, capsys, name):
     assert not (tmp_path / "made").exists()
 
 
+def test_a_name_that_could_be_a_number_is_read_back(tmp_path):
+    path = tmp_path / "1e3.json"
+    path.write_text((FOLDER / "room.json").read_text())
+    made = import_scene(path, console=Console(quiet=True), output=tmp_path / "made")
+    assert load_config(made, fitting=True).name == "1e3"
+
+
 def test_the_command_names_the_configuration_last(tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["import", str(FOLDER / "room.json"), "--output", str(tmp_path)])

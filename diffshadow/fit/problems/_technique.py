@@ -111,7 +111,8 @@ class TechniqueProblem(AbstractProblem):
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
         """With about `count` of the pixels that count, at least one for each place in a tile of `_TILE` x `_TILE`.
 
-        A pixel keeps its place in the tile, and so its taps. The pixels of each place are drawn at random, one from
+        A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or has
+        tiles that do not divide these. The pixels of each place are drawn at random, one from
         each of as many runs of equal length in the image's order. Each stands for its run, so the mean square error is
         that of the whole in expectation. Where fewer pixels count, all of them are taken.
         """

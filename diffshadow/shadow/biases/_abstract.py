@@ -59,16 +59,6 @@ def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> F
     return bias * per_unit
 
 
-def at_most(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
-    """`min(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
-    return x if bound is None else jnp.where(x > bound, bound, x)
-
-
-def at_least(x: Float[Array, "*n"], bound: Scalar | None) -> Float[Array, "*n"]:
-    """`max(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
-    return x if bound is None else jnp.where(x < bound, bound, x)
-
-
 def optional_float(x: Any) -> Scalar | None:
     """`x` as a scalar; none stays none."""
     return None if x is None else as_float(x)

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float, at_least, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, at_least, in_depth
+from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
 
 

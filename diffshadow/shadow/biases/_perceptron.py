@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_float, at_least
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, at_least, in_depth
+from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
 from ._linear import LinearBias
 

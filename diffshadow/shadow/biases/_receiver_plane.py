@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._checks import check_not_negative
-from ..._misc import as_float
+from ..._misc import as_float, at_most
 from ..._types import Scalar
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, at_most, in_depth, optional_float
+from ._abstract import AbstractBias, BiasTerms, in_depth, optional_float
 
 
 class ReceiverPlane(AbstractBias):

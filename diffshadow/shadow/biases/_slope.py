@@ -5,7 +5,7 @@ from typing import Literal
 import equinox as eqx
 
 from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float, concrete
+from ..._misc import as_float, at_least, at_most, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import (
@@ -13,8 +13,6 @@ from ._abstract import (
     AbstractBias,
     BiasTerms,
     BiasUnit,
-    at_least,
-    at_most,
     in_depth,
     optional_float,
 )

@@ -5,6 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..._misc import at_least, at_most
 from .._lookup import Lookup
 from ..kernels import LEAST_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
 from ._sized import AbstractSizedFilter
@@ -26,7 +27,7 @@ class PercentageCloser(AbstractSizedFilter):
     name: ClassVar[str] = "filter"
 
     def row(self) -> AbstractRow:
-        return _Row(self.max_radius, jnp.clip(self.radius, LEAST_RADIUS, self.max_radius))
+        return _Row(self.max_radius, at_least(at_most(self.radius, self.max_radius), LEAST_RADIUS))
 
 
 class _Row(AbstractSizedRow):

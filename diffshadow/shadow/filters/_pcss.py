@@ -24,6 +24,8 @@ _FEW = 1e-5
 class PercentageCloserSoft(AbstractFilter):
     """The mean of bilinear taps over a disk as wide as the receiver's penumbra.
 
+    The disk is round in the world: where texels are not square, it is an ellipse in the map.
+
     The blocker search taps the part of the map that can hide the light. Its radius is that of the light projected
     through the receiver onto the near plane, `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
     gives the half width of the penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For
@@ -87,16 +89,17 @@ class PercentageCloserSoft(AbstractFilter):
     def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
         """The result of the blocker search."""
         penumbra = _Penumbra.of(shadow_map, lookup, self.light_size)
-        reach = jnp.minimum(penumbra.reach, self.max_radius)
+        x, y = (jnp.minimum(width, self.max_radius) for width in penumbra.reach)
         mean = lambda value, active: mean_of_taps(
-            shadow_map, lookup, value, reach, self.search, "bilinear", active=active
+            shadow_map, lookup, value, (x, y), self.search, "bilinear", active=active
         )
         fraction = mean(_Blocking(compare), None)
         some = fraction > _FEW
         depth = mean(_BlockingDepth(compare), some)
         blocker = jnp.where(some, depth / jnp.where(some, fraction, 1), lookup.depth)
-        radius = jnp.clip(penumbra.half_width(blocker), self.min_radius, self.max_radius)
-        return BlockerSearch(fraction, blocker, radius)
+        along_x, along_y = penumbra.half_width(blocker)
+        bounded = lambda width: jnp.clip(width, self.min_radius, self.max_radius)
+        return BlockerSearch(fraction, blocker, (bounded(along_x), bounded(along_y)))
 
 
 class BlockerSearch(eqx.Module):
@@ -104,12 +107,12 @@ class BlockerSearch(eqx.Module):
 
     - `fraction`: (h, w), the fraction of taps that found a blocker.
     - `depth`: (h, w), the blockers' mean window depth; the receiver's own if there are none.
-    - `radius`: (h, w), half width of the penumbra, within the filter's bounds, in texels.
+    - `radius`: (h, w) each, half widths of the penumbra along the map's x and y, within the filter's bounds, in texels.
     """
 
     fraction: DepthMap
     depth: DepthMap
-    radius: DepthMap
+    radius: tuple[DepthMap, DepthMap]
 
     @property
     def some(self) -> Mask:
@@ -141,7 +144,7 @@ class _BlockingDepth(AbstractCompare):
 
 
 class _Penumbra(eqx.Module):
-    """The width of penumbrae at the receivers, in texels.
+    """The width of penumbrae at the receivers, in texels along the map's x and y.
 
     - `view`: it converts window depth to distance.
     - `resolution`: of the map.
@@ -164,19 +167,20 @@ class _Penumbra(eqx.Module):
         return cls(view, shadow_map.resolution, lookup.texel, distance, light_size)
 
     @property
-    def reach(self) -> Float[Array, "h w"]:
+    def reach(self) -> tuple[DepthMap, DepthMap]:
         """Radius of the blocker search: nothing beyond it can hide the light from the receiver."""
         return self._between(self.view.near)
 
-    def half_width(self, blocker: DepthMap) -> Float[Array, "h w"]:
+    def half_width(self, blocker: DepthMap) -> tuple[DepthMap, DepthMap]:
         """Half width of the penumbra of a blocker at this window depth."""
         return self._between(self.view.eye_depth(jnp.clip(blocker, 0, 1)))
 
-    def _between(self, blocker: Float[Array, "..."]) -> Float[Array, "h w"]:
+    def _between(self, blocker: Float[Array, "..."]) -> tuple[DepthMap, DepthMap]:
         width = jnp.maximum(self.distance - blocker, 0) * self.light_size
         if self.view.is_perspective:
             width = width / blocker
-        return width / self.view.texel_size(self.distance, self.resolution, self.texel)
+        extent = self.view.texel_extent(self.distance, self.resolution, self.texel)
+        return width / extent[..., 0], width / extent[..., 1]
 
 
 def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:

@@ -2,8 +2,7 @@
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-
+from ..._misc import at_most
 from ..kernels import AbstractRow, SeparableRow
 from ._sized import AbstractSizedFilter
 
@@ -24,4 +23,4 @@ class Tent(AbstractSizedFilter):
     name: ClassVar[str] = "tent"
 
     def row(self) -> AbstractRow:
-        return SeparableRow(self.max_radius, jnp.minimum(self.radius, self.max_radius), "tent")
+        return SeparableRow(self.max_radius, at_most(self.radius, self.max_radius), "tent")

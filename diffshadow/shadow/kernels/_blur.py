@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._checks import check_choice
-from ..._misc import concrete, sums_along, take
+from ..._misc import at_most, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
 from ._separable import INTEGRALS, Shape, weight_between
 
@@ -64,7 +64,7 @@ class Blur(eqx.Module):
     def weights(self) -> Float[Array, " k"]:
         """The weights of the texels in a row; the middle one is at the kernel's centre."""
         offset = jnp.arange(-self.reach, self.reach + 1, dtype=self.radius.dtype)
-        return weight_between(self.kernel, jnp.minimum(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
+        return weight_between(self.kernel, at_most(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
 
     def __call__(self, values: Float[Array, "*n h w"], beyond: Scalar) -> Float[Array, "*n H W"]:
         """`values` blurred, `margin` texels wider on each side; `beyond` is the value outside the border."""

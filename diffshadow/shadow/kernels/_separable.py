@@ -39,10 +39,16 @@ def weight_between(
 ) -> Float[Array, "*n"]:
     """The weight, in [0, 1], of the interval from `low` to `high` under a kernel of this `radius` around 0.
 
-    Weights of intervals that cover the kernel sum to 1.
+    Weights of intervals that cover the kernel sum to 1, and so their derivatives to 0. Where a side of an interval lies
+    on the kernel's end, they are those of a smaller radius.
     """
     radius = jnp.maximum(radius, LEAST_RADIUS)
-    until = lambda x: INTEGRALS[shape](jnp.clip(x / radius, -1, 1))
+
+    def until(x: Array) -> Array:
+        u = x / radius
+        # Not by a clip, which halves derivatives at its bounds.
+        return INTEGRALS[shape](jnp.where(u < 1, jnp.where(u > -1, u, -1), 1))
+
     # Rounding must not make a weight negative: blurred exponentials would become negative.
     return jnp.maximum(until(high) - until(low), 0)
 

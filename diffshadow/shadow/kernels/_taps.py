@@ -3,6 +3,7 @@
 from typing import Any, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -20,6 +21,8 @@ from ._sum import sum_over
 
 TapMode = Literal["nearest", "bilinear"]
 
+Radius = Float[Array, "..."] | tuple[Float[Array, "..."], Float[Array, "..."]]
+
 # Half the width of a square that stands for a point, in texels.
 _POINT = 1 / 512
 
@@ -31,13 +34,18 @@ class Tap(AbstractKernel):
     the texel has a silhouette, the side that the tap lies on counts. A bilinear tap compares with the four texels
     around it and interpolates the four results (never the depths).
 
-    - `radius`: in texels.
+    - `radius`: in texels; a pair for one along the map's x and another along its y.
     - `turn`: cosine and sine of the angle by which each look-up rotates its offsets; none for no rotation.
     """
 
     mode: TapMode = eqx.field(static=True)
-    radius: Float[Array, "..."] | float = 0.0
+    radius: Radius | float = 0.0
     turn: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None
+
+    @property
+    def radii(self) -> tuple[Any, Any]:
+        """Along x and along y."""
+        return self.radius if isinstance(self.radius, tuple) else (self.radius, self.radius)
 
     @property
     def cost(self) -> float:
@@ -48,7 +56,8 @@ class Tap(AbstractKernel):
         if self.turn is not None:
             cosine, sine = self.turn
             x, y = cosine * x - sine * y, sine * x + cosine * y
-        x, y = self.radius * x, self.radius * y
+        radius_x, radius_y = self.radii
+        x, y = radius_x * x, radius_y * y
         if self.mode == "bilinear" or lookup.slope is not None:
             # Barrier: otherwise some uses of the position round the product, and others fuse it with the sum below.
             x, y = lax.optimization_barrier(x), lax.optimization_barrier(y)
@@ -65,7 +74,7 @@ class Tap(AbstractKernel):
     def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:
         x, y = steps
         farthest = jnp.sqrt(jnp.max(x * x + y * y))
-        return self.radius * farthest + (0.5 if self.mode == "bilinear" else 0.0)
+        return jnp.maximum(*self.radii) * farthest + (0.5 if self.mode == "bilinear" else 0.0)
 
 
 def single_tap(shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare, mode: TapMode) -> Visibility:
@@ -78,7 +87,7 @@ def mean_of_taps(
     shadow_map: ShadowMap,
     lookup: Lookup,
     compare: AbstractCompare,
-    radius: Float[Array, "..."],
+    radius: Radius,
     pattern: Pattern,
     mode: TapMode,
     active: Mask | None = None,
@@ -87,7 +96,7 @@ def mean_of_taps(
 
     **Arguments:**
 
-    - `radius`: in texels, a scalar or one for each look-up.
+    - `radius`: in texels, a scalar or one for each look-up; a pair for one along the map's x and another along its y.
     - `pattern`: the offsets of each look-up, as the pixels of an image.
     - `mode`: `"nearest"` or `"bilinear"` taps. With nearest taps, `radius` and position have no gradient.
     - `active`: the look-ups whose mean is needed, (h, w): others are 0, and mostly skipped. All if left out.
@@ -100,7 +109,7 @@ def mean_of_taps(
         turn = jnp.cos(angle), jnp.sin(angle)
     blocks = Blocks.of(lookup.depth.shape, pattern.offsets.shape[1])
     some = None if active is None else blocks.cut(active)
-    kernel, cut = rearranged((Tap(mode, jnp.asarray(radius), turn), lookup), blocks.cut)
+    kernel, cut = rearranged((Tap(mode, jax.tree.map(jnp.asarray, radius), turn), lookup), blocks.cut)
     total = sum_over(kernel, pad(shadow_map), compare, cut, _offsets(pattern, blocks), some)
     return blocks.join(total) / pattern.samples
 

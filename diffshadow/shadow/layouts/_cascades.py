@@ -65,7 +65,8 @@ class Cascades(AbstractFittedLayout):
     - `max_blend`: upper bound on `blend`, for which the maps are fitted; defaults to `blend`.
     - `fade`: over which part of the last slice, at its end, shadows fade out if there is a shadow distance.
     - `margin`: how far the maps extend beyond their slices, in texels, so that filters read no texels beyond the
-        border: at least the greatest radius of the filter, plus any normal offset.
+        border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
+        normal offset.
 
     **Raises** `ValueError` for a number out of range, or distances that do not increase.
     """

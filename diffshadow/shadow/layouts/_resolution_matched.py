@@ -61,7 +61,7 @@ class ResolutionMatched(AbstractFittedLayout):
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
         the camera's far.
     - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of
-        the filter, plus any normal offset.
+        the filter, plus half a texel if its look-ups are bilinear, plus any normal offset.
 
     **Raises** `ValueError` for a number out of range.
     """

@@ -178,12 +178,14 @@ def _write_blockers(path: Path, technique: shadow.ShadowMapping, shadow_map: sha
     found = _find_blockers(technique, shadow_map, drawn.surface)
     blocked = np.asarray(found.some & drawn.surface.mask)
     distance = shadow_map.view.eye_depth(found.depth)
+    # Where texels are not square, the geometric mean.
+    radius = np.sqrt(np.asarray(found.radius[0]) * np.asarray(found.radius[1]))
     height, width = blocked.shape
     panel = 4.0
     figure, axes = style.figure(2 * panel + 1.6, panel * height / width + 0.6, 1, 2)
     images = (
         ("Mean distance of blockers", distance, style.DISTANCE, "from the light, along its axis [world units]"),
-        ("Half width of the penumbra", found.radius, "viridis", "radius of the filter [texels]"),
+        ("Half width of the penumbra", radius, "viridis", "radius of the filter [texels]"),
     )
     for one, (title, image, colours, label) in zip(axes, images, strict=True):
         one.set_facecolor(style.NO_SURFACE)
