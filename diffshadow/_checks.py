@@ -23,6 +23,40 @@ def check_not_negative(name: str, value: Scalar | None, unit: str = "texels") ->
         raise ValueError(f"{name} is {known}; expected 0 or more {unit}")
 
 
+def check_instance(name: str, value: Any, kind: type, example: str) -> None:
+    """**Raises** `TypeError` unless `value` is a `kind`, of which `example` names one."""
+    if not isinstance(value, kind):
+        given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
+        raise TypeError(f"{name} is {given}; expected {example}")
+
+
+def check_vector(name: str, value: Any) -> None:
+    """**Raises** `ValueError` unless `value` is three numbers."""
+    if np.shape(value) != (3,):
+        raise ValueError(f"{name} has shape {np.shape(value)}; expected (3,): x, y and z")
+
+
+def check_points(name: str, points: Any) -> None:
+    """**Raises** `ValueError` unless `points` is (n, 3), with one point or more."""
+    if hasattr(points, "vertices"):
+        raise ValueError(f"{name} are of type {type(points).__name__}; expected an array (n, 3): give its vertices")
+    shape = np.shape(points)
+    if len(shape) != 2 or shape[0] == 0 or shape[1] != 3:
+        raise ValueError(f"{name} have shape {shape}; expected (n, 3), at least one point with x, y and z")
+
+
+def check_resolution(name: str, resolution: Any, most: int) -> None:
+    """**Raises** `ValueError` unless `resolution` is two integers from 1 to `most`."""
+    is_pair = isinstance(resolution, tuple | list) and len(resolution) == 2
+    if not is_pair or not all(isinstance(n, int | np.integer) and 1 <= n <= most for n in resolution):
+        raise ValueError(f"{name} is {resolution!r}; expected (height, width), each an integer from 1 to {most}")
+
+
+def listed(values: Any) -> str:
+    """`values` as text, without the digits that single precision does not have."""
+    return str([float(f"{value:.7g}") for value in np.ravel(values)])
+
+
 def check_again(tree: Any) -> None:
     """Repeats the checks that the modules in `tree` made of their fields as they were built.
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._checks import check_instance
 from .._misc import as_float
 from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
@@ -128,6 +129,12 @@ def fit(
     sense, no pixel counts, the visibility is not finite at the start, or the number of silhouettes never settles.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
+    check_instance("the solver", solver, Solver, 'a fit.Solver, such as Solver("adam")')
+    check_instance("the anneal", anneal, Anneal, "a fit.Anneal")
+    if not isinstance(parameters, Sequence):
+        raise TypeError(f"the parameters are of type {type(parameters).__name__}; expected a list of fit.Parameter")
+    for parameter in parameters:
+        check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
     fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
     check_solver(solver)
     check_anneal(anneal)

@@ -86,7 +86,7 @@ def precision_of(
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
     # Along the principal directions, from the best determined to the worst. Where the residual is 0, the fit is exact.
-    inverse = 1 / np.maximum(effect, 1e-100) ** 2
+    inverse = 1 / np.maximum(effect, _NO_EFFECT) ** 2
     left = inverse * (ways @ (columns.T @ residual))
     # The covariance is the product of this and its transpose: positive, however little a combination does.
     root = np.column_stack([inverse[:, None] * (ways @ scatter), left])
@@ -102,6 +102,10 @@ def precision_of(
     correlation = np.divide(covariance, product, out=np.eye(len(used)), where=product > 0)
     deviations = dict(zip(kept, (deviation * np.asarray(span)[used]).tolist(), strict=True))
     return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)
+
+
+# Effects below this count as this: the squares of their inverses are finite.
+_NO_EFFECT = 1e-50
 
 
 def _blurred(image: Float[HostArray, "h w"], deviation: float) -> Float[HostArray, "h w"]:

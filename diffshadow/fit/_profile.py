@@ -140,7 +140,8 @@ class Profiler:
         for _ in range(_TRIALS):
             if distance(inside) >= abs(bound - start.values[index]):
                 break
-            if limit - inside.error <= _CLOSE * (limit - self.best.error):
+            # Without a tolerance, as about an error of 0, the search goes on until the error grows.
+            if limit > self.best.error and limit - inside.error <= _CLOSE * (limit - self.best.error):
                 break
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
@@ -164,7 +165,8 @@ class Profiler:
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
         """The best with the parameter at `value`, from the values of a trial that is near."""
         moved = (*near.values[:index], value, *near.values[index + 1 :])
-        again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * (limit / self.best.error - 1))
+        tolerance = limit / self.best.error - 1 if self.best.error > 0 else 0.0
+        again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * tolerance)
         # Not rounded to single precision, so that a bound is met exactly.
         again = (*again[:index], value, *again[index + 1 :])
         trial = Trial(again, self.run.error(again))

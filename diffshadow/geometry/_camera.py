@@ -11,11 +11,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._checks import check_resolution, check_vector, listed
 from .._misc import array_module, as_float, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
 from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import centred_orthographic, centred_perspective, look_at
 from ._view import View
+
+# Along a side.
+_MOST_PIXELS = 8192
 
 
 class AbstractCamera(eqx.Module):
@@ -55,7 +59,7 @@ class AbstractCamera(eqx.Module):
         return width / height
 
     def __check_init__(self):
-        check_resolution("the camera's resolution", self.resolution)
+        check_resolution("the camera's resolution", self.resolution, _MOST_PIXELS)
         check_pose("the camera", self.eye, self.target)
         check_near_far("the camera", self.near, self.far, positive=isinstance(self, PinholeCamera))
 
@@ -179,21 +183,17 @@ def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation:
     return as_float(target + distance * towards)
 
 
-def check_resolution(name: str, resolution: Resolution) -> None:
-    """**Raises** `ValueError` unless `resolution` is two integers in [1, 8192]."""
-    if len(resolution) != 2 or not all(isinstance(n, int) and 1 <= n <= 8192 for n in resolution):
-        raise ValueError(f"{name} is {resolution}; expected (height, width), each an integer from 1 to 8192")
-
-
 def check_pose(name: str, eye: Vec3, target: Vec3) -> None:
     """**Raises** `ValueError` if `eye` and `target` do not define a view direction."""
+    check_vector(f"{name}'s eye", eye)
+    check_vector(f"{name}'s target", target)
     e, t = concrete(eye), concrete(target)
     if e is None or t is None:
         return
     if not (np.isfinite(e).all() and np.isfinite(t).all()):
-        raise ValueError(f"{name} looks from {e.tolist()} to {t.tolist()}; expected finite coordinates")
+        raise ValueError(f"{name} looks from {listed(e)} to {listed(t)}; expected finite coordinates")
     if np.array_equal(e, t):
-        raise ValueError(f"{name}'s eye and target are both {e.tolist()}; expected two different points")
+        raise ValueError(f"{name}'s eye and target are both {listed(e)}; expected two different points")
 
 
 def check_near_far(name: str, near: Scalar, far: Scalar, *, positive: bool) -> None:

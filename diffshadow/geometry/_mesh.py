@@ -15,6 +15,20 @@ from .._types import Faces, Mat4, Vertices
 from ._transforms import transform_points, transform_vectors
 
 
+def _as_faces(faces: Any) -> Faces:
+    """**Raises** `ValueError` unless `faces` are triples of integers."""
+    given = faces if isinstance(faces, jax.Array) else np.asarray(faces)
+    if given.size == 0:
+        return as_int(np.zeros((0, 3)))
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ValueError(
+            f"the mesh's faces have shape {given.shape}; expected (f, 3): cut faces of more corners into triangles"
+        )
+    if not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(f"the mesh's faces are of type {given.dtype}; expected integers, indices into its vertices")
+    return as_int(faces)
+
+
 class Mesh(eqx.Module):
     """Triangles in world space.
 
@@ -24,7 +38,8 @@ class Mesh(eqx.Module):
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey.
 
-    **Raises** `ValueError` if there is no face, a vertex is not finite, or a face has an index out of range.
+    **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, or an array
+    has another shape or type.
     """
 
     vertices: Vertices
@@ -34,7 +49,9 @@ class Mesh(eqx.Module):
 
     def __init__(self, vertices: Any, faces: Any, corner_normals: Any = None, albedo: Any = 0.8):
         self.vertices = as_float(vertices)
-        self.faces = as_int(faces)
+        self.faces = _as_faces(faces)
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
+            raise ValueError(f"the mesh's vertices have shape {self.vertices.shape}; expected (v, 3): x, y and z")
         if corner_normals is None:
             if self.faces.shape[0] and self.vertices.shape[0]:
                 normals = face_normals(self)

@@ -7,18 +7,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
+from .._checks import check_instance
 from .._types import HostArray
 from ._camera import AbstractCamera
 from ._mesh import Mesh, merge
 from .lights import AbstractLight
 
 
-def _as_meshes(meshes: Mesh | Iterable[Mesh]) -> tuple[Mesh, ...]:
-    return (meshes,) if isinstance(meshes, Mesh) else tuple(meshes)
-
-
-def _as_lights(lights: AbstractLight | Iterable[AbstractLight]) -> tuple[AbstractLight, ...]:
-    return (lights,) if isinstance(lights, AbstractLight) else tuple(lights)
+def _as_tuple[T](given: T | Iterable[T]) -> tuple[T, ...]:
+    return tuple(given) if isinstance(given, Iterable) else (given,)
 
 
 class Scene(eqx.Module):
@@ -36,9 +33,9 @@ class Scene(eqx.Module):
     entry per mesh.
     """
 
-    meshes: tuple[Mesh, ...] = eqx.field(converter=_as_meshes)
+    meshes: tuple[Mesh, ...] = eqx.field(converter=_as_tuple)
     camera: AbstractCamera
-    lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_lights)
+    lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_tuple)
     casts: tuple[bool, ...] | None = eqx.field(static=True, default=None)
     receives: tuple[bool, ...] | None = eqx.field(static=True, default=None)
 
@@ -47,6 +44,11 @@ class Scene(eqx.Module):
             raise ValueError("the scene has no mesh; expected a mesh, or several in a sequence")
         if not self.lights:
             raise ValueError("the scene has no light; expected a light, or several in a sequence")
+        for mesh in self.meshes:
+            check_instance("a mesh of the scene", mesh, Mesh, "a Mesh")
+        check_instance("the scene's camera", self.camera, AbstractCamera, "a camera, such as a PinholeCamera")
+        for light in self.lights:
+            check_instance("a light of the scene", light, AbstractLight, "a light, such as a DirectionalLight")
         for name, each in (("casts", self.casts), ("receives", self.receives)):
             if each is not None and len(each) != len(self.meshes):
                 raise ValueError(

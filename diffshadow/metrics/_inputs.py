@@ -6,6 +6,9 @@ from numpy.typing import ArrayLike
 
 from .._types import HostArray
 
+# How far visibility may be out of range.
+_ROUNDING = 1e-3
+
 
 def as_images(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None
@@ -13,7 +16,7 @@ def as_images(
     """Both images in float64, and the mask, all (h, w). Values outside the mask may be anything.
 
     **Raises** `ValueError` if the shapes differ or are not (h, w), the mask is not boolean or is empty, or an image
-    holds a NaN, or an infinity, in the mask.
+    holds a value in the mask that is not from 0 to 1.
     """
     image, truth = np.asarray(visibility, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if image.ndim != 2 or image.shape != truth.shape:
@@ -23,11 +26,13 @@ def as_images(
         )
     inside = as_mask(mask, image.shape)
     for name, values in (("visibility", image), ("reference", truth)):
-        bad = np.argwhere(inside & ~np.isfinite(values))
+        bad = np.argwhere(inside & ~((values >= -_ROUNDING) & (values <= 1 + _ROUNDING)))
         if len(bad):
+            row, column = bad[0]
             raise ValueError(
-                f"the {name} holds {len(bad)} NaN or infinite values in the mask (the first at row {bad[0][0]}, column "
-                f"{bad[0][1]}); expected finite values from 0 to 1"
+                f"the {name} holds values in the mask that are not from 0 to 1: {len(bad)}, the first "
+                f"{values[row, column]:g} at row {row}, column {column}; expected visibility, from 0 shadowed to 1 "
+                "lit: mask NaN out, and divide an image of 8 bits by 255"
             )
     return image, truth, inside
 

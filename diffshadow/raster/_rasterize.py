@@ -11,6 +11,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from .._checks import check_choice, check_resolution
 from .._misc import as_float, padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
@@ -111,10 +112,8 @@ def rasterize_depth(
 def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer) -> Any:
     test = test or DepthTest()
     test.check()
-    if not all(1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
-        raise ValueError(
-            f"the resolution is {resolution}; expected (height, width), each from 1 to {MOST_PIXELS_ACROSS} pixels"
-        )
+    check_resolution("the resolution", resolution, MOST_PIXELS_ACROSS)
+    check_choice("cull", cull, tuple(FACING))
     if buffer is not None and not all(
         n <= size <= MOST_PIXELS_ACROSS for n, size in zip(resolution, buffer, strict=True)
     ):

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
+from .._checks import check_instance
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, View, face_normals
@@ -60,6 +61,8 @@ def draw_surface(
 
     **Arguments:** `cull` and `buffer` as for `rasterize`.
     """
+    check_instance("the mesh", mesh, Mesh, "a Mesh, such as scene.mesh")
+    check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
     mesh = mesh.padded()
     view = camera.view()
     clip = view.clip_vertices(mesh.vertices)

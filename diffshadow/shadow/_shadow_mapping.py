@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
+from .._checks import check_instance
 from .._misc import in_unit_range
 from .._types import Mask, Visibility
 from ..geometry import AbstractCamera, Edges, Scene
@@ -39,6 +40,13 @@ class ShadowMapping(AbstractTechnique):
     compare: AbstractCompare = HardCompare()
     map: MapSettings = eqx.field(static=True, default=MapSettings())
     layout: AbstractLayout = SingleMap()
+
+    def __check_init__(self):
+        check_instance("the filter", self.filter, AbstractFilter, "a filter, such as RandomDisk(2.0)")
+        check_instance("the bias", self.bias, AbstractBias, "a bias, such as Bias(constant=1.0)")
+        check_instance("the compare", self.compare, AbstractCompare, "a compare, such as HardCompare()")
+        check_instance("the map", self.map, MapSettings, "MapSettings, such as MapSettings((512, 512))")
+        check_instance("the layout", self.layout, AbstractLayout, "a layout, such as SingleMap()")
 
     @property
     def layers(self) -> MapSettings:

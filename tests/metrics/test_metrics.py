@@ -164,9 +164,11 @@ def test_unfit_images_are_refused(metric):
         metric(image, image, np.zeros((10, 10), bool))
     with pytest.raises(ValueError, match="type float64; expected booleans"):
         metric(image, image, np.ones((10, 10)))
+    with pytest.raises(ValueError, match=r"reference holds values .* the first 255 at .* an image of 8 bits by 255"):
+        metric(image, np.where(image > 0.5, 255, 0))
     spoilt = image.copy()
     spoilt[3, 4] = np.nan
-    with pytest.raises(ValueError, match=r"visibility holds 1 NaN .*row 3, column 4"):
+    with pytest.raises(ValueError, match=r"visibility holds values .* 1, the first nan at row 3, column 4"):
         metric(spoilt, image)
 
 

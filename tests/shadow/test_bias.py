@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, drawn, floor_and_card, lamp, problem, slopes_of_loss, sun
 
-from diffshadow._misc import as_float
+from diffshadow._misc import as_float, at_least, at_most
 from diffshadow.raster import Surface
 from diffshadow.shadow import (
     AdaptiveBias,
@@ -34,7 +34,6 @@ from diffshadow.shadow import (
     receiver,
 )
 from diffshadow.shadow.biases import FEATURES
-from diffshadow.shadow.biases._abstract import at_least, at_most
 
 ANGLES = np.array([0.0, 10.0, 45.0, 80.0, 89.9, 90.0, 120.0])
 

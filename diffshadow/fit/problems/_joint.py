@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._checks import check_again
+from ..._checks import check_again, check_instance
 from ..._misc import array_module, as_array
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
@@ -62,9 +62,11 @@ class Joint(eqx.Module):
 
         **Raises** `ValueError` if there is none, or they are of several kinds.
         """
-        each = (problems,) if isinstance(problems, AbstractProblem) else tuple(problems)
+        each = tuple(problems) if isinstance(problems, Sequence) else (problems,)
         if not each:
             raise ValueError("got no problem to fit; expected one, or one for each light")
+        for problem in each:
+            check_instance("what to fit", problem, AbstractProblem, "a problem, such as TechniqueProblem.of(...)")
         kinds = sorted({type(problem).__name__ for problem in each})
         if len(kinds) > 1:
             raise ValueError(f"got a {' and a '.join(kinds)} to fit jointly; expected all of one kind")

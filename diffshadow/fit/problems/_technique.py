@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._checks import check_instance
 from ..._misc import as_array, as_float
 from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
@@ -55,7 +56,13 @@ class TechniqueProblem(AbstractProblem):
 
         - `surface`: what the camera sees; drawn if left out.
         """
+        check_instance("the truth", truth, Reference, "a Reference, such as trace_visibility(scene)")
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
+        if truth.mask.shape != surface.mask.shape:
+            raise ValueError(
+                f"the reference has {truth.mask.shape} pixels, (height, width), and the camera {surface.mask.shape}; "
+                "expected the same: trace it with this camera"
+            )
         shadow_map = technique.prepare(scene, surface)
         mask = technique.covered(shadow_map, surface) & as_array(truth.mask)
         return cls(technique, shadow_map, surface, as_float(truth.visibility), mask, scene)
@@ -111,10 +118,10 @@ class TechniqueProblem(AbstractProblem):
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
         """With about `count` of the pixels that count, at least one for each place in a tile of `_TILE` x `_TILE`.
 
-        A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or has
-        tiles that do not divide these. The pixels of each place are drawn at random, one from
-        each of as many runs of equal length in the image's order. Each stands for its run, so the mean square error is
-        that of the whole in expectation. Where fewer pixels count, all of them are taken.
+        A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
+        its tile does not divide these. The pixels of each place are drawn at random, one from each of as many runs of
+        equal length in the image's order. Each stands for its run, so the mean square error is that of the whole in
+        expectation. Where fewer pixels count, all of them are taken.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._checks import check_vector, listed
 from ..._misc import concrete
 from ..._types import Scalar, Vec2, Vec3
 from .._view import View
@@ -89,16 +90,18 @@ class AbstractLight(eqx.Module):
 
 def check_direction(name: str, direction: Vec3, what: str = "direction") -> None:
     """**Raises** `ValueError` if `direction` is known and is zero or not finite."""
+    check_vector(f"{name}'s {what}", direction)
     d = concrete(direction)
     if d is not None and not (np.isfinite(d).all() and (d != 0).any()):
-        raise ValueError(f"{name}'s {what} is {d.tolist()}; expected a finite vector that is not zero")
+        raise ValueError(f"{name}'s {what} is {listed(d)}; expected a finite vector that is not zero")
 
 
 def check_position(name: str, position: Vec3) -> None:
     """**Raises** `ValueError` if `position` is known and not finite."""
+    check_vector(f"{name}'s position", position)
     p = concrete(position)
     if p is not None and not np.isfinite(p).all():
-        raise ValueError(f"{name}'s position is {p.tolist()}; expected finite world coordinates")
+        raise ValueError(f"{name}'s position is {listed(p)}; expected finite world coordinates")
 
 
 def check_size(name: str, what: str, size: Scalar | Vec2) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..._checks import check_points, listed
 from ..._misc import array_module, as_float, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
 from .._camera import check_near_far
@@ -49,7 +50,7 @@ class DirectionalLight(AbstractLight):
         check_near_far("the directional light", self.near, self.far, positive=False)
         extent, radius = concrete(self.extent), concrete(self.angular_radius)
         if extent is not None and not (extent > 0).all():
-            raise ValueError(f"the directional light's extent is {extent.tolist()}; expected positive world units")
+            raise ValueError(f"the directional light's extent is {listed(extent)}; expected positive world units")
         if radius is not None and not 0 <= radius < 90:
             raise ValueError(f"the directional light's angular_radius is {radius}; expected degrees in [0, 90)")
 
@@ -71,6 +72,7 @@ class DirectionalLight(AbstractLight):
         direction, up = as_float(direction), as_float(UP if up is None else up)
         check_direction("the directional light", direction)
         check_direction("the directional light", up, "up")
+        check_points("the directional light's points", points)
         # By what a view is made with, and in NumPy where it can be: nothing is compiled for the number of points.
         turn = look_at(as_float(np.zeros(3)), direction, up)
         xp = array_module(points, turn, receivers)

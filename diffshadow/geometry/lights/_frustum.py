@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._checks import check_points, listed
 from ..._misc import array_module, as_float, concrete, dot, normalize
 from ..._types import Scalar, Vec3
 from .._camera import check_near_far, check_pose
@@ -52,13 +53,14 @@ class LightFrustum(NamedTuple):
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
         """
+        check_points(f"{name}'s points", points)
         target = _centre(points) if target is None else as_float(target)
         check_pose(name, position, target)
         direction = target - position
         angle, near, far, is_clear = _fitted(position, points, up, direction, as_float(aspect))
         if outer_angle is None and not bool(is_clear):
             raise ValueError(
-                f"{name} at {position.tolist()} is inside the scene, so no cone contains all of it; expected a "
+                f"{name} at {listed(position)} is inside the scene, so no cone contains all of it; expected a "
                 "position outside, or an outer_angle in degrees: move the light or give the angle"
             )
         return cls(direction, float(angle) if outer_angle is None else outer_angle, near, far)

@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._checks import check_points
 from ..._misc import as_float, concrete, normalize, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Vec3
 from .._camera import check_near_far
@@ -72,6 +73,7 @@ class PointLight(AbstractLight):
         """
         position = as_float(position)
         check_position("the point light", position)
+        check_points("the point light's points", points)
         near, far = _near_far(position, points)
         return cls(position, near, far, radius, guard)
 

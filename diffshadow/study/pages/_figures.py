@@ -20,7 +20,7 @@ from ..files._stored import LightImages, StoredRun
 Image = Float[HostArray, "h w"]
 Pixels = Bool[HostArray, "h w"]
 # The directions of a point light's six views, in the order of its layers.
-_FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
+FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
 # The colour scale of differences ends at the least of these limits that is exceeded by at most `_CLIPPED` of pixels.
 _LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
 _CLIPPED = 0.01
@@ -190,7 +190,7 @@ def write_map(
     title: str,
     values: HostArray,
     label: str,
-    names: Sequence[str] = _FACES,
+    names: Sequence[str] = FACES,
     *,
     cmap: str = "gray",
     **limits: float,
@@ -218,7 +218,7 @@ def write_map(
         each.grid(False)
         each.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         each.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        style.title(each, title if len(layers) == 1 else f"{title if i == 0 else ''} {names[i]}".strip())
+        style.title(each, title if len(layers) == 1 else f"{title}: {names[i]}" if i == 0 else names[i])
     style.colour_bar(figure, shown, axes, label)
     style.save(figure, path)
 

@@ -55,7 +55,9 @@ def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
     high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
     if isinstance(shadow_map.light, geometry.PagedLight):
         shown = figures.atlas(shown, int(shadow_map.light.pages.count))
-    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", vmin=low, vmax=high)
+    light = shadow_map.light
+    names = figures.cascade_names(light) if isinstance(light, geometry.CascadedLight) else figures.FACES
+    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", names, vmin=low, vmax=high)
 
 
 def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -> None:
