@@ -86,7 +86,7 @@ def fit(config: Path, /, *overrides: str) -> None:
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
     settings = load_config(config, overrides, fitting=True)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     _print_path(study.run_fit(settings, console=Console()))
@@ -110,7 +110,7 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
         Also write images of intermediate results: depths, silhouettes, blockers, patterns, volume counts.
     """
     settings = load_config(config, overrides)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     _print_path(study.run_render(settings, console=Console(), debug=debug))
@@ -132,7 +132,7 @@ def validate(config: Path, /, *overrides: str) -> None:
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
     settings = load_config(config, overrides, fitting=True)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     console = Console()
@@ -159,7 +159,7 @@ def convert(config: Path, /, *overrides: str) -> None:
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
     """
     settings = load_config(config, overrides)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     study.convert(settings, console=Console())
@@ -201,7 +201,7 @@ def sweep(
     _check_count("--limit", limit, 1)
     with _checking() as progress:
         plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     if dry_run:
@@ -244,7 +244,7 @@ def advise(
     _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
     with _checking() as progress:
         advice = load_advice(config, overrides, progress=progress)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     if dry_run:
@@ -493,10 +493,26 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
         bar.stop()
 
 
-def _keep_compiled_programs() -> None:
+def _start_jax() -> None:
+    """Starts JAX's backend, with a cache of the programs that it compiles.
+
+    **Raises** `ValueError` if it cannot run on the platforms that the environment names.
+    """
     from .io import keep_compiled_programs
 
     keep_compiled_programs()
+    platforms = os.environ.get("JAX_PLATFORMS")
+    if not platforms:
+        return
+    import jax
+
+    try:
+        jax.devices()
+    except (AssertionError, RuntimeError) as error:
+        raise ValueError(
+            f"JAX cannot run on JAX_PLATFORMS={platforms}; expected platforms whose plugins are installed, such as "
+            "cpu: change it, or unset it"
+        ) from error
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:
@@ -512,7 +528,8 @@ def _is_mistake(error: ValueError | OSError) -> bool:
 
 
 def _sentence(error: CycloptsError) -> str:
-    return " ".join(str(error).split()).rstrip(".")
+    text = " ".join(str(error).split())
+    return text if text.endswith("...") else text.removesuffix(".")
 
 
 def _print_error(console: Console, messages: Iterable[str]) -> None:

@@ -234,6 +234,17 @@ def test_interrupts_are_told_without_a_traceback(error, monkeypatch, capsys):
     assert capsys.readouterr().err == "error: interrupted\n"
 
 
+def test_platforms_without_a_plugin_are_told_without_a_traceback():
+    root = Path(diffshadow.__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": str(root), "JAX_PLATFORMS": "nonesuch"}
+    command = [sys.executable, "-m", "diffshadow", "render", str(QUICKSTART)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        "error: JAX cannot run on JAX_PLATFORMS=nonesuch; expected platforms whose plugins are"
+    )
+
+
 def test_value_error_of_this_package_is_a_mistake_of_the_user(monkeypatch, capsys):
     def strict(config, *, console):
         from diffshadow.geometry import merge

@@ -18,6 +18,8 @@ _FIRST, _LEAST_GROWTH, _MOST_GROWTH = 0.01, 1.3, 4.0
 _MARGIN = 0.1
 # A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
 _BETTER, _RESTARTS = 1e-3, 4
+# Errors below this, in visibility, are rounding.
+_LEAST_ERROR = 1e-5
 
 Bound = Literal["lower", "upper"]
 
@@ -67,6 +69,11 @@ class Trial(NamedTuple):
     error: float
 
 
+def _limit(best: Trial, fraction: float) -> float:
+    """The greatest error within a `fraction` of the best."""
+    return (1 + fraction) * max(best.error, _LEAST_ERROR)
+
+
 class Profiler:
     """Follows the error of a finished fit along its parameters.
 
@@ -98,7 +105,7 @@ class Profiler:
             best = at = self.best
             kept: list[int] = []
             for name, side in order:
-                at = self._furthest(at, names.index(name), side, (1 + within) * best.error, kept)
+                at = self._furthest(at, names.index(name), side, _limit(best, within), kept)
                 kept.append(names.index(name))
             if self.best == best:
                 break
@@ -108,7 +115,7 @@ class Profiler:
         parameter = self.parameters[index]
         ends: list[tuple[Trial, Trial]] = []
         for fraction in within:
-            limit = (1 + fraction) * self.best.error
+            limit = _limit(self.best, fraction)
             ends.append(
                 (self._furthest(self.best, index, "lower", limit), self._furthest(self.best, index, "upper", limit))
             )
@@ -140,8 +147,7 @@ class Profiler:
         for _ in range(_TRIALS):
             if distance(inside) >= abs(bound - start.values[index]):
                 break
-            # Without a tolerance, as about an error of 0, the search goes on until the error grows.
-            if limit > self.best.error and limit - inside.error <= _CLOSE * (limit - self.best.error):
+            if limit - inside.error <= _CLOSE * (limit - self.best.error):
                 break
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
@@ -165,7 +171,7 @@ class Profiler:
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
         """The best with the parameter at `value`, from the values of a trial that is near."""
         moved = (*near.values[:index], value, *near.values[index + 1 :])
-        tolerance = limit / self.best.error - 1 if self.best.error > 0 else 0.0
+        tolerance = limit / max(self.best.error, _LEAST_ERROR) - 1
         again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * tolerance)
         # Not rounded to single precision, so that a bound is met exactly.
         again = (*again[:index], value, *again[index + 1 :])

@@ -205,7 +205,7 @@ BROKEN = {
     "number in quotes": (
         "bias: {slope: '1e-3'}\n",
         "2: bias.slope: is '1e-3'; expected a number at least 0 and at most 8192, in texels; "
-        "write it without quotes, with a decimal point and no other characters between the digits",
+        "write it without quotes, with a decimal point and without other characters between the digits",
     ),
     "boolean for a number": (
         "seed: true\n",
@@ -800,6 +800,11 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
             "fit.parameters.scene.light.azimuth.uper=3",
             "fit.parameters.scene.light.azimuth.uper: is not a key of fit.parameters.scene.light.azimuth; "
             "expected initial, lower or upper; did you mean 'upper'?",
+        ),
+        (
+            "bias.plane=null",
+            "bias.plane: is empty; expected a section with the key type; write {type: none}, or remove the key to get "
+            "its default",
         ),
         ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights; give it a value"),
     ],

@@ -479,7 +479,7 @@ def test_fit_of_a_technique_without_a_gradient_is_refused(kind):
     with pytest.raises(ConfigError) as caught:
         build_fit(config)
     assert str(caught.value).startswith(
-        f"file.yaml:2: technique.type: is {kind}, whose visibility has no gradient; expected shadow_map"
+        f"file.yaml:2: technique.type: is {kind}, whose visibility has no gradient; expected a technique that"
     )
 
 

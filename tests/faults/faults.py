@@ -2314,8 +2314,8 @@ _FIT = (
     _fault(
         "profile: the limit is of the mean square",
         "fit/_profile.py",
-        "limit = (1 + fraction) * self.best.error",
-        "limit = (1 + fraction) ** 2 * self.best.error",
+        "return (1 + fraction) * max(best.error, _LEAST_ERROR)",
+        "return (1 + fraction) ** 2 * max(best.error, _LEAST_ERROR)",
         "test_sureness.py",
     ),
     _fault(
@@ -3558,12 +3558,12 @@ _CLI = (
         "render: overrides ignored",
         "cli.py",
         """load_config(config, overrides)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     _print_path(study.run_render(""",
         """load_config(config)
-    _keep_compiled_programs()
+    _start_jax()
     from . import study
 
     _print_path(study.run_render(""",

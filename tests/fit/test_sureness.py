@@ -47,6 +47,27 @@ def half_width(within):
     return LEAST * np.sqrt(((1 + within) ** 2 - 1) / (1 - SLANT**2))
 
 
+class Basin(Run):
+    """A fit of one parameter without any error from -1 to 1."""
+
+    def __init__(self):
+        pass
+
+    def error(self, values):
+        return max(abs(values[0]) - 1, 0.0)
+
+    def refitted(self, values, kept, *, ratio=1.0, least_gain=0.0):
+        return values
+
+
+def test_errors_of_rounding_count_as_equal():
+    """Where the best error is 0, intervals reach as far as it stays so, and so do preferred values."""
+    profiler = Profiler(Basin(), [Parameter("a", 0.0, -4.0, 4.0)], (0.0,))
+    (interval,) = profiler.profiles([0.01])[0].intervals
+    assert (interval.lower.value, interval.upper.value) == pytest.approx((-1, 1), abs=0.1)
+    assert profiler.preferred([("a", "lower")], 0.01).values == pytest.approx((-1,), abs=0.1)
+
+
 # An error within a tenth of the excess is close enough, which is a twentieth of the width; roughness adds to that.
 @pytest.mark.parametrize(("rough", "close"), [(False, 0.05), (True, 0.06)], ids=["exact", "rough"])
 def test_intervals_end_where_the_error_reaches_its_limit(rough, close):

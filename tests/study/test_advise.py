@@ -197,6 +197,14 @@ def test_faults_are_told_with_their_place_before_anything_runs(fault):
     assert remedy in str(caught.value)
 
 
+def test_an_engine_has_no_biases_to_compare():
+    with pytest.raises(ConfigError) as caught:
+        advice_of(None, "technique={type: three.js}")
+    (mistake,) = caught.value.mistakes
+    assert mistake.key == "technique.type"
+    assert mistake.message.startswith("is three.js, and advise compares biases and filters of shadow maps")
+
+
 def test_sweeps_and_views_with_maps_of_their_own_are_refused():
     with pytest.raises(ConfigError, match=r"override 'sweep=.*sweep: makes this file a sweep; .*sweep=null"):
         advice_of(None, "sweep={repeats: 2}")

@@ -11,7 +11,7 @@ from rich.console import Console
 from diffshadow.cli import main
 from diffshadow.config import ThreeJsConfig, build_scene, dump_resolved, load_config, parse_config
 from diffshadow.geometry import PointLight
-from diffshadow.io import read_scene
+from diffshadow.io import FileError, read_scene
 from diffshadow.shadow import EngineLight
 from diffshadow.shadow.engines._abstract import engine_light
 from diffshadow.study import import_scene
@@ -161,6 +161,14 @@ def test_a_scene_that_cannot_be_lit_gets_one_message(tmp_path, capsys, name):
     assert expected in error
     assert error.startswith("error: ")
     assert not (tmp_path / "made").exists()
+
+
+def test_an_edited_configuration_is_not_written_over(tmp_path):
+    made = import_scene(FOLDER / "room.json", console=Console(quiet=True), output=tmp_path)
+    made.write_text(made.read_text() + "# mine\n")
+    with pytest.raises(FileError, match=r"room.yaml exists already.*--output"):
+        import_scene(FOLDER / "room.json", console=Console(quiet=True), output=tmp_path)
+    assert made.read_text().endswith("# mine\n")
 
 
 def test_a_name_that_could_be_a_number_is_read_back(tmp_path):

@@ -209,6 +209,12 @@ def test_faults_are_told_with_their_place_before_anything_runs(fault):
     assert remedy in str(caught.value)
 
 
+def test_faults_of_the_plot_hide_none_of_the_runs():
+    with pytest.raises(ConfigError) as caught:
+        sweep_of("{grid: {filter.radus: [1]}, plot: {x: filter.radius}}")
+    assert [problem.key for problem in caught.value.mistakes] == ["sweep.plot.x", "filter.radus"]
+
+
 def test_faults_of_all_runs_are_told_at_once_and_once_each():
     with pytest.raises(ConfigError) as caught:
         sweep_of("{grid: {filter.samples: [4, x], filter.radius: [-1, 1]}, repeats: 3}", "bias.slope=-1")

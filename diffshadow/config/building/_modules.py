@@ -313,4 +313,6 @@ def _no_gradient(kind: str) -> str:
         "irregular_z_buffer": "whose visibility has no gradient",
         "projective_texture": "which has neither a bias nor a filter to fit",
     }[kind]
-    return f"is {kind}, {why}; expected shadow_map, which can be fitted: change it, or render instead"
+    return (
+        f"is {kind}, {why}; expected a technique that can be fitted, such as shadow_map: change it, or render instead"
+    )

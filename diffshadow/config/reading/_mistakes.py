@@ -71,13 +71,17 @@ def _wrong_value(value: Any, slot: Slot) -> str:
 
 def _remedy(value: Any, slot: Slot) -> str:
     if value is None:
+        none = next((type_of(variant) for variant in slot.siblings if type_of(variant) == "none"), None)
+        if none is not None:
+            return f"write {{type: {none}}}, or remove the key to get its default"
         return "remove the key to get its default" if _has_default(slot) else "give it a value"
     if slot.choices:
         return did_you_mean(value, slot.choices, "choose one of these")
     if slot.kind is bool and str(value).lower() in _SWITCHES:
         return f"write {_SWITCHES[str(value).lower()]}"
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
-        return "write it without quotes, with a decimal point and no other characters between the digits"
+        point = ", with a decimal point" if slot.kind is float else ""
+        return f"write it without quotes{point} and without other characters between the digits"
     if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MOST_COUNTED:
         return f"write {int(value)}"
     if slot.kind is str:

@@ -225,7 +225,10 @@ def load_sweep(
     **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the runs.
     """
     draft = load_draft(path, overrides)
-    settings = _settings_of(draft)
+    try:
+        settings = _settings_of(draft)
+    except ConfigError as error:
+        raise ConfigError([*error.mistakes, *_faults_beside_plot(draft, error)]) from None
     runs = SweepRuns(settings, draft)
     if len(runs) > _MOST_RUNS:
         message = (
@@ -250,6 +253,21 @@ def _settings_of(draft: Draft) -> SweepConfig:
         if any(mistake.key.split(".")[0] == "sweep" for mistake in mistakes):
             raise ConfigError([*draft.mistakes, *mistakes]) from None
     return SweepConfig.model_validate(draft.data["sweep"])
+
+
+def _faults_beside_plot(draft: Draft, error: ConfigError) -> Sequence[Mistake]:
+    """What is wrong with the runs of a sweep of which nothing but the plot is at fault."""
+    if not all(mistake.key.startswith("sweep.plot") for mistake in error.mistakes):
+        return ()
+    settings = {key: value for key, value in draft.data["sweep"].items() if key != "plot"}
+    rest = draft._replace(data={**draft.data, "sweep": settings})
+    try:
+        runs = SweepRuns(_settings_of(rest), rest)
+        if len(runs) <= _MOST_RUNS:
+            runs.check()
+    except ConfigError as more:
+        return more.mistakes
+    return ()
 
 
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:

@@ -18,7 +18,7 @@ from ._technique import ShadowMappingConfig, TechniqueConfig
 FILTERS = variants_of(FilterConfig)
 """Each filter's section by its `type`."""
 _PLANES = variants_of(PlaneConfig)
-_TECHNIQUES = variants_of(TechniqueConfig)
+TECHNIQUES = variants_of(TechniqueConfig)
 DEFAULT_FILTER = "random_disk"
 
 
@@ -130,7 +130,7 @@ _HOLDERS = {
     "bias.terms": [TermsConfig],
     "bias.plane": [*_PLANES.values()],
     "filter": [*FILTERS.values()],
-    "technique": [*_TECHNIQUES.values()],
+    "technique": [*TECHNIQUES.values()],
 }
 
 
@@ -151,7 +151,7 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
     plane = _PLANES.get(str(value_at(data, "bias", "plane", "type", default="none")), _PLANES["none"])
-    technique = _TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
+    technique = TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
     if issubclass(technique, EngineConfig):
         return {"technique": technique}
     return {

@@ -38,17 +38,23 @@ def import_scene(
 
     **Returns** the path of the configuration.
 
-    **Raises** `FileError` for a file that cannot be read or written, `ValueError` for a scene without camera, light or
-    meshes, and `ConfigError` for one that no configuration can hold.
+    **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already,
+    `ValueError` for a scene without camera, light or meshes, and `ConfigError` for one that no configuration can hold.
     """
     file = Path(path)
+    name = _plain_name(file.stem)
+    folder = Path(name) if output is None else Path(output)
+    written = folder / f"{name}.yaml"
+    if written.exists():
+        raise io.FileError(
+            f"{written} exists already; expected no such file, since it may have been edited; remove it, or give "
+            "another folder with --output"
+        )
     scene = io.read_scene(file)
     remarks = list(scene.remarks)
     if camera is not None and Path(camera).is_file():
         scene, camera = scene._replace(cameras=io.read_scene(camera).cameras), None
     chosen = choose(scene, camera, light, remarks)
-    name = _plain_name(file.stem)
-    folder = Path(name) if output is None else Path(output)
     io.check_writable(folder)
     files = _file_names(chosen)
     settings = settings_of(chosen, files, scene.engine is not None, technique, shadow_type, remarks)
@@ -59,7 +65,6 @@ def import_scene(
     (folder / _MESHES).mkdir(parents=True, exist_ok=True)
     for mesh, of in zip(chosen.meshes, files, strict=True):
         io.write_ply(folder / of, mesh.vertices, mesh.faces, mesh.normals)
-    written = folder / f"{name}.yaml"
     text = _text({"name": name, **settings}, file.name)
     with io.atomic_path(written) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -104,7 +109,8 @@ def _say(console: Console, chosen: Chosen, remarks: Sequence[str]) -> None:
             ""
             if light.shadow is None
             else f": map of {light.shadow.map_size[0]} × {light.shadow.map_size[1]} texels, "
-            f"bias {light.shadow.bias:g}, normalBias {light.shadow.normal_bias:g}, radius {light.shadow.radius:g}"
+            f"bias {light.shadow.bias:g}, normalBias {light.shadow.normal_bias:g}, radius {light.shadow.radius:g}, "
+            f"intensity {light.shadow.intensity:g}"
         ),
     ]
     table.print_lines(console, [*(f"taken: {line}" for line in taken), *(f"note: {line}" for line in remarks)])

@@ -20,6 +20,7 @@ from . import _record as record
 from ._engine import CODE, code_of
 from ._page_remarks import page_remarks
 from ._progress import Stages
+from ._reference_remarks import reference_remarks
 from ._remarks import remarks
 from ._setup import Drawn, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
@@ -185,7 +186,12 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
             )
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
-    messages = [*views.remarks, *page_remarks(config, drawn), *remarks(config, plan.parameters, result)]
+    messages = [
+        *views.remarks,
+        *page_remarks(config, drawn),
+        *([] if views.validation or len(views.fitted) > 1 else reference_remarks(config, drawn)),
+        *remarks(config, plan.parameters, result),
+    ]
     return FittedRun(config, plan, views, drawn, result, before, after, errors_before, errors_after, messages, seen)
 
 

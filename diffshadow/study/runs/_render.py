@@ -15,6 +15,7 @@ from ..pages import _table as table
 from . import _record as record
 from ._page_remarks import page_remarks
 from ._progress import Stages
+from ._reference_remarks import reference_remarks
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, draw, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
@@ -71,6 +72,7 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
         *drawn[0].remarks,
         *scene_remarks(config, scenes, drawn[0].surface),
         *page_remarks(config, drawn),
+        *reference_remarks(config, drawn),
     ]
     return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
 

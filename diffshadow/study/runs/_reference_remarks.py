@@ -1,0 +1,26 @@
+"""Remarks on a run's reference: what errors against it do not say."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ...config import Config, ThreeJsConfig, TracedReferenceConfig
+from ._setup import Drawn
+
+
+def reference_remarks(config: Config, drawn: Sequence[Drawn]) -> Iterator[str]:
+    """A sentence for each light without any shadow, or without any light, in the pixels that count, and one for shadows
+    that are not meant to be dark."""
+    for each in drawn:
+        seen = np.asarray(each.reference.visibility)[each.mask]
+        if seen.size and seen.max() <= 0:
+            yield f"{each.key} reaches no pixel of the reference, so there is no shadow to compare: move the light"
+        elif seen.size and seen.min() >= 1:
+            yield f"{each.key} casts no shadow into the reference, so errors are those of acne alone: move the light"
+    technique = config.technique
+    is_traced = isinstance(config.reference, TracedReferenceConfig)
+    if isinstance(technique, ThreeJsConfig) and technique.intensity < 1 and is_traced:
+        yield (
+            f"technique.intensity is {technique.intensity:g}, and the reference's shadows are dark: the difference "
+            "counts as false light; set it to 1 to compare shadows alone"
+        )
