@@ -101,7 +101,7 @@ for name, image in {"before": before, "after": after}.items():
     errors = metrics.measure_errors(image, truth.visibility, mask)
     print(
         f"{name:7} RMSE {errors.rmse:.4f}   SSIM {errors.ssim:.3f}   "
-        f"false shadow {errors.false_shadow_rate:.2%}   false light {errors.false_light_rate:.2%} of pixels"
+        f"false shadow {errors.false_shadow_rate:.2%}   false light {errors.false_light_rate:.2%} of light"
     )
 
 # %%

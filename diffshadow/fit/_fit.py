@@ -126,7 +126,8 @@ def fit(
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, `solver`, `anneal`, `blurs`, `starts`, `evaluations` or `pixels` hold values that make no
-    sense, no pixel counts, the visibility is not finite at the start, or the number of silhouettes never settles.
+    sense, no pixel counts, the visibility is not finite at the start, or the number of silhouettes never settles; and
+    `TypeError` for objects of another kind.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
     check_instance("the solver", solver, Solver, 'a fit.Solver, such as Solver("adam")')

@@ -217,6 +217,8 @@ FILES = {
     "dust.obj": one(f"{SQUARE}v 1e-7 0 1\nv 0 1e-7 1\nf 1 5 6\n", "1 triangle of a millionth of its extent"),
     "latin_1.off": one(f"# Jürgen\n{OFF_SQUARE}".encode("latin-1")),
     "counts_beside.off": one(OFF_SQUARE.replace("OFF\n", "OFF ")),
+    "counts_joined.off": one(OFF_SQUARE.replace("OFF\n", "OFF")),
+    "no_keyword.off": one(OFF_SQUARE.replace("OFF\n", "")),
     "two_counts.off": one(OFF_SQUARE.replace("4 1 0", "4 1")),
     "colored_faces.off": one(OFF_SQUARE.replace("4 0 1 2 3", "4 0 1 2 3 0.5 0.5 0.5")),
     "colored_vertices.off": one(OFF_SQUARE.replace("OFF", "COFF").replace(" 1\n", " 1 255 0 0 255\n")),
