@@ -218,7 +218,5 @@ def test_mistakes_are_named(found):
 @pytest.mark.exhaustive
 def test_bounds_that_a_layout_does_not_allow_are_named(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
-    with pytest.raises(
-        ValueError, match=r"further than the map's layout allows: .*logarithmic is 2.0; expected 0 to 1"
-    ):
+    with pytest.raises(ValueError, match=r"further than the technique allows: .*logarithmic is 2.0; expected 0 to 1"):
         fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])

@@ -177,8 +177,12 @@ def plain(x):
     return x
 
 
+def no_noise(shape, first):
+    return jnp.zeros(shape)
+
+
 HIDDEN = {
-    "rotation of the taps": ("_NOISE", 0.0, "directional_pcf_radius_4"),
+    "rotation of the taps": ("interleaved_gradient_noise", no_noise, "directional_pcf_radius_4"),
     "half floats": ("as_half", plain, "directional_vsm_radius_4"),
     "cut of light bleeding": ("_BLEEDING", 0.0, "directional_vsm_radius_4"),
     "sides that cast": ("_OTHER", {one: one for one in ("front", "back", "double")}, "directional_basic_default_sides"),
