@@ -21,6 +21,7 @@ from diffshadow.config import (
     fit_paths,
     load_config,
     parse_config,
+    with_fitted,
 )
 from diffshadow.config.sections._fitted import FILTERS
 from diffshadow.config.sections._marks import Limits, marked
@@ -507,6 +508,12 @@ def test_cascades_extend_as_far_as_the_filter_may_read():
     fitted = parse_config(f"{text}fit: {{parameters: {{{parameters}, bias.factors.2: {{lower: 0, upper: 4}}}}}}\n")
     built = build_technique(fitted)
     assert (built.layout.margin, built.layout.max_blend) == (6 + 0.5 + 1 + 1, 0.5)
+    # What a fit stores is rendered with the same layout, whatever its values are.
+    stored = parse_config(dump_resolved(fitted.with_layout_of_fit()), ["filter.radius=1", "technique.blend=0.1"])
+    layout = build_technique(stored, fitting=False).layout
+    assert (layout.margin, layout.max_blend) == (built.layout.margin, built.layout.max_blend)
+    chosen = build_technique(with_fitted(fitted, {"filter.radius": 1, "technique.blend": 0.1}), fitting=False).layout
+    assert (chosen.margin, chosen.max_blend) == (layout.margin, layout.max_blend)
     paths = {parameter.name: parameter.where for parameter in build_fit(fitted).parameters}
     assert paths["technique.blend"] == "layout.blend"
     assert [float(resolve(built, path)) for path in paths.values()] == [2.0, np.float32(0.2), 3.0]

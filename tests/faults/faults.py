@@ -84,6 +84,13 @@ _MISC = (
         "test_pcss.py",
     ),
     _fault(
+        "layout: the margin of a fit is not stored",
+        "config/whole/_parts.py",
+        'return self.model_copy(update={"technique": self.laid_out(self.fit.parameters)})',
+        'return self.model_copy(update={"technique": self.laid_out({})})',
+        "test_config_build.py",
+    ),
+    _fault(
         "parameters: a value beyond its upper bound by rounding",
         "fit/_parameters.py",
         "return jnp.minimum(self.lower + (self.upper - self.lower) * fraction, self.upper)",

@@ -103,6 +103,17 @@ def result_of(folder: Path) -> dict:
     return json.loads((folder / "result.json").read_text())
 
 
+@pytest.mark.exhaustive
+def test_a_render_with_the_fitted_values_has_the_error_of_the_fit():
+    """Maps of cascades have a margin for all that the fit may try."""
+    folder, _ = run("technique={type: cascades, count: 2}")
+    result = result_of(folder)
+    values = [f"{name}={value!r}" for name, value in result["fitted"].items()]
+    config = load_config(folder / "config.yaml", [*values, "name=again"])
+    errors = result_of(study.run_render(config, console=console()[0]))["metrics"]["errors"]
+    assert errors["rmse"] == pytest.approx(result["metrics"]["after"]["rmse"], rel=1e-6)
+
+
 def test_fit_writes_every_file_and_nothing_else(finished):
     folder, _, home = finished
     assert folder == home / "runs" / "tiny"

@@ -5,7 +5,6 @@ from typing import Any
 from ... import shadow
 from ..sections._filters import PatternedConfig
 from ..sections._technique import (
-    SPARE,
     CascadesConfig,
     CompareConfig,
     PerspectiveWarpConfig,
@@ -68,17 +67,14 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     section = config.technique
     if not isinstance(section, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig):
         return shadow.SingleMap()
-    arguments = _arguments(config, "technique", fitting=fitting)
-    if section.margin is None:
-        reach, _ = config.reach(config.fit.parameters if fitting else {})
-        arguments["margin"] = reach + SPARE
+    bounds = config.fit.parameters if fitting else {}
+    laid_out: Any = config.laid_out(bounds)
+    arguments = _arguments(config, "technique", fitting=fitting) | {"margin": laid_out.margin}
     if isinstance(section, PerspectiveWarpConfig):
         return shadow.PerspectiveWarp(**arguments)
     if isinstance(section, ResolutionMatchedConfig):
         return shadow.ResolutionMatched(**arguments)
-    bounds = config.fit.parameters if fitting else {}
-    blend = bounds.get("technique.blend")
-    arguments["max_blend"] = max(section.blend, blend.upper) if blend else None
+    arguments["max_blend"] = laid_out.max_blend
     arguments["max_share"] = config.max_share(bounds)
     return shadow.Cascades(**arguments)
 

@@ -86,7 +86,7 @@ def load_advice(
 
 
 def with_fitted(config: Config, values: Mapping[str, float]) -> Config:
-    """`config` with these numbers, by the keys that set them, where its fit starts then.
+    """`config` with these numbers, by the keys that set them, where its fit starts then, and the layout of the fit.
 
     **Raises** `ConfigError` if a value is out of its limits.
     """
@@ -96,7 +96,8 @@ def with_fitted(config: Config, values: Mapping[str, float]) -> Config:
         # Rounding may move it out of its bounds.
         inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
         overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
-    return parse_config(dump_resolved(config), overrides, source="the recommended configuration", fitting=True)
+    text = dump_resolved(config.with_layout_of_fit())
+    return parse_config(text, overrides, source="the recommended configuration", fitting=True)
 
 
 def _settings_of(draft: Draft) -> AdviseConfig:

@@ -110,6 +110,10 @@ class CascadesConfig(MappedConfig):
     blend: Annotated[Fraction, Fitted()] = Field(
         default=0.1, description="part of each slice over which its cascade fades into the next"
     )
+    max_blend: Fraction | None = Field(
+        default=None,
+        description="greatest blend, which maps are drawn for; default: blend, in a fit its upper bound",
+    )
     fade: Fraction = Field(
         default=0.0, description="part of the last slice over which shadows fade out before the shadow distance"
     )
@@ -133,6 +137,8 @@ class CascadesConfig(MappedConfig):
             if after <= before:
                 message = f"is {after:g}, after {before:g}"
                 yield ("distances", i + 1), fault(message, "increasing depths", "sort them, without repetitions")
+        if self.max_blend is not None and self.blend > self.max_blend:
+            yield ("blend",), fault(f"is {self.blend:g}", f"at most max_blend, {self.max_blend:g}", "lower it")
         if self.shares is not None and len(self.shares) != self.layers:
             message = f"has {len(self.shares)} shares, for {self.layers} cascades"
             yield ("shares",), fault(message, "as many", "give one for each cascade")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
@@ -20,9 +20,12 @@ from ..sections._section import Section, fault
 from ..sections._shading import PhongConfig, ShadingConfig
 from ..sections._sweep import SweepConfig
 from ..sections._technique import (
+    SPARE,
     CascadesConfig,
     CompareConfig,
     HardCompareConfig,
+    PerspectiveWarpConfig,
+    ResolutionMatchedConfig,
     ShadowMapConfig,
     ShadowMappingConfig,
     TechniqueConfig,
@@ -111,6 +114,23 @@ class Parts(Section):
             if key in bounds and now is not None and bounds[key].upper > now:
                 reach, name = reach + bounds[key].upper - now, key
         return reach, name
+
+    def laid_out(self, bounds: Mapping[str, FitParameterConfig]) -> TechniqueConfig:
+        """`technique` with the margin of its maps, and cascades with the blend that they are drawn for, where these are
+        not given: as much as fitted numbers within `bounds` need."""
+        section, given = self.technique, {}
+        if (
+            isinstance(section, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig)
+            and section.margin is None
+        ):
+            given["margin"] = self.reach(bounds)[0] + SPARE
+        if isinstance(section, CascadesConfig) and section.max_blend is None and "technique.blend" in bounds:
+            given["max_blend"] = max(section.blend, bounds["technique.blend"].upper)
+        return section.model_copy(update=given)
+
+    def with_layout_of_fit(self) -> Self:
+        """The configuration with the layout that its fit draws, so that a render with fitted values draws the same."""
+        return self.model_copy(update={"technique": self.laid_out(self.fit.parameters)})
 
     def max_share(self, bounds: Mapping[str, FitParameterConfig]) -> float | None:
         """The greatest part of all texels that a cascade may have, in (0, 1]; none unless cascades have shares.

@@ -55,10 +55,14 @@ def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, flo
         lines += [f"light.shadow.blurSamples = {settings.blur_samples};"]
     if float(settings.intensity) != 1:
         lines += [f"light.shadow.intensity = {_text(float(settings.intensity))};"]
-    sides = {"front": "FrontSide", "back": "BackSide", "double": "DoubleSide"}
+    constants = {"front": "THREE.FrontSide", "back": "THREE.BackSide", "double": "THREE.DoubleSide"}
     for name, side in (("side", settings.side), ("shadowSide", settings.shadow_side)):
         if isinstance(side, str):
-            lines += [f"material.{name} = THREE.{sides[side]};"]
+            lines += [f"material.{name} = {constants[side]};"]
+        elif side is not None:
+            lines += [f"// material.{name} of each mesh: {', '.join(constants[one] for one in side)}"]
+    if settings.reversed_depth:
+        lines += ["// for a renderer with reversedDepthBuffer: true"]
     is_linear = given.type == "directional"
     if not is_linear:
         lines += ["light.distance = 0;  // another distance replaces the camera's far"]
@@ -84,6 +88,13 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
         f"{_in_texels(given, normal_bias, settings.resolution[1])}",
         *(f"generator.{name} = {value};" for name, value in _babylon_filter(settings, is_point).items()),
     ]
+    if settings.force_back_faces_only:
+        lines += ["generator.forceBackFacesOnly = true;"]
+    culling = settings.back_face_culling
+    if isinstance(culling, tuple):
+        lines += [f"// material.backFaceCulling of each mesh: {', '.join(map(_flag, culling))}"]
+    elif not culling:
+        lines += ["material.backFaceCulling = false;"]
     if float(settings.darkness):
         lines += [f"generator.setDarkness({_text(float(settings.darkness))});"]
     is_linear = given.type == "directional" or not by_depth

@@ -234,5 +234,5 @@ def _killed(batch: Batch) -> Outcome:
     (run,) = batch.runs
     error = "its worker died at every attempt, perhaps for lack of memory"
     outcome = Outcome(run.id, FAILED, error, {}, {})
-    write_outcome(batch.folder, run, outcome)
+    write_outcome(batch.folder, run, outcome, batch.settings.run)
     return outcome

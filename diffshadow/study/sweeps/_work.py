@@ -124,11 +124,15 @@ def _measured(settings: SweepConfig) -> tuple[dict[str, type], tuple[str, ...]]:
     return {name: int if name in WHOLE else float for name in names}, further
 
 
-def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome) -> None:
-    """Writes the run's folder: its configuration and outcome."""
+def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome, kind: str) -> None:
+    """Writes the run's folder: its configuration, with the layout that it was drawn with, and its outcome.
+
+    `kind` is `"fit"` or `"render"`.
+    """
+    config = run.config.with_layout_of_fit() if kind == "fit" else run.config
 
     def write(draft: Path) -> None:
-        record.write_config(draft, run.config)
+        record.write_config(draft, config)
         record.write_result(draft, outcome._asdict())
 
     place = Path(folder) / RUNS / run.id
@@ -174,7 +178,7 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
     except Exception as problem:
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
     outcome = Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
-    write_outcome(batch.folder, run, outcome)
+    write_outcome(batch.folder, run, outcome, batch.settings.run)
     return outcome
 
 

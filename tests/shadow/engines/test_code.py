@@ -106,6 +106,18 @@ def test_babylons_window_is_the_mirror_image():
     assert "generator.depthScale = 50;" in code
 
 
+def test_what_casts_is_said():
+    babylon = BabylonJs(force_back_faces_only=True, back_face_culling=False, resolution=(64, 64))
+    code = engine_code(babylon, SUN, (1.0, 5.0))
+    assert "generator.forceBackFacesOnly = true;" in code
+    assert "material.backFaceCulling = false;" in code
+    code = engine_code(BabylonJs(back_face_culling=(True, False), resolution=(64, 64)), SUN, (1.0, 5.0))
+    assert "// material.backFaceCulling of each mesh: true, false" in code
+    code = engine_code(ThreeJs(side=("front", "double"), reversed_depth=True), SUN, (1.0, 5.0))
+    assert "// material.side of each mesh: THREE.FrontSide, THREE.DoubleSide" in code
+    assert "reversedDepthBuffer: true" in code
+
+
 def test_zero_has_no_sign():
     code = engine_code(ThreeJs(bias=-0.0, normal_bias=-1e-30, shadow_type="BasicShadowMap"), SUN, (1.0, 5.0))
     assert "bias = 0;" in code
