@@ -9,6 +9,9 @@ import numpy as np
 from ._misc import concrete
 from ._types import Scalar
 
+MOST_PIXELS_ACROSS = 8192
+"""The most pixels along a side of an image, or texels along a side of a map."""
+
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
     """**Raises** `ValueError` if `value` is not one of `choices`."""
@@ -45,11 +48,13 @@ def check_points(name: str, points: Any) -> None:
         raise ValueError(f"{name} have shape {shape}; expected (n, 3), at least one point with x, y and z")
 
 
-def check_resolution(name: str, resolution: Any, most: int) -> None:
-    """**Raises** `ValueError` unless `resolution` is two integers from 1 to `most`."""
+def check_resolution(name: str, resolution: Any) -> None:
+    """**Raises** `ValueError` unless `resolution` is two integers from 1 to `MOST_PIXELS_ACROSS`."""
     is_pair = isinstance(resolution, tuple | list) and len(resolution) == 2
-    if not is_pair or not all(isinstance(n, int | np.integer) and 1 <= n <= most for n in resolution):
-        raise ValueError(f"{name} is {resolution!r}; expected (height, width), each an integer from 1 to {most}")
+    if not is_pair or not all(isinstance(n, int | np.integer) and 1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
+        raise ValueError(
+            f"{name} is {resolution!r}; expected (height, width), each an integer from 1 to {MOST_PIXELS_ACROSS}"
+        )
 
 
 def listed(values: Any) -> str:
@@ -66,7 +71,8 @@ def check_again(tree: Any) -> None:
         for own in type(tree).__mro__:
             vars(own).get("__check_init__", lambda module: None)(tree)
         tree = [getattr(tree, field.name) for field in dataclasses.fields(tree)]
-    parts = tree.values() if isinstance(tree, dict) else tree
-    if isinstance(tree, dict | list | tuple):
-        for part in parts:
+    if isinstance(tree, dict):
+        tree = list(tree.values())
+    if isinstance(tree, list | tuple):
+        for part in tree:
             check_again(part)

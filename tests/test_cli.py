@@ -194,15 +194,6 @@ def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeyp
     assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles" in out.splitlines()[-1]
 
 
-def test_interrupt_exits_with_130(monkeypatch, capsys):
-    def interrupted(config, *, console):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(diffshadow.study, "run_fit", interrupted, raising=False)
-    assert run("fit", QUICKSTART) == 130
-    assert capsys.readouterr().err == "error: interrupted\n"
-
-
 def test_disk_trouble_is_told_without_a_traceback(monkeypatch, capsys):
     def full(config, *, console):
         raise OSError(28, "No space left on device", "runs/x")
@@ -223,7 +214,7 @@ def test_lack_of_memory_is_told_without_a_traceback(error, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("INTERNAL: CpuCallback error: KeyboardInterrupt")])
-def test_interrupts_are_told_without_a_traceback(error, monkeypatch, capsys):
+def test_interrupt_exits_with_130_and_without_a_traceback(error, monkeypatch, capsys):
     """JAX makes an error of its own of an interrupt in a callback."""
 
     def stopped(config, *, console):

@@ -18,9 +18,6 @@ from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import centred_orthographic, centred_perspective, look_at
 from ._view import View
 
-# Along a side.
-_MOST_PIXELS = 8192
-
 
 class AbstractCamera(eqx.Module):
     """A view of the scene and the image it is drawn to.
@@ -59,7 +56,7 @@ class AbstractCamera(eqx.Module):
         return width / height
 
     def __check_init__(self):
-        check_resolution("the camera's resolution", self.resolution, _MOST_PIXELS)
+        check_resolution("the camera's resolution", self.resolution)
         check_pose("the camera", self.eye, self.target)
         check_near_far("the camera", self.near, self.far, positive=isinstance(self, PinholeCamera))
 

@@ -26,7 +26,7 @@ def _as_faces(faces: Any) -> Faces:
         )
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"the mesh's faces are of type {given.dtype}; expected integers, indices into its vertices")
-    return as_int(faces)
+    return as_int(given)
 
 
 class Mesh(eqx.Module):

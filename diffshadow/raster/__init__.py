@@ -19,7 +19,6 @@ from ._interpolate import visible_depth as visible_depth
 from ._irregular import hidden_points as hidden_points
 from ._irregular import seen_points as seen_points
 from ._items import Items as Items
-from ._rasterize import MOST_PIXELS_ACROSS as MOST_PIXELS_ACROSS
 from ._rasterize import NO_FACE as NO_FACE
 from ._rasterize import Fragments as Fragments
 from ._rasterize import rasterize as rasterize

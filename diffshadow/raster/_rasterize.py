@@ -11,7 +11,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_choice, check_resolution
+from .._checks import MOST_PIXELS_ACROSS, check_choice, check_resolution
 from .._misc import as_float, padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
@@ -20,9 +20,6 @@ from ._bins import FACING, Cull, bin_triangles
 from ._depth_test import DepthTest
 from ._page_pass import PagedDrawing
 from ._windows import Drawing, DrawPass, least_depth, least_depth_and_face
-
-MOST_PIXELS_ACROSS = 8192
-"""The most pixels along a side of an image."""
 
 NO_FACE = -1
 """What a pixel that sees nothing holds in a face map."""
@@ -112,7 +109,7 @@ def rasterize_depth(
 def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer) -> Any:
     test = test or DepthTest()
     test.check()
-    check_resolution("the resolution", resolution, MOST_PIXELS_ACROSS)
+    check_resolution("the resolution", resolution)
     check_choice("cull", cull, tuple(FACING))
     if buffer is not None and not all(
         n <= size <= MOST_PIXELS_ACROSS for n, size in zip(resolution, buffer, strict=True)

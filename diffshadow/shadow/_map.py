@@ -10,12 +10,11 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_choice, check_resolution
+from .._checks import MOST_PIXELS_ACROSS, check_choice, check_resolution
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
 from ..raster import (
-    MOST_PIXELS_ACROSS,
     Cull,
     DepthTest,
     Fragments,
@@ -120,7 +119,7 @@ def draw_shadow_map(
     `edges` for one with pages or with cascades of several sizes, and what `rasterize` raises; and a runtime error if
     the silhouettes have more `crossings`.
     """
-    check_resolution("the shadow map's resolution", resolution, MOST_PIXELS_ACROSS)
+    check_resolution("the shadow map's resolution", resolution)
     view = light.view()
     check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
     if edges is not None:

@@ -13,13 +13,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._checks import check_choice
 from .._misc import as_array, as_float, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
 from ._receiver import project
 from ._technique import AbstractTechnique
-from .kernels import Blur, Shape, bilinear_fetch, check_kernel, check_radius, radius_limit
+from .kernels import Blur, Shape, bilinear_fetch, check_radius, radius_limit
 
 LayerMap = Int[Array, "h w"]
 
@@ -78,7 +79,7 @@ class ProjectiveShadow(AbstractTechnique):
         self.max_blur = radius_limit(blur, max_blur)
 
     def __check_init__(self):
-        check_kernel("projective texture", self.kernel)
+        check_choice("the projective texture's kernel", self.kernel, Shape.__args__)
         check_radius("projective texture", self.blur, self.max_blur)
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ProjectiveTexture:

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from .._errors import ConfigError, KeyPath, Mistake, Origin
 from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
 from ..sections._axes import LABEL
-from ..sections._fitted import TECHNIQUES
-from ..sections._section import value_at
+from ..sections._fitted import technique_of
+from ..sections._section import type_of, value_at
 from ..sections._sweep import SweepConfig
 from ..sections._technique import MappedConfig, ShadowMapConfig
 from ..whole._schema import Config
@@ -106,12 +106,12 @@ def _settings_of(draft: Draft) -> AdviseConfig:
     if draft.data.get("sweep") is not None:
         message = "makes this file a sweep; expected one without; override sweep=null"
         mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
-    technique = str(value_at(draft.data, "technique", "type", default="shadow_map"))
-    if not issubclass(TECHNIQUES.get(technique, MappedConfig), MappedConfig):
+    technique = technique_of(draft.data)
+    if not issubclass(technique, MappedConfig):
         path = ("technique", "type")
         message = (
-            f"is {technique}, and advise compares biases and filters of shadow maps; expected a technique that has "
-            "these, such as shadow_map; change it"
+            f"is {type_of(technique)}, and advise compares biases and filters of shadow maps; expected a technique "
+            "that has these, such as shadow_map; change it"
         )
         mistakes.append(Mistake(draft.origin.place(path), ".".join(path), message))
     for kind in ("views", "validation"):

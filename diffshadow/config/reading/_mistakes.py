@@ -71,10 +71,8 @@ def _wrong_value(value: Any, slot: Slot) -> str:
 
 def _remedy(value: Any, slot: Slot) -> str:
     if value is None:
-        none = next((type_of(variant) for variant in slot.siblings if type_of(variant) == "none"), None)
-        if none is not None:
-            return f"write {{type: {none}}}, or remove the key to get its default"
-        return "remove the key to get its default" if _has_default(slot) else "give it a value"
+        mend = "remove the key to get its default" if _has_default(slot) else "give it a value"
+        return f"write {{type: none}}, or {mend}" if "none" in map(type_of, slot.siblings) else mend
     if slot.choices:
         return did_you_mean(value, slot.choices, "choose one of these")
     if slot.kind is bool and str(value).lower() in _SWITCHES:

@@ -18,7 +18,7 @@ from ._technique import ShadowMappingConfig, TechniqueConfig
 FILTERS = variants_of(FilterConfig)
 """Each filter's section by its `type`."""
 _PLANES = variants_of(PlaneConfig)
-TECHNIQUES = variants_of(TechniqueConfig)
+_TECHNIQUES = variants_of(TechniqueConfig)
 DEFAULT_FILTER = "random_disk"
 
 
@@ -52,6 +52,11 @@ def is_searched(data: Any, name: str) -> bool:
     holder, key, _ = key_of(name)
     section = _holders(data).get(holder)
     return section is not None and key in (fitted := _fitted_keys(section)) and fitted[key].searched
+
+
+def technique_of(data: Any) -> type[Section]:
+    """The section of the technique of `data`; shadow mapping's if its type is unknown, which is reported elsewhere."""
+    return _TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
 
 
 def key_of(name: str) -> tuple[str, str, int | None]:
@@ -130,7 +135,7 @@ _HOLDERS = {
     "bias.terms": [TermsConfig],
     "bias.plane": [*_PLANES.values()],
     "filter": [*FILTERS.values()],
-    "technique": [*TECHNIQUES.values()],
+    "technique": [*_TECHNIQUES.values()],
 }
 
 
@@ -151,7 +156,7 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
     plane = _PLANES.get(str(value_at(data, "bias", "plane", "type", default="none")), _PLANES["none"])
-    technique = TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
+    technique = technique_of(data)
     if issubclass(technique, EngineConfig):
         return {"technique": technique}
     return {

@@ -11,12 +11,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._checks import check_choice
 from ..._misc import as_float, concrete
 from ..._types import DepthMap, Scalar, Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import Blur, Shape, bilinear_fetch, check_kernel, check_radius, radius_limit
+from ..kernels import Blur, Shape, bilinear_fetch, check_radius, radius_limit
 from ._abstract import AbstractFilter
 
 # Upper bound on the reduction of light bleeding.
@@ -87,7 +88,7 @@ class AbstractPrefiltered(AbstractFilter):
 
     def __check_init__(self):
         check_radius(self.name, self.radius, self.max_radius)
-        check_kernel(self.name, self.kernel)
+        check_choice(f"the {self.name}'s kernel", self.kernel, Shape.__args__)
         for what, (low, high) in (self.ranges | {"light_bleeding": (0.0, _MAX_BLEEDING)}).items():
             check_number(self.name, what, getattr(self, what), low, high)
 

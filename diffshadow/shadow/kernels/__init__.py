@@ -11,7 +11,6 @@ To write a filter, use one of these:
 from ._atlas import Atlas as Atlas
 from ._blur import Blur as Blur
 from ._blur import bilinear_fetch as bilinear_fetch
-from ._blur import check_kernel as check_kernel
 from ._blur import check_radius as check_radius
 from ._blur import radius_limit as radius_limit
 from ._kernel import AbstractKernel as AbstractKernel

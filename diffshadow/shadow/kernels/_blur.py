@@ -11,10 +11,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._checks import check_choice
 from ..._misc import at_most, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
-from ._separable import INTEGRALS, Shape, weight_between
+from ._separable import Shape, weight_between
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
@@ -30,11 +29,6 @@ def check_radius(name: str, radius: Scalar, max_radius: float) -> None:
             f"the {name}'s radius is {known} texels; expected 0 to max_radius = {max_radius:g}: give a larger "
             "max_radius"
         )
-
-
-def check_kernel(name: str, kernel: str) -> None:
-    """**Raises** `ValueError` for an unknown kernel."""
-    check_choice(f"the {name}'s kernel", kernel, tuple(INTEGRALS))
 
 
 class Blur(eqx.Module):

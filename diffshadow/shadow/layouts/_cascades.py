@@ -11,11 +11,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._checks import check_choice
+from ..._checks import MOST_PIXELS_ACROSS, check_choice
 from ..._misc import as_float, concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
-from ...raster import MOST_PIXELS_ACROSS, SUBPIXELS, Surface
+from ...raster import SUBPIXELS, Surface
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout, check_depths
 from ._frustum import DepthRange, ViewFrustum, depths_of

@@ -58,7 +58,7 @@ class FittedRun(NamedTuple):
     @property
     def has_views(self) -> bool:
         """Whether there are other views than the configuration's own scene."""
-        return len(self.views.fitted) + len(self.views.validation) > 1 or bool(self.config.views)
+        return len(self.views.all) > 1 or bool(self.config.views)
 
     @property
     def code(self) -> dict[str, str]:
@@ -189,7 +189,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     messages = [
         *views.remarks,
         *page_remarks(config, drawn),
-        *([] if views.validation or len(views.fitted) > 1 else reference_remarks(config, drawn)),
+        *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
         *remarks(config, plan.parameters, result),
     ]
     return FittedRun(config, plan, views, drawn, result, before, after, errors_before, errors_after, messages, seen)
