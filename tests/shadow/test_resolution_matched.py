@@ -12,7 +12,6 @@ from diffshadow.geometry import (
     DirectionalLight,
     Edges,
     Mesh,
-    PagedLight,
     Pages,
     PinholeCamera,
     Scene,
@@ -40,6 +39,7 @@ from diffshadow.shadow import (
     VarianceShadowMap,
     draw_shadow_map,
 )
+from diffshadow.shadow.layouts import PagedLight
 from diffshadow.shadow.layouts._resolution_matched import levels_needed
 
 PAGE, GUTTER, WIDE = 16, 6, 64

@@ -12,19 +12,12 @@ from jaxtyping import Array, Bool, Float
 from ..._checks import check_choice
 from ..._misc import as_float, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
-from ...geometry import (
-    AbstractCamera,
-    AbstractLight,
-    View,
-    Warp,
-    WarpedLight,
-    transform_points,
-    transform_vectors,
-)
+from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_points, transform_vectors
 from ...raster import Surface
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._warped_light import WarpedLight
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
 _LEAST_SINE = 1e-3
