@@ -64,6 +64,10 @@ class AbstractLayout(eqx.Module):
         """
         return ()
 
+    def check_reach(self, reach: float) -> None:
+        """**Raises** `ValueError` if a technique that reads the map `reach` texels from a receiver would read beyond
+        what its layers show."""
+
     def layer_resolution(self, resolution: Resolution) -> Resolution:
         """(height, width) of a layer in texels, for a map of `resolution`."""
         return resolution
