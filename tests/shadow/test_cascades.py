@@ -465,6 +465,20 @@ def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     np.testing.assert_array_equal(np.asarray(ending)[0], np.float32(depth) <= 11)
 
 
+def test_figures_of_cascades_show_what_receivers_are_looked_up_in(grid):
+    layout = given_slices(6.0, 11.0, blend=0.25)
+    light = layout.light(grid.light, grid.camera, (GRID_TEXELS, GRID_TEXELS))
+    assert layout.map_figure(light) == ("Cascades", ("up to 6 deep", "up to 11 deep"), 2)
+    depth = np.linspace(1, 20, SIZE[0] * SIZE[1]).reshape(SIZE)
+    surface = surface_at(np.stack([0 * depth, 0 * depth, -depth], axis=-1), (0, 1, 0))
+    figure = layout.layer_figure(light, surface)
+    assert figure.labels == {0: "1: up to 6 deep", 1: "2: up to 11 deep"}
+    np.testing.assert_array_equal(figure.colour, depth > 6)
+    np.testing.assert_array_equal(figure.shown, depth < 11)
+    assert (np.asarray(figure.weight)[(depth > 5) & (depth < 6)] < 1).all()
+    assert SingleMap().map_figure(grid.light) is SingleMap().layer_figure(grid.light, surface) is None
+
+
 @eqx.filter_jit
 def _mean_and_slopes(technique, state, surface, values):
     """A weighted sum of visibilities by blend, bias and radius, and its derivatives."""

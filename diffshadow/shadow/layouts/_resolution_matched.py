@@ -47,10 +47,12 @@ class ResolutionMatched(AbstractFittedLayout):
 
     The map's `resolution` is the number of texels that there is memory for, gutters included. If the pages that are
     requested have more, all levels are raised by the same bias, in steps of 1/16, until they fit
-    (`PagedLight.raised`). Nothing is left out: in the end, the root alone is always resident. A point is looked up in
-    the finest resident page that contains it, which is the one that it requested, or a finer one that another point
-    requested; pages that no point is then looked up in are not drawn. Points that the camera does not see are looked up
-    in the same way, in the root if in no other.
+    (`PagedLight.raised`). Every part of the scene has a page, but texels get larger, and shadows narrower than a texel
+    may be lost. In the end, only the root is resident: a plain map with as many texels as a page.
+
+    A point is looked up in the finest resident page that contains it. That is the page that it requested, or a finer
+    one that another point requested. Pages that no point is then looked up in are not drawn. Points that the camera
+    does not see are looked up in the same way, in the root if in no other.
 
     Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
     filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
@@ -194,10 +196,11 @@ class ResolutionMatched(AbstractFittedLayout):
         raised, bias, coarse = float(light.raised), float(light.bias), float(light.too_coarse)
         found = []
         if raised > 0 and bias > 0:
+            count = int(light.pages.count)
+            fit = f"{count} pages fit" if count > 1 else f"one page of {self.layer_resolution((1, 1))[0]}² shows all"
             found.append(
                 f"requests {int(light.requested)} pages, and the shadow map has memory for {light.capacity}: "
-                f"level_bias was raised to {bias:.3g}, where {int(light.pages.count)} pages fit; enlarge the map's "
-                "resolution"
+                f"level_bias was raised to {bias:.3g}, where {fit}; enlarge the map's resolution"
             )
         if coarse > _MANY:
             found.append(
