@@ -205,7 +205,12 @@ SECTIONS[LAYOUTS] = (
         "fitted to what the camera sees",
     ),
     Row("LiSPSM", ("technique={type: perspective_warp}",), "one map, warped towards the camera"),
-    Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "too much for what is near"),
+    Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "for the depths that are seen"),
+    Row(
+        "Perspective, from near",
+        ("technique={type: perspective_warp, method: perspective, depths: camera}",),
+        "too strong: the camera's near is nearer than all that is seen",
+    ),
     Row("Trapezoidal", ("technique={type: perspective_warp, method: trapezoidal}",), ""),
     Row(
         "Resolution-matched",

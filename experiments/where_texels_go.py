@@ -1,13 +1,15 @@
 """How does a shadow's error fall with the memory of its map, and how much better do cascades and warps use it?
 
-    python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/room.yaml
+    python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/street.yaml \
+        configs/hills.yaml
     python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
 
-Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with 4 cascades of several sizes, with a map
-that is warped towards the camera (light space perspective shadow maps), and with pages of a virtual map, all with the
-same number of texels. Cascades and the warp cover the depths that the camera sees, not the empty space before them.
-Every technique has its best settings: the spacing of its cascades and their shares are found by a bounded search, since
-the error has no derivative with respect to them, and the bias is fitted by gradient.
+Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with 4 cascades of several sizes, with maps
+that are warped towards the camera (light space perspective shadow maps and perspective shadow maps), and with pages of
+a virtual map, all with the same number of texels. Cascades cover the depths that the camera sees, not the empty space
+before them. Light space perspective shadow maps are drawn for these depths, and for those from the camera's near to its
+far. Every technique has its best settings: the spacing of its cascades and their shares are found by a bounded search,
+since the error has no derivative with respect to them, and the bias is fitted by gradient.
 
 The figure has texels along x and the root mean square error of visibility along y, both logarithmic. The grey area is
 below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen.
@@ -51,7 +53,9 @@ class Technique(NamedTuple):
 
 TECHNIQUES = {
     "plain": Technique("one map", "{type: shadow_map}"),
-    "warped": Technique("LiSPSM", "{type: perspective_warp, depths: surface}"),
+    "lispsm": Technique("LiSPSM", "{type: perspective_warp}"),
+    "lispsm_seen": Technique("LiSPSM, seen depths", "{type: perspective_warp, depths: surface}"),
+    "perspective": Technique("perspective", "{type: perspective_warp, method: perspective}"),
     "pages": Technique("pages", "{type: resolution_matched, finest: 65536, level_bias: -8}"),
     **{
         f"cascades{count}": Technique(f"{count} cascades", f"{CASCADES}, count: {count}}}", count)

@@ -37,17 +37,12 @@ from ._transforms import transform_vectors as transform_vectors
 from ._transforms import translation as translation
 from ._view import View as View
 from ._warp import Warp as Warp
-from .lights import AbstractFittedLight as AbstractFittedLight
 from .lights import AbstractLight as AbstractLight
-from .lights import CascadedLight as CascadedLight
-from .lights import CascadeSelection as CascadeSelection
 from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
 from .lights import LightPose as LightPose
 from .lights import MatrixLight as MatrixLight
-from .lights import PagedLight as PagedLight
 from .lights import PointLight as PointLight
 from .lights import RectangleLight as RectangleLight
 from .lights import SpotLight as SpotLight
 from .lights import Vector as Vector
-from .lights import WarpedLight as WarpedLight

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import with_gradient_of
 from .._types import Scalar
-from ._pages import Tile
+from ._pages import Pages, Tile
 from ._transforms import transform_points, transform_vectors
 from ._warp import Warp
 
@@ -30,6 +30,7 @@ class View(eqx.Module):
         while depths stay those of the parallel view. None for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection is that of the whole
         virtual map. None if a map shows all of the window. A virtual map that is smaller than its layer ends within it.
+    - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. None for a map without pages.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -40,6 +41,7 @@ class View(eqx.Module):
     steps: Float[Array, "*k 2"] | None = None
     warp: Warp | None = None
     tile: Tile | None = None
+    pages: Pages | None = None
 
     @eqx.filter_jit
     def facing(self, layer: Int[Array, "*n"] | None) -> "View":
@@ -48,7 +50,7 @@ class View(eqx.Module):
             return self
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
         view = self._with(each(self.world_to_eye), each(self.eye_to_clip))
-        return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer))
+        return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer), pages=None)
 
     def whole(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
         """(height, width) in texels of the map that the projection shows, given a layer's `resolution`: of the virtual

@@ -66,7 +66,9 @@ from .kernels import mean_of_taps as mean_of_taps
 from .layouts import AbstractLayout as AbstractLayout
 from .layouts import Cascades as Cascades
 from .layouts import Choice as Choice
+from .layouts import LayerFigure as LayerFigure
 from .layouts import LevelNorm as LevelNorm
+from .layouts import MapFigure as MapFigure
 from .layouts import PerspectiveWarp as PerspectiveWarp
 from .layouts import ResolutionMatched as ResolutionMatched
 from .layouts import SingleMap as SingleMap

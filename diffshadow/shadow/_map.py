@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import MOST_PIXELS_ACROSS, check_choice, check_resolution
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Edges, Mesh, PagedLight, Tile, View
+from ..geometry import AbstractLight, Edges, Mesh, Tile, View
 from ..raster import (
     Cull,
     DepthTest,
@@ -123,7 +123,7 @@ def draw_shadow_map(
     view = light.view()
     check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
     if edges is not None:
-        _check_allows_edges(light, view, resolution, depth_layer, cull)
+        _check_allows_edges(view, resolution, depth_layer, cull)
     if polygon_offset is not None and view.warp is not None:
         raise ValueError(
             "the shadow map is warped, and polygon_offset was given; expected none: leave it out, or use a layout "
@@ -134,8 +134,8 @@ def draw_shadow_map(
     mesh = mesh.padded()
     edges = None if edges is None else edges.padded(mesh.faces.shape[0])
     clip = view.clip_vertices(mesh.vertices)
-    pages = light.pages if isinstance(light, PagedLight) else None
-    viewports = None if view.tile is None or pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
+    # Pages have places in virtual maps of their own; other layers show the virtual map that begins at their corner.
+    viewports = None if view.tile is None or view.pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
     test = DepthTest(depth_format)
     is_plain = depth_format == "float32" and polygon_offset is None
 
@@ -148,7 +148,7 @@ def draw_shadow_map(
             depth_test=test if view.warp is None else DepthTest(),
             polygon_offset=polygon_offset,
             behind=behind,
-            pages=pages,
+            pages=view.pages,
             viewports=viewports,
             buffer=buffer,
         )
@@ -181,9 +181,7 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
-def _check_allows_edges(
-    light: AbstractLight, view: View, resolution: Resolution, depth_layer: DepthLayer, cull: Cull
-) -> None:
+def _check_allows_edges(view: View, resolution: Resolution, depth_layer: DepthLayer, cull: Cull) -> None:
     """**Raises** `ValueError` for a map that cannot have silhouettes."""
     if max(resolution) >= MOST_PIXELS_ACROSS:
         raise ValueError(
@@ -197,7 +195,7 @@ def _check_allows_edges(
             "leave edges out, or change depth_layer and cull"
         )
     if view.warp is not None or view.tile is not None:
-        layout = "pages" if isinstance(light, PagedLight) else "cascades of several sizes"
+        layout = "pages" if view.pages is not None else "cascades of several sizes"
         raise ValueError(
             f"edges were given for a map with {layout if view.warp is None else 'a warp'}, which has no silhouettes; "
             "expected no edges: leave them out, or use another layout"

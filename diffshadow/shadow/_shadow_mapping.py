@@ -33,6 +33,9 @@ class ShadowMapping(AbstractTechnique):
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
     - `layout`: how the map's texels are laid out over the scene.
+
+    **Raises** `ValueError` if the filter and the bias read further than the layout's margin, and `TypeError` for parts
+    of another kind.
     """
 
     filter: AbstractFilter
@@ -47,6 +50,13 @@ class ShadowMapping(AbstractTechnique):
         check_instance("the compare", self.compare, AbstractCompare, "a compare, such as HardCompare()")
         check_instance("the map", self.map, MapSettings, "MapSettings, such as MapSettings((512, 512))")
         check_instance("the layout", self.layout, AbstractLayout, "a layout, such as SingleMap()")
+        if self.reach is not None:
+            self.layout.check_reach(self.reach)
+
+    @property
+    def reach(self) -> float | None:
+        """How far from a receiver the map is read, in texels, with the normal offset; none if that is not known."""
+        return None if self.filter.reach is None else self.filter.reach + self.bias.reach
 
     @property
     def layers(self) -> MapSettings:

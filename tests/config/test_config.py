@@ -507,6 +507,22 @@ BROKEN = {
         "3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected "
         "at most 7; enlarge technique.page, or lower it",
     ),
+    "margin of cascades narrower than the filter": (
+        "technique: {type: cascades, margin: 1}\nfilter: {type: pcf, radius: 12}\n",
+        "2: technique.margin: is 1, and the filter reads 12 texels away, where the map may end; expected at least 12; "
+        "raise it, or remove it",
+    ),
+    "gutter narrower than a normal offset": (
+        "technique: {type: resolution_matched, margin: 2}\nfilter: {type: nearest}\nbias: {normal_offset: 3}\n"
+        "fit: {parameters: {bias.constant: {lower: 0, upper: 1}}}\n",
+        "2: technique.margin: is 2, and the filter reads 3 texels away, where the map may end; expected at least 3; "
+        "raise it, or remove it",
+    ),
+    "margin of a warp narrower than a fit's filter": (
+        "technique: {type: perspective_warp, margin: 4}\nfit: {parameters: {filter.radius: {lower: 0, upper: 6}}}\n",
+        "2: technique.margin: is 4, and fit.parameters.filter.radius.upper lets the filter read 6.5 texels away, where "
+        "the map may end; expected at least 6.5; raise it, or remove it",
+    ),
     "nothing to fit": (
         "fit: {parameters: {}}\n",
         "2: fit.parameters: is empty; expected at least one parameter to fit; "

@@ -255,6 +255,17 @@ def test_every_filter_s_settings_reach_its_module():
             assert found == given or float(found) == pytest.approx(given), (kind, key)
 
 
+def test_sections_and_modules_agree_on_how_far_filters_read():
+    for kind, section in FILTERS.items():
+        for values in ({}, *at_the_limits(section)):
+            config = parse_config(TINY, [f"filter={json.dumps({'type': kind, **values})}", "bias.normal_offset=1.5"])
+            built = build_technique(config)
+            assert built.reach == pytest.approx(config.reach({})[0]), (kind, values)
+    layered = "bias: {normal_offset: 2, factors: [1, 3]}\ntechnique: {type: cascades, count: 2}\n"
+    config = parse_config(TINY + layered + "filter: {type: bilinear}\n")
+    assert build_technique(config).reach == config.reach({})[0] == 0.5 + 2 * 3
+
+
 def at_the_limits(section) -> list[dict[str, float]]:
     """The keys of `section` that are numbers, all at their least values, and all at their greatest."""
     fields = {key: Limits.of(marked(field)[1]) for key, field in section.model_fields.items() if key != "type"}
@@ -502,12 +513,13 @@ def test_shading_is_that_of_the_config():
 def test_cascades_extend_as_far_as_the_filter_may_read():
     text = TINY + "technique: {type: cascades, count: 3, blend: 0.2}\nbias: {factors: [1, 2, 3], normal_offset: 1}\n"
     built = build_technique(parse_config(text), fitting=False)
-    assert (built.layout.count, built.layout.margin, built.layout.max_blend) == (3, 2 + 0.5 + 1 + 1, 0.2)
+    # The filter's radius, half a texel for its look-ups, the offset times its greatest factor, and one to spare.
+    assert (built.layout.count, built.layout.margin, built.layout.max_blend) == (3, 2 + 0.5 + 1 * 3 + 1, 0.2)
     assert [float(factor) for factor in built.bias.factors] == [1, 2, 3]
     parameters = "filter.radius: {lower: 0, upper: 6}, technique.blend: {lower: 0, upper: 0.5}"
     fitted = parse_config(f"{text}fit: {{parameters: {{{parameters}, bias.factors.2: {{lower: 0, upper: 4}}}}}}\n")
     built = build_technique(fitted)
-    assert (built.layout.margin, built.layout.max_blend) == (6 + 0.5 + 1 + 1, 0.5)
+    assert (built.layout.margin, built.layout.max_blend) == (6 + 0.5 + 1 * 4 + 1, 0.5)
     # What a fit stores is rendered with the same layout, whatever its values are.
     stored = parse_config(dump_resolved(fitted.with_layout_of_fit()), ["filter.radius=1", "technique.blend=0.1"])
     layout = build_technique(stored, fitting=False).layout
@@ -602,6 +614,11 @@ def test_warped_maps_are_built_as_they_are_set():
         parse_config(TINY + "technique: {type: perspective_warp, method: trapezoidal, focus: 0.2}\n")
     )
     assert (built.layout.method, float(built.layout.focus)) == ("trapezoidal", np.float32(0.2))
+    depths = lambda *settings: parse_config(
+        TINY, ["technique={type: perspective_warp, method: perspective}", *settings]
+    )
+    for config, expected in ((depths(), "surface"), (depths("technique.depths=camera"), "camera")):
+        assert config.technique.depths == build_technique(config).layout.depths == expected
     assert built.layout.strength is None
     moving = parse_config(
         TINY + "technique: {type: perspective_warp}\nfit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\n"

@@ -378,11 +378,24 @@ def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize, shares):
     assert visibility[mask].min() > (0.99 if name == "variance" else 1 - 1e-6)
 
 
-@pytest.mark.parametrize(("blend", "shares"), [(0.0, None), (0.3, None), (0.3, SHARES)])
-def test_everything_under_a_lid_is_dark(blend, shares):
+# With the least margin that the filter allows, and windows that are fitted tightly.
+TIGHT = Cascades(4, 0.8, blend=0.0, stabilize=False, margin=RADIUS + 0.5)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        cascades(),
+        cascades(blend=0.3),
+        cascades(blend=0.3, shares=SHARES),
+        pytest.param(TIGHT, marks=EXHAUSTIVE),
+    ],
+    ids=["sharp", "blended", "shares", "tight"],
+)
+def test_everything_under_a_lid_is_dark(layout):
     ground, lid = quad((0, 0, -55), (60, 0, 0), (0, 0, -60)), quad((0, 60, -55), (300, 0, 0), (0, 0, -300))
     mesh, camera = merge([ground, lid]), along_corridor()
-    technique, surface = mapping(cascades(shares=shares, blend=blend)), seen_by(camera, mesh)
+    technique, surface = mapping(layout), seen_by(camera, mesh)
     state = technique.prepare(Scene(mesh, camera, DirectionalLight.around((0.1, -1.0, 0.3), mesh.vertices)), surface)
     assert np.asarray(technique.covered(state, surface))[np.asarray(surface.mask)].all()
     assert np.asarray(technique.visibility(state, surface))[np.asarray(surface.mask)].max() < 1e-6
@@ -450,6 +463,20 @@ def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     choose = eqx.filter_jit(lambda layout, light, points: layout.choose(light, points))
     ending = choose(given_slices(6.0, 11.0, fade=0.0), state.light, points).strength
     np.testing.assert_array_equal(np.asarray(ending)[0], np.float32(depth) <= 11)
+
+
+def test_figures_of_cascades_show_what_receivers_are_looked_up_in(grid):
+    layout = given_slices(6.0, 11.0, blend=0.25)
+    light = layout.light(grid.light, grid.camera, (GRID_TEXELS, GRID_TEXELS))
+    assert layout.map_figure(light) == ("Cascades", ("up to 6 deep", "up to 11 deep"), 2)
+    depth = np.linspace(1, 20, SIZE[0] * SIZE[1]).reshape(SIZE)
+    surface = surface_at(np.stack([0 * depth, 0 * depth, -depth], axis=-1), (0, 1, 0))
+    figure = layout.layer_figure(light, surface)
+    assert figure.labels == {0: "1: up to 6 deep", 1: "2: up to 11 deep"}
+    np.testing.assert_array_equal(figure.colour, depth > 6)
+    np.testing.assert_array_equal(figure.shown, depth < 11)
+    assert (np.asarray(figure.weight)[(depth > 5) & (depth < 6)] < 1).all()
+    assert SingleMap().map_figure(grid.light) is SingleMap().layer_figure(grid.light, surface) is None
 
 
 @eqx.filter_jit
@@ -544,6 +571,17 @@ def test_cascades_lower_the_aliasing():
         (lambda: Cascades(distances=(5.0,), shadow_distance=3.0), "remove the others"),
         (lambda: Cascades(blend=0.3, max_blend=0.2), "blend is .*; expected 0 to 0.2"),
         (lambda: Cascades(margin=-1.0), "margin is -1.0; expected 0 or more"),
+        (
+            lambda: mapping(Cascades(margin=1.0)),
+            "margin is 1 texels, .* read 3.5 texels .*: raise margin",
+        ),
+        (lambda: mapping(Cascades(margin=8.0), PercentageCloserSoft(max_radius=16.0)), "is 8 texels, .* read 16.5"),
+        (
+            lambda: ShadowMapping(
+                Nearest(), Bias(normal_offset=3.0, factors=(1.0, 2.0)), layout=Cascades(2, margin=5.0)
+            ),
+            "margin is 5 texels, .* read 6 texels",
+        ),
         (lambda: Cascades(3, shares=(1.0, 2.0)), "2 shares, and their count is 3; .* one for each"),
         (lambda: Cascades(2, shares=(1.0, 0.0)), r"shares are \[1.0, 0.0\]; expected numbers greater than 0"),
         (lambda: Cascades(2, shares=(1.0, 3.0), max_share=0.6), "greatest 0.75 of all texels, and max_share is 0.6"),

@@ -1,5 +1,5 @@
-"""Resolution-matched maps: pages equal the plain map to the bit, requests follow a closed form, and nothing is left
-out where memory is short."""
+"""Resolution-matched maps: pages equal the plain map to the bit, requests follow a closed form, and texels get larger
+where memory is short."""
 
 import equinox as eqx
 import jax
@@ -12,7 +12,6 @@ from diffshadow.geometry import (
     DirectionalLight,
     Edges,
     Mesh,
-    PagedLight,
     Pages,
     PinholeCamera,
     Scene,
@@ -40,6 +39,7 @@ from diffshadow.shadow import (
     VarianceShadowMap,
     draw_shadow_map,
 )
+from diffshadow.shadow.layouts import PagedLight
 from diffshadow.shadow.layouts._resolution_matched import levels_needed
 
 PAGE, GUTTER, WIDE = 16, 6, 64
@@ -256,7 +256,7 @@ def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
     assert np.median(extent) > 0.4
 
 
-def test_a_bias_is_raised_until_all_pages_fit_and_nothing_is_left_out():
+def test_a_bias_is_raised_until_all_pages_fit_and_every_point_has_a_page():
     scene, surface = ground()
     mask, points = np.asarray(surface.mask), surface.position
     lights = {bias: pages_for(scene, surface, layout_of(level_bias=bias)) for bias in (-2.0, -1.0, 0.0, 1.0, 2.0, 8.0)}
@@ -280,10 +280,18 @@ def test_a_bias_is_raised_until_all_pages_fit_and_nothing_is_left_out():
     assert counts[-1] < counts[0] / 10
     # At a bias of all levels, there is but the root.
     assert (counts[-1], int(lights[8.0].pages.level[0])) == (1, layout_of().levels - 1)
+    # It is raised from a bias below 0 without a remark: such a bias asks for all the memory there is.
+    assert layout_of().remarks(lights[0.0]) == layout_of().remarks(exact(-0.5)) == ()
+    alone = layout_of().light(scene.light, scene.camera, (side, side), surface)
+    assert int(alone.pages.count) == 1
+    assert layout_of().remarks(alone) == (
+        f"requests {requested} pages, and the shadow map has memory for 1: level_bias was raised to "
+        f"{float(alone.bias):.3g}, where one page of {side}² shows all; enlarge the map's resolution",
+    )
 
 
 @pytest.mark.exhaustive
-def test_too_little_memory_blurs_shadows_and_loses_none():
+def test_too_little_memory_blurs_shadows():
     scene, surface = scene_and_surface()
     at = lambda texels: ShadowMapping(
         Bilinear(), Bias(1.0, 1.0), map=MapSettings((texels, texels)), layout=ResolutionMatched(16, 512, margin=2.0)
@@ -307,6 +315,26 @@ def test_too_coarse_a_finest_level_is_counted():
     share = (np.asarray(needed) + float(finer.bias) < 0)[np.asarray(mask)].mean()
     assert 0.1 < share < 1
     np.testing.assert_allclose(finer.too_coarse, share, rtol=1e-5)
+    *_, remark = layout_of().remarks(finer)
+    assert remark.startswith(f"has too large texels in {share:.0%} of the pixels")
+    assert "a finer level than finest = 4096" in remark
+
+
+def test_figures_of_pages_show_levels_where_there_are_shadows():
+    scene, surface = ground()
+    layout = layout_of(distance=5.0)
+    light = pages_for(scene, surface, layout)
+    count = int(light.pages.count)
+    assert layout.map_figure(light) == (f"{count} pages, from fine to coarse", None, count)
+    figure = layout.layer_figure(light, surface)
+    near = np.asarray(surface.mask) & (20 - np.asarray(surface.position)[..., 2] <= 5)
+    np.testing.assert_array_equal(figure.shown, near)
+    level = np.asarray(light.pages.level)[np.asarray(light.layer(surface.position))]
+    np.testing.assert_array_equal(figure.colour, level)
+    assert set(figure.labels) == set(level[near].tolist())
+    assert figure.labels[int(level[near].min())].endswith(f"{4096 >> level[near].min()}²")
+    # Neighbouring pages differ in brightness.
+    assert np.unique(figure.brightness).tolist() == [0.75, 1.0]
 
 
 def test_nothing_beyond_the_shadow_distance_is_requested_or_shadowed():

@@ -60,7 +60,7 @@ CORRIDOR = PinholeCamera((0, 1, 0), (0, 1, -1), fov_y=60.0, near=1.0, far=FAR, r
 NOON = DirectionalLight((0, -1, 0), (0, 0, -50), (400, 400), -200, 200)
 """Straight down on all that the camera sees."""
 METHODS = ("lispsm", "perspective", "trapezoidal")
-TIGHT = {method: PerspectiveWarp(method, margin=0.0) for method in METHODS}
+TIGHT = {method: PerspectiveWarp(method, depths="camera", margin=0.0) for method in METHODS}
 """Without a margin. A layout's numbers are data, and its method and margin are not."""
 
 
@@ -136,11 +136,16 @@ def test_the_warp_vanishes_as_the_light_turns_parallel_to_the_view(method):
     assert found[-1] < 1e-4
 
 
-def test_a_warp_may_follow_the_depths_that_are_seen():
-    # Of a floor from depth 20 on.
+@functools.cache
+def far_floor():
+    """A camera whose near is 1, and the floor that it sees from depth 20 on."""
     floor = quad((0, 0, -60), (60, 0, 0), (0, 0, -40))
     camera = PinholeCamera((0, 8, 0), (0, 8, -1), fov_y=60.0, near=1.0, far=FAR, resolution=(32, 32))
-    surface = draw_surface(floor, camera)
+    return camera, draw_surface(floor, camera)
+
+
+def test_a_warp_may_follow_the_depths_that_are_seen():
+    camera, surface = far_floor()
     depth = -np.asarray(surface.position)[np.asarray(surface.mask), 2]
     assert 20 < depth.min() < 25
     layout = lambda depths: PerspectiveWarp(depths=depths, margin=0.0)
@@ -149,6 +154,38 @@ def test_a_warp_may_follow_the_depths_that_are_seen():
     np.testing.assert_allclose(strength("camera"), np.sqrt(FAR) - 1, rtol=1e-3)
     with pytest.raises(ValueError, match="expected a surface"):
         layout("surface").light(NOON, camera, SIZE)
+
+
+@eqx.filter_jit
+def greatest_extent(light, surface, camera):
+    found = aliasing(ShadowMap(jnp.zeros(SIZE), light), surface, camera)
+    return jnp.max(jnp.where(found.mask, found.perspective_extent, 0))
+
+
+def test_no_method_has_a_greater_error_by_default_than_no_warp():
+    camera, surface = far_floor()
+
+    def greatest(method, **settings):
+        return float(greatest_extent(warped_to(PerspectiveWarp(method, **settings), camera, surface), surface, camera))
+
+    by_default = {method: greatest(method) for method in METHODS}
+    assert max(by_default.values()) < greatest("lispsm", strength=0.0)
+    # The camera's near is 20 times as near as what is seen: the perspective to it is far too strong.
+    assert greatest("perspective", depths="camera", margin=0.0) > 2 * greatest("perspective", strength=0.0, margin=0.0)
+    assert [PerspectiveWarp(method).depths for method in METHODS] == ["camera", "surface", "camera"]
+
+
+def warped_to(layout, camera, surface):
+    return layout.light(NOON, camera, SIZE, surface)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_warp_leaves_the_margin_at_the_far_end(method):
+    # From depth 1 to 100, a perspective would have a strength of 99.
+    view = warped(PerspectiveWarp(method, depths="camera", margin=4.0)).view()
+    corners = np.array([[x * 57.7, 1, -FAR] for x in (-1, 0, 1)])
+    clip = np.asarray(view.clip(jnp.asarray(corners, jnp.float32)))
+    np.testing.assert_allclose(clip[:, 1] / clip[:, 3] * 32, 32 - 4, atol=0.05)
 
 
 @pytest.mark.exhaustive
@@ -365,11 +402,11 @@ def test_nothing_that_the_camera_sees_lies_beside_the_map(strength):
         if not len(clip):
             continue
         assert (clip[:, 3] > 0).all()
-        # With the margin in texels at all sides but the far one.
+        # With the margin in texels; at the far side, a given strength may leave less.
         place = clip[:, :2] / clip[:, 3:] * 32
         assert np.abs(place[:, 0]).max() < 32 - 7.9
         assert place[:, 1].min() > -32 + 7.9
-        assert place[:, 1].max() < 32
+        assert place[:, 1].max() < (32 - 7.9 if strength is None else 32)
         used.append(np.ptp(place, axis=0).max())
     assert len(used) > 10
     assert np.median(used) > 40

@@ -513,8 +513,13 @@ def test_render_of_several_lights_tells_them_apart():
             {"shadow_map.png", "debug_aliasing.png", "debug_cascades.png", "debug_depth.png"},
             marks=pytest.mark.exhaustive,
         ),
+        pytest.param(
+            ("technique={type: resolution_matched, page: 16, finest: 512}", "filter={type: nearest}"),
+            {"shadow_map.png", "debug_aliasing.png", "debug_levels.png", "debug_depth.png"},
+            marks=pytest.mark.exhaustive,
+        ),
     ],
-    ids=["volumes", "map", "projective", "pcss", "cascades"],
+    ids=["volumes", "map", "projective", "pcss", "cascades", "pages"],
 )
 def test_every_technique_renders_with_its_debug_views(overrides, more):
     folder, _ = render(*overrides, debug=True)

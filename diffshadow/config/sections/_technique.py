@@ -188,11 +188,16 @@ class PerspectiveWarpConfig(MappedConfig):
     )
     depths: Literal["camera", "surface"] = Field(
         default="camera",
-        description="what the map shows: all depths of the camera, or those that it sees",
+        description="what the map shows: all depths of the camera, or those that it sees; default: camera, or surface "
+        "for perspective",
     )
     margin: Annotated[Texels | None, Field(ge=0)] = Field(
         default=None, description="how far the map extends beyond what is seen, in texels; default: the filter's reach"
     )
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {"depths": "surface", **data} if data.get("method") == "perspective" else data
 
 
 class ResolutionMatchedConfig(MappedConfig):

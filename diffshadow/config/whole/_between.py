@@ -28,6 +28,7 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
     yield from cost_faults(config)
     if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, {})
+        yield from _beyond_margins(config, {})
         yield from _beyond_gutters(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
@@ -113,6 +114,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from _beyond_the_greatest_radius(config)
     if isinstance(config.technique, MappedConfig):
         yield from _beyond_guards(config, config.fit.parameters)
+        yield from _beyond_margins(config, config.fit.parameters)
         yield from _beyond_gutters(config, config.fit.parameters)
     yield from _unused_in_layout(config)
     yield from _unsuitable_views(config)
@@ -235,6 +237,17 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
                 f"{', '.join(mends[:-1])}, or {mends[-1]}",
             ),
         )
+
+
+def _beyond_margins(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
+    """A fault of a given margin that is narrower than filters read, with fitted numbers at their `bounds`."""
+    margin, (reach, name) = getattr(config.technique, "margin", None), config.reach(bounds)
+    # `run_faults` reports a margin that is too narrow without the bounds.
+    if margin is None or margin >= reach or (bounds and margin < config.reach({})[0]):
+        return
+    by = "the filter reads" if name is None else f"fit.parameters.{name}.upper lets the filter read"
+    message = f"is {margin:g}, and {by} {reach:g} texels away, where the map may end"
+    yield ("technique", "margin"), fault(message, f"at least {reach:g}", "raise it, or remove it")
 
 
 def _beyond_gutters(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:

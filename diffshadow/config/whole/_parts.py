@@ -107,13 +107,23 @@ class Parts(Section):
 
         **Returns** it, and the last of the names whose bounds made it larger.
         """
-        section, offset, name = self.filter, self.bias.normal_offset, None
-        reach, radius_key = section.reach + offset, f"filter.{section.radius_key}"
-        radius = getattr(section, section.radius_key, None)
-        for key, now in (("bias.normal_offset", offset), (radius_key, radius)):
-            if key in bounds and now is not None and bounds[key].upper > now:
-                reach, name = reach + bounds[key].upper - now, key
+        keys = ("bias.normal_offset", *(f"bias.factors.{i}" for i in range(len(self.bias.factors or ()))))
+        reach, name, given = self._reach({}), None, {}
+        for key in (*keys, f"filter.{self.filter.radius_key}"):
+            if key in bounds:
+                given[key] = bounds[key].upper
+                further = self._reach(given)
+                reach, name = (further, key) if further > reach else (reach, name)
         return reach, name
+
+    def _reach(self, greatest: Mapping[str, float]) -> float:
+        """How far the filter reads, in texels, with numbers that may be as great as the `greatest` of their names."""
+        section, most = self.filter, lambda key, now: max(now, greatest.get(key, now))
+        offset = most("bias.normal_offset", self.bias.normal_offset)
+        factor = max((most(f"bias.factors.{i}", now) for i, now in enumerate(self.bias.factors or ())), default=1.0)
+        radius = getattr(section, section.radius_key, None)
+        further = 0.0 if radius is None else most(f"filter.{section.radius_key}", radius) - radius
+        return section.reach + further + offset * factor
 
     def laid_out(self, bounds: Mapping[str, FitParameterConfig]) -> TechniqueConfig:
         """`technique` with the margin of its maps, and cascades with the blend that they are drawn for, where these are

@@ -52,6 +52,11 @@ class AbstractBias(eqx.Module):
     def __call__(self, receiver: Receiver) -> BiasTerms:
         """The bias at each receiver."""
 
+    @property
+    def reach(self) -> float:
+        """How far the bias moves the look-up at most, in texels; 0 if that is not known, such as under a trace."""
+        return 0.0
+
 
 def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> Float[Array, "h w"]:
     """Converts a `bias` along the light's axis to window depth."""

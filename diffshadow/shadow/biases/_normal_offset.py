@@ -4,9 +4,10 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float
+from ..._misc import as_float, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
@@ -29,6 +30,11 @@ class NormalOffset(AbstractBias):
     def __check_init__(self):
         check_choice("the normal offset's profile", self.profile, ("sine", "constant", "one_minus_cosine"))
         check_not_negative("the normal offset", self.value)
+
+    @property
+    def reach(self) -> float:
+        known = concrete(self.value)
+        return 0.0 if known is None else float(np.max(known))
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         profile = FEATURES["one" if self.profile == "constant" else self.profile].of(receiver)

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from ..._checks import check_not_negative
-from ..._misc import as_float
+from ..._misc import as_float, concrete
 from ..._types import Scalar
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
@@ -53,6 +54,14 @@ class Bias(AbstractBias):
     def __check_init__(self):
         for factor in self.factors or ():
             check_not_negative("a factor of the bias", factor, "times the bias")
+
+    @property
+    def reach(self) -> float:
+        parts = (self.constant, self.slope, self.normal_offset, self.terms)
+        moved = sum(part.reach for part in parts if part is not None)
+        known = [concrete(factor) for factor in self.factors or ()]
+        factor = max((float(np.max(each)) for each in known if each is not None), default=1.0)
+        return moved * factor + (0.0 if self.plane is None else self.plane.reach)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         terms = self.constant(receiver) + self.slope(receiver) + self.normal_offset(receiver)

@@ -40,5 +40,9 @@ class Castano(AbstractFilter):
         weights = CASTANO_KERNELS[self.size]
         return tuple(as_float(weight / sum(weights)) for weight in weights[self.size // 2 :])
 
+    @property
+    def reach(self) -> float:
+        return (self.size + 1) / 2
+
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(WeightedRow(self.normalized), shadow_map, compare, lookup)

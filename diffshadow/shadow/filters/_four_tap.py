@@ -11,7 +11,7 @@ from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import mean_of_taps
 from ..patterns import Pattern
-from ._abstract import AbstractFilter
+from ._abstract import AbstractFilter, reach_of
 
 
 class FourTap(AbstractFilter):
@@ -24,6 +24,10 @@ class FourTap(AbstractFilter):
 
     def __check_init__(self):
         check_not_negative("the four taps' radius", self.radius)
+
+    @property
+    def reach(self) -> float | None:
+        return reach_of(self.radius, 0.5)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

@@ -15,7 +15,7 @@ from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import mean_of_taps
 from ..patterns import Pattern, stratified
-from ._abstract import AbstractFilter
+from ._abstract import AbstractFilter, reach_of
 
 # Up to this fraction of blockers counts as no blocker; it is above rounding error.
 _FEW = 1e-5
@@ -79,6 +79,10 @@ class PercentageCloserSoft(AbstractFilter):
                 f"the soft shadows' min_radius is {low} and max_radius {high}; expected 0 <= min_radius <= max_radius "
                 "texels"
             )
+
+    @property
+    def reach(self) -> float | None:
+        return reach_of(self.max_radius, 0.5)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)

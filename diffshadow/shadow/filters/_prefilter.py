@@ -18,7 +18,7 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import Blur, Shape, bilinear_fetch, check_radius, radius_limit
-from ._abstract import AbstractFilter
+from ._abstract import AbstractFilter, reach_of
 
 # Upper bound on the reduction of light bleeding.
 _MAX_BLEEDING = 0.99
@@ -91,6 +91,10 @@ class AbstractPrefiltered(AbstractFilter):
         check_choice(f"the {self.name}'s kernel", self.kernel, Shape.__args__)
         for what, (low, high) in (self.ranges | {"light_bleeding": (0.0, _MAX_BLEEDING)}).items():
             check_number(self.name, what, getattr(self, what), low, high)
+
+    @property
+    def reach(self) -> float | None:
+        return reach_of(self.radius, 0.5)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         blur = Blur(self.radius, self.max_radius, self.kernel)

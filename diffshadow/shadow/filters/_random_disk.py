@@ -11,7 +11,7 @@ from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import TapMode, mean_of_taps
 from ..patterns import EARLY_SAMPLES, Pattern, stratified
-from ._abstract import AbstractFilter
+from ._abstract import AbstractFilter, reach_of
 
 
 class RandomDisk(AbstractFilter):
@@ -45,6 +45,10 @@ class RandomDisk(AbstractFilter):
     def __check_init__(self):
         check_choice("the random disk's lookup", self.lookup, TapMode.__args__)
         check_not_negative("the random disk's radius", self.radius)
+
+    @property
+    def reach(self) -> float | None:
+        return reach_of(self.radius, 0.5)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         def mean(pattern: Pattern, active: Mask | None = None) -> Visibility:

@@ -47,5 +47,9 @@ class Separable(AbstractFilter):
         total = each[0] + 2 * sum(self.weights)
         return tuple(weight / total for weight in each)
 
+    @property
+    def reach(self) -> float:
+        return len(self.weights) + 1.0
+
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(WeightedRow(self.normalized), shadow_map, compare, lookup)

@@ -11,7 +11,7 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import AbstractRow, check_radius, radius_limit, sum_over_rows
-from ._abstract import AbstractFilter
+from ._abstract import AbstractFilter, reach_of
 
 
 class AbstractSizedFilter(AbstractFilter):
@@ -40,6 +40,10 @@ class AbstractSizedFilter(AbstractFilter):
     @abc.abstractmethod
     def row(self) -> AbstractRow:
         """One row of the texels under the kernel, and their weights."""
+
+    @property
+    def reach(self) -> float | None:
+        return reach_of(self.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(self.row(), shadow_map, compare, lookup)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 from ..._types import Resolution
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
+from ._figures import LayerFigure, MapFigure
 
 
 class Choice(NamedTuple):
@@ -63,6 +64,10 @@ class AbstractLayout(eqx.Module):
         """
         return ()
 
+    def check_reach(self, reach: float) -> None:
+        """**Raises** `ValueError` if a technique that reads the map `reach` texels from a receiver would read beyond
+        what its layers show."""
+
     def layer_resolution(self, resolution: Resolution) -> Resolution:
         """(height, width) of a layer in texels, for a map of `resolution`."""
         return resolution
@@ -70,3 +75,16 @@ class AbstractLayout(eqx.Module):
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""
+
+    def map_figure(self, light: AbstractLight) -> MapFigure | None:
+        """How a figure names the layers of the map of `light`; none if they need no names."""
+        return None
+
+    def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure | None:
+        """Which layers `surface` is looked up in, for a figure; none if there is nothing to show."""
+        return None
+
+    def remarks(self, light: AbstractLight) -> tuple[str, ...]:
+        """What the map of `light` lacks, for which other settings would help: sentences without their subject, the
+        light."""
+        return ()

@@ -14,17 +14,17 @@ from jaxtyping import Array, Float, Int
 from ..._checks import MOST_PIXELS_ACROSS, check_choice
 from ..._misc import as_float, concrete
 from ..._types import Resolution, Scalar
-from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
+from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
 from ._abstract import Choice
+from ._cascaded_light import CascadedLight, CascadeSelection
+from ._figures import LayerFigure, MapFigure
 from ._fitted import AbstractFittedLayout, check_depths
 from ._frustum import DepthRange, ViewFrustum, depths_of
 
 MOST_CASCADES = 8
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
 _LEAST_SIZE = 1e-3
-# The least share of a slice over which cascades are blended: 1 / blend has to be finite.
-_LEAST_BLEND = 1e-6
 # Relative rounding error of shares: a thousandth of a texel in the largest maps.
 _ROUNDING = 1e-6
 
@@ -245,26 +245,28 @@ class Cascades(AbstractFittedLayout):
 
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         assert isinstance(light, CascadedLight)
-        layer, depth = light.layer(points), light.depth(points)
-        strength = self._strength(light, depth)
-        if self.max_blend == 0 or self.count == 1:
-            return Choice(layer, strength=strength)
-        other, last = jnp.minimum(layer + 1, self.count - 1), layer == self.count - 1
-        if self.select == "interval":
-            begins = jnp.concatenate([light.begins[:1], light.ends[:-1]])
-            from_end = (light.ends[layer] - depth) / (light.ends - begins)[layer]
-        else:
-            last = last | (light.to_border(points, other) < 0)
-            from_end = light.to_border(points, layer)
-        weight = jnp.clip(from_end / jnp.maximum(self.blend, _LEAST_BLEND), 0, 1)
-        return Choice(layer, other, jnp.where(last, 1, weight), strength)
+        ends = self.shadow_distance is not None or self.distances is not None
+        return light.choose(points, None if self.max_blend == 0 else self.blend, self.fade if ends else None)
 
-    def _strength(self, light: CascadedLight, depth: Float[Array, "h w"]) -> Float[Array, "h w"] | None:
-        if self.shadow_distance is None and self.distances is None:
-            return None
-        begin = light.begins[0] if self.count == 1 else light.ends[-2]
-        from_end = (light.ends[-1] - depth) / (light.ends[-1] - begin)
-        return jnp.where(from_end < 0, 0.0, 1.0) if self.fade == 0 else jnp.clip(from_end / self.fade, 0, 1)
+    def map_figure(self, light: AbstractLight) -> MapFigure:
+        assert isinstance(light, CascadedLight)
+        return MapFigure("Cascades", light.names, light.count)
+
+    def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure:
+        assert isinstance(light, CascadedLight)
+        layer, other, weight, strength = self.choose(light, surface.position)
+        assert layer is not None
+        return LayerFigure(
+            "cascades",
+            "Cascades",
+            "depths along the camera's axis, in world units",
+            {i: f"{i + 1}: {name}" for i, name in enumerate(light.names)},
+            layer,
+            other,
+            weight,
+            None,
+            surface.mask if strength is None else surface.mask & (strength > 0),
+        )
 
 
 @eqx.filter_jit

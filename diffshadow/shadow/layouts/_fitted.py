@@ -13,6 +13,9 @@ from ...raster import Surface
 from ._abstract import AbstractLayout
 from ._frustum import DepthRange
 
+# Relative rounding error of a radius in single precision.
+_ROUNDING = 1e-6
+
 
 class AbstractFittedLayout(AbstractLayout):
     """A layout for directional lights that is fitted to what a camera sees.
@@ -31,6 +34,14 @@ class AbstractFittedLayout(AbstractLayout):
         check_choice("the layout's depths", self.depths, DepthRange.__args__)
         if not (self.margin >= 0 and math.isfinite(self.margin)):
             raise ValueError(f"the layout's margin is {self.margin}; expected 0 or more texels")
+
+    def check_reach(self, reach: float) -> None:
+        if self.margin < reach * (1 - _ROUNDING):
+            raise ValueError(
+                f"the layout's margin is {self.margin:g} texels, and the filter and the normal offset read "
+                f"{reach:g} texels from a receiver, where the map may end; expected at least that: raise margin, or "
+                "lower the radius"
+            )
 
     @property
     def needs_surface(self) -> bool:

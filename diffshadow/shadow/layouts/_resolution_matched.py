@@ -5,18 +5,21 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..._checks import check_choice
 from ..._misc import as_float, concrete, dot, normalize
 from ..._types import Mask, Resolution, Scalar
-from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
+from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import MOST_VIRTUAL, Surface
 from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
 from ._abstract import Choice
+from ._figures import LayerFigure, MapFigure
 from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange
+from ._paged_light import PagedLight
 
 LevelNorm = Literal["area", "worst"]
 """Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
@@ -29,6 +32,8 @@ MOST_LEVEL_BIAS = 16.0
 _STEPS = 16
 # Extents on the screen, in pixels, below which surfaces count as seen edge-on.
 _LEAST_EXTENT = 1e-12
+# The share of too coarse points that is worth a remark.
+_MANY = 0.01
 
 
 class ResolutionMatched(AbstractFittedLayout):
@@ -42,10 +47,12 @@ class ResolutionMatched(AbstractFittedLayout):
 
     The map's `resolution` is the number of texels that there is memory for, gutters included. If the pages that are
     requested have more, all levels are raised by the same bias, in steps of 1/16, until they fit
-    (`PagedLight.raised`). Nothing is left out: in the end, the root alone is always resident. A point is looked up in
-    the finest resident page that contains it, which is the one that it requested, or a finer one that another point
-    requested; pages that no point is then looked up in are not drawn. Points that the camera does not see are looked up
-    in the same way, in the root if in no other.
+    (`PagedLight.raised`). Every part of the scene has a page, but texels get larger, and shadows narrower than a texel
+    may be lost. In the end, only the root is resident: a plain map with as many texels as a page.
+
+    A point is looked up in the finest resident page that contains it. That is the page that it requested, or a finer
+    one that another point requested. Pages that no point is then looked up in are not drawn. Points that the camera
+    does not see are looked up in the same way, in the root if in no other.
 
     Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
     filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
@@ -158,6 +165,49 @@ class ResolutionMatched(AbstractFittedLayout):
         if self.shadow_distance is None:
             return Choice(layer)
         return Choice(layer, strength=jnp.where(light.depth(points) <= light.end, 1.0, 0.0))
+
+    def map_figure(self, light: AbstractLight) -> MapFigure:
+        assert isinstance(light, PagedLight)
+        count = int(light.pages.count)
+        return MapFigure(f"{count} pages, from fine to coarse", None, count)
+
+    def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure:
+        """The level of each page, each a little lighter or darker than the next."""
+        assert isinstance(light, PagedLight)
+        layer, _, _, strength = self.choose(light, surface.position)
+        pages, shown = light.pages, surface.mask if strength is None else surface.mask & (strength > 0)
+        level, row, column = (values[layer] for values in (pages.level, pages.row, pages.column))
+        sizes = np.asarray(pages.size(jnp.arange(pages.levels)))
+        return LayerFigure(
+            "levels",
+            "Levels",
+            f"{int(pages.count)} pages of {pages.page}² texels, bias {float(light.bias):.3g}",
+            {i: f"{i}: {sizes[i]}²" for i in np.unique(np.asarray(level)[np.asarray(shown)]).tolist()},
+            level,
+            None,
+            None,
+            jnp.where((row + column) % 2 == 0, 1.0, 0.75),
+            shown,
+        )
+
+    def remarks(self, light: AbstractLight) -> tuple[str, ...]:
+        """That pages did not fit, so that texels are larger than pixels; and that the finest level is too coarse."""
+        assert isinstance(light, PagedLight)
+        raised, bias, coarse = float(light.raised), float(light.bias), float(light.too_coarse)
+        found = []
+        if raised > 0 and bias > 0:
+            count = int(light.pages.count)
+            fit = f"{count} pages fit" if count > 1 else f"one page of {self.layer_resolution((1, 1))[0]}² shows all"
+            found.append(
+                f"requests {int(light.requested)} pages, and the shadow map has memory for {light.capacity}: "
+                f"level_bias was raised to {bias:.3g}, where {fit}; enlarge the map's resolution"
+            )
+        if coarse > _MANY:
+            found.append(
+                f"has too large texels in {coarse:.0%} of the pixels, which need a finer level than finest = "
+                f"{self.finest}: enlarge it, or raise level_bias"
+            )
+        return tuple(found)
 
 
 @eqx.filter_jit

@@ -12,19 +12,12 @@ from jaxtyping import Array, Bool, Float
 from ..._checks import check_choice
 from ..._misc import as_float, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
-from ...geometry import (
-    AbstractCamera,
-    AbstractLight,
-    View,
-    Warp,
-    WarpedLight,
-    transform_points,
-    transform_vectors,
-)
+from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_points, transform_vectors
 from ...raster import Surface
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
 from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._warped_light import WarpedLight
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
 _LEAST_SINE = 1e-3
@@ -34,6 +27,8 @@ _LEAST_SIZE = 1e-3
 _NEARLY = 1.001
 # The least height of the nearest point, as a fraction of the map's: 1 / τ has to be finite.
 _LOWEST = 1e-6
+# The most of the way from the far end to infinity, which lies 1 / w above it, that a margin takes.
+_MOST_MARGIN = 0.5
 # The part of a trapezoidal map that shows the focus (Martin & Tan 2004).
 _FOCUS_SHARE = 0.8
 # Corners k of a box are numbered by bits, and an edge joins two that differ in one.
@@ -63,7 +58,15 @@ class PerspectiveWarp(AbstractFittedLayout):
 
     None is more than `max(1 / τ - 2, 0)`, with τ in [0, 1] the height of the nearest point in a map without a warp: a
     stronger warp would enlarge the texels there again. So all of them tend to 0 as the light turns parallel to the
-    view, where no warp helps. They are 0 for a parallel camera, whose images have no perspective aliasing.
+    view, where no warp helps. They are 0 for a parallel camera, whose images have no perspective aliasing. None is more
+    than `1 / (2 m)`, with m the margin as a part of the map: the map ends at the height `1 + 1 / w`, and a stronger
+    warp would leave no room for the margin.
+
+    Along the view, the greatest error of a warp is at the far end, `(1 + w) z₀ / z₁` times the greatest without a warp.
+    A strength of more than `z₁ / z₀ - 1` is therefore worse than none, and z₀ has to be the least depth of what is
+    seen. A camera's near plane is often much nearer, so `"perspective"` follows the depths of the surface by default.
+    `"lispsm"` grows only with the root of z₁ / z₀, and `"trapezoidal"` hardly depends on z₀. Both follow the camera's
+    depths by default, which do not change with what is seen.
 
     A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
     needs a `fudge` of up to `w (r + 1)² / h`, h being the map's height in texels.
@@ -73,11 +76,12 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `focus`: for `"trapezoidal"`, the part of d at the camera's end that 80 % of the map shows, in (0, 1].
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
         camera's far if left out.
-    - `depths`: which depths the map shows. `"camera"`: from the camera's near to its far. `"surface"`: those of the
-        surface that it sees, which spends no texels on the empty space before it.
+    - `depths`: which depths the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the least
+        to the greatest depth of the surface that it sees, so that no texels show the empty space before it. Defaults to
+        `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
     - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
         the border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
-        normal offset. At the far end, a strong warp has less of it: no more than `1 / (2 w)` of the map.
+        normal offset. At the far end, a given `strength` that is greater than `1 / (2 m)` has less of it.
 
     **Raises** `ValueError` for a number out of range.
     """
@@ -96,10 +100,11 @@ class PerspectiveWarp(AbstractFittedLayout):
         strength: float | Scalar | None = None,
         focus: float | Scalar = 0.3,
         shadow_distance: float | Scalar | None = None,
-        depths: DepthRange = "camera",
+        depths: DepthRange | None = None,
         margin: float = 8.0,
     ):
-        self.method, self.depths = method, depths
+        self.method = method
+        self.depths = ("surface" if method == "perspective" else "camera") if depths is None else depths
         self.strength = None if strength is None else as_float(strength)
         self.focus = as_float(focus)
         self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
@@ -190,12 +195,13 @@ def _warped_light(
     x, y = axes(from_light, points)
     smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
     low, high = _range(y, valid, smallest)
+    # Margins in texels, as fractions of what is within them.
+    across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
     strength = layout.strength
     if strength is None:
         depth = jnp.where(valid, from_camera.distance(points), end)
         strength = _strength(layout, from_camera, depth, (y - low) / (high - low), (high - low) * axes.sine)
-    # Margins in texels, as fractions of what is within them.
-    across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
+        strength = strength if along == 0 else jnp.minimum(strength, float(_MOST_MARGIN / along))
     low, high, strength = _with_margin(low, high, strength, float(along))
     scale_y, offset_y = _window(low, high)
 
@@ -256,8 +262,8 @@ def _with_margin(low: Scalar, high: Scalar, strength: Scalar, margin: float) -> 
     length = high - low
     # Where s is -margin and 1 + margin. The map would end in infinity at s = 1 + 1 / w.
     before = length * margin / (1 + strength * (1 + margin))
-    is_strong = strength * margin > 0.5
-    margin_after = jnp.where(is_strong, 0.5 / jnp.where(is_strong, strength, 1), margin)
+    is_strong = strength * margin > _MOST_MARGIN
+    margin_after = jnp.where(is_strong, _MOST_MARGIN / jnp.where(is_strong, strength, 1), margin)
     after = length * margin_after * (1 + strength) / (1 - strength * margin_after)
     whole = length + before + after
     # The centre of projection, length / strength below the range, stays where it is.

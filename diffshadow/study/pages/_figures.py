@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ... import geometry, shadow
+from ... import shadow
 from ..._types import HostArray, Scalar
 from .. import style
 from ..files._stored import LightImages, StoredRun
@@ -129,11 +129,11 @@ def difference_limit(lights: Sequence[LightImages], states: slice = slice(None))
     return limit, "both" if together.max() > limit else "neither"
 
 
-def write_from_light(folder: Path, end: str, from_light: Any) -> None:
-    """Writes what a technique drew from a light: a shadow map or a texture. Other techniques draw no image."""
+def write_from_light(folder: Path, end: str, technique: Any, from_light: Any) -> None:
+    """Writes what `technique` drew from a light: a shadow map or a texture. Other techniques draw no image."""
     match from_light:
         case shadow.ShadowMap() | shadow.EngineMap():
-            write_shadow_map(folder / f"shadow_map{end}.png", from_light)
+            write_shadow_map(folder / f"shadow_map{end}.png", from_light, map_figure(technique, from_light))
         case shadow.ProjectiveTexture():
             write_texture(folder / f"texture{end}.png", from_light)
 
@@ -145,31 +145,24 @@ def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[A
     return view.eye_depth(shadow_map.depth), view.near, view.far
 
 
-def write_shadow_map(path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap) -> None:
+def map_figure(technique: Any, from_light: Any) -> shadow.MapFigure | None:
+    """How the layout of `technique` names the layers of a map that it drew; none if it names none."""
+    return technique.layout.map_figure(from_light.light) if isinstance(technique, shadow.ShadowMapping) else None
+
+
+def write_shadow_map(
+    path: Path, shadow_map: shadow.ShadowMap | shadow.EngineMap, layers: shadow.MapFigure | None
+) -> None:
     """Writes the shadow map as distances along the light's axis; empty texels are blank."""
     distance, near, far = _distances(shadow_map)
     distance = np.where(np.asarray(shadow_map.depth) < 1, np.asarray(distance), np.nan)
     near, far = float(near), float(far)
     title, label = f"Shadow map, near {near:.3g}, far {far:.3g}", "distance along the light's axis [world units]"
     limits = {"cmap": style.DISTANCE, "vmin": near, "vmax": far}
-    if isinstance(shadow_map.light, geometry.CascadedLight):
-        write_map(path, "Cascades", distance, label, cascade_names(shadow_map.light), **limits)
-    elif isinstance(shadow_map.light, geometry.PagedLight):
-        count = int(shadow_map.light.pages.count)
-        write_map(path, f"{count} pages, from fine to coarse", atlas(distance, count), label, **limits)
-    else:
-        write_map(path, title, distance, label, **limits)
+    write_map(path, title if layers is None else layers.title, distance, label, layers, **limits)
 
 
-def cascade_names(light: geometry.CascadedLight) -> list[str]:
-    """What each cascade shows, and its side in texels if these differ."""
-    names = [f"up to {float(end):.3g} deep" for end in light.ends]
-    if light.sides is None:
-        return names
-    return [f"{name}, {int(side)}²" for name, side in zip(names, light.sides, strict=True)]
-
-
-def atlas(layers: Float[HostArray, "l h w"], count: int) -> Float[HostArray, "H W"]:
+def _atlas(layers: Float[HostArray, "l h w"], count: int) -> Float[HostArray, "H W"]:
     """The first `count` layers in one image, row by row from the bottom."""
     across = math.ceil(math.sqrt(count))
     height, width = layers.shape[1:]
@@ -190,13 +183,18 @@ def write_map(
     title: str,
     values: HostArray,
     label: str,
-    names: Sequence[str] = FACES,
+    named: shadow.MapFigure | None = None,
     *,
     cmap: str = "gray",
     **limits: float,
 ) -> None:
-    """Writes a light's map (h, w), or the maps of several views side by side, (l, h, w), with axes in texels. The maps
-    of several views have `names`."""
+    """Writes a light's map (h, w), or the layers of one, (l, h, w), with axes in texels. Layers are `named` as the
+    layout says, or otherwise as the faces of a point light's map."""
+    names = FACES
+    if named is not None and named.layers is None:
+        values = _atlas(values, named.used)
+    elif named is not None and named.layers is not None:
+        names = named.layers
     layers = values if values.ndim > 2 else values[None]
     height, width = values.shape[-2:]
     columns = 2 if len(layers) == 4 else min(len(layers), 3)

@@ -34,12 +34,11 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
         _write_counts(folder / f"debug_volumes{end}.png", technique, drawn)
     if not isinstance(technique, shadow.ShadowMapping):
         return
-    _write_depths(folder / f"debug_depth{end}.png", drawn.state)
+    _write_depths(folder / f"debug_depth{end}.png", technique, drawn.state)
     _write_aliasing(folder / f"debug_aliasing{end}.png", technique, drawn)
-    if isinstance(drawn.state.light, geometry.CascadedLight):
-        _write_cascades(folder / f"debug_cascades{end}.png", image, technique, drawn)
-    if isinstance(drawn.state.light, geometry.PagedLight):
-        _write_levels(folder / f"debug_levels{end}.png", image, technique, drawn)
+    layers = technique.layout.layer_figure(drawn.state.light, drawn.surface)
+    if layers is not None:
+        _write_layers(folder / f"debug_{layers.name}{end}.png", image, layers)
     if isinstance(technique.filter, shadow.PercentageCloserSoft):
         _write_blockers(folder / f"debug_blockers{end}.png", technique, drawn.state, drawn)
     pattern = getattr(technique.filter, "pattern", None)
@@ -47,17 +46,14 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
         _write_pattern(folder / f"debug_pattern{end}.png", pattern)
 
 
-def _write_depths(path: Path, shadow_map: shadow.ShadowMap) -> None:
+def _write_depths(path: Path, technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap) -> None:
     """The map's window depths, scaled to their range, since those of a perspective view are all close to 1."""
     depth = np.asarray(shadow_map.depth)
     seen = depth[depth < 1]
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
     high, shown = max(high, low + 1e-6), np.where(depth < 1, depth, np.nan)
-    if isinstance(shadow_map.light, geometry.PagedLight):
-        shown = figures.atlas(shown, int(shadow_map.light.pages.count))
-    light = shadow_map.light
-    names = figures.cascade_names(light) if isinstance(light, geometry.CascadedLight) else figures.FACES
-    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", names, vmin=low, vmax=high)
+    layers = figures.map_figure(technique, shadow_map)
+    figures.write_map(path, "Window depth", shown, "window depth (0 near, 1 far)", layers, vmin=low, vmax=high)
 
 
 def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -> None:
@@ -86,44 +82,23 @@ def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -
     style.save(figure, path)
 
 
-def _write_cascades(
-    path: Path, image: Float[HostArray, "h w 3"], technique: shadow.ShadowMapping, drawn: Drawn
-) -> None:
-    """The cascades that the camera's image is looked up in, in colours that fade where cascades do."""
-    light = drawn.state.light
-    layer, other, weight, strength = technique.layout.choose(light, drawn.surface.position)
-    colours = np.array([to_rgb(style.CYCLE[i % len(style.CYCLE)]) for i in range(light.count)])
-    tint = colours[np.asarray(layer)]
-    if other is not None and weight is not None:
-        share = np.asarray(weight)[..., None]
-        tint = share * tint + (1 - share) * colours[np.asarray(other)]
-    shown = np.asarray(drawn.surface.mask) & (True if strength is None else np.asarray(strength) > 0)
+def _write_layers(path: Path, image: Float[HostArray, "h w 3"], layers: shadow.LayerFigure) -> None:
+    """Which layers of the map the camera's image is looked up in, in colours."""
+    colour_of = lambda numbers: np.array([to_rgb(colour) for colour in style.CYCLE])[numbers % len(style.CYCLE)]
+    tint = colour_of(np.asarray(layers.colour))
+    if layers.other is not None and layers.weight is not None:
+        share = np.asarray(layers.weight)[..., None]
+        tint = share * tint + (1 - share) * colour_of(np.asarray(layers.other))
+    if layers.brightness is not None:
+        tint = tint * np.asarray(layers.brightness)[..., None]
     height, width = image.shape[:2]
     figure, axes = figures.single(image[..., 0])
-    style.picture(axes, np.where(shown[..., None], image * (0.35 + 0.65 * tint), image), extent=(0, width, 0, height))
-    for i, name in enumerate(figures.cascade_names(light)):
-        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i + 1}: {name}")
+    shown = np.where(np.asarray(layers.shown)[..., None], image * (0.35 + 0.65 * tint), image)
+    style.picture(axes, shown, extent=(0, width, 0, height))
+    for number, label in layers.labels.items():
+        axes.plot([], [], color=colour_of(number), linewidth=5, label=label)
     style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    style.title(axes, "Cascades", "depths along the camera's axis, in world units")
-    style.save(figure, path)
-
-
-def _write_levels(path: Path, image: Float[HostArray, "h w 3"], technique: shadow.ShadowMapping, drawn: Drawn) -> None:
-    """The level that each pixel is looked up in, in colours, each page a little lighter or darker than the next."""
-    light = drawn.state.light
-    pages, layer = light.pages, np.asarray(technique.layout.choose(light, drawn.surface.position).layer)
-    level, row, column = (np.asarray(values)[layer] for values in (pages.level, pages.row, pages.column))
-    colours = np.array([to_rgb(style.CYCLE[i % len(style.CYCLE)]) for i in range(pages.levels)])
-    tint = colours[level] * np.where((row + column) % 2 == 0, 1.0, 0.75)[..., None]
-    shown = np.asarray(drawn.surface.mask)
-    height, width = image.shape[:2]
-    figure, axes = figures.single(image[..., 0])
-    style.picture(axes, np.where(shown[..., None], image * (0.35 + 0.65 * tint), image), extent=(0, width, 0, height))
-    sizes = np.asarray(pages.size(np.arange(pages.levels)))
-    for i in sorted(set(level[shown].tolist())):
-        axes.plot([], [], color=colours[i], linewidth=5, label=f"{i}: {sizes[i]}²")
-    style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    style.title(axes, "Levels", f"{int(pages.count)} pages of {pages.page}² texels, bias {float(light.bias):.3g}")
+    style.title(axes, layers.title, layers.subtitle)
     style.save(figure, path)
 
 

@@ -18,7 +18,7 @@ from ..pages import _table as table
 from . import _pose as poses
 from . import _record as record
 from ._engine import CODE, code_of
-from ._page_remarks import page_remarks
+from ._layout_remarks import layout_remarks
 from ._progress import Stages
 from ._reference_remarks import reference_remarks
 from ._remarks import remarks
@@ -188,7 +188,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
     messages = [
         *views.remarks,
-        *page_remarks(config, drawn),
+        *layout_remarks(technique, drawn),
         *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
         *remarks(config, plan.parameters, result),
     ]
@@ -261,7 +261,7 @@ def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
     for i in fitted.shown:
-        figures.write_from_light(draft, record.suffix(i, drawn), fitted.mapped[i].state)
+        figures.write_from_light(draft, record.suffix(i, drawn), fitted.result.technique, fitted.mapped[i].state)
     if fitted.plan.arrangement is not None:
         from ..pages._pose_figures import write_paths
 

@@ -13,7 +13,7 @@ from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
 from . import _record as record
-from ._page_remarks import page_remarks
+from ._layout_remarks import layout_remarks
 from ._progress import Stages
 from ._reference_remarks import reference_remarks
 from ._scene_remarks import scene_remarks
@@ -71,7 +71,7 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
     remarks = [
         *drawn[0].remarks,
         *scene_remarks(config, scenes, drawn[0].surface),
-        *page_remarks(config, drawn),
+        *layout_remarks(technique, drawn),
         *reference_remarks(config, drawn),
     ]
     return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
@@ -112,7 +112,7 @@ def _write(draft: Path, rendered: Rendered, shaded: Pictures, result: dict[str, 
     figures.write_figures(run, draft)
     for i, each in enumerate(drawn):
         end = record.suffix(i, drawn)
-        figures.write_from_light(draft, end, each.state)
+        figures.write_from_light(draft, end, rendered.technique, each.state)
         if debug:
             debug_figures.write_debug(draft, end, config, rendered.technique, each)
     write_report(run)

@@ -4,8 +4,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from .._view import View
-from ._abstract import AbstractLight, Domain
+from ...geometry import AbstractLight, Domain, View
 
 
 class AbstractFittedLight(AbstractLight):

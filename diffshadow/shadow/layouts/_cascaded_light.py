@@ -1,4 +1,5 @@
-"""A directional light whose shadow map is made of cascades."""
+"""A directional light whose shadow map is made of cascades: their views, in which of them each point is looked up, and
+how they are blended."""
 
 from typing import Literal
 
@@ -8,21 +9,23 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._types import Mat4
-from .._pages import Tile
-from .._view import View
-from ._abstract import AbstractLight
-from ._fitted import AbstractFittedLight
+from ..._types import Mat4, Scalar
+from ...geometry import AbstractLight, Tile, View
+from ._abstract import Choice
+from ._fitted_light import AbstractFittedLight
+
+# The least share of a slice over which cascades are blended: 1 / blend has to be finite.
+_LEAST_BLEND = 1e-6
 
 CascadeSelection = Literal["interval", "map"]
-"""Which cascade a point falls in: that of its depth, or the first whose map contains it."""
+"""Which cascade a point falls in: the cascade of its depth, or the first whose map contains it."""
 
 
 class CascadedLight(AbstractFittedLight):
     """A directional light whose shadow map has a layer, called a cascade, for each of several ranges of a camera's
     depth. Each cascade is a part of the light's own map, drawn in all of its layer or in a part of it.
 
-    `shadow.Cascades` makes one for a light and a camera.
+    `Cascades` makes one for a light and a camera.
 
     - `light`: the directional light.
     - `camera`: the view of the camera.
@@ -54,6 +57,14 @@ class CascadedLight(AbstractFittedLight):
         """The number of cascades."""
         return self.ends.shape[0]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each cascade shows, and its side in texels if these differ. Only for concrete lights."""
+        names = [f"up to {float(end):.3g} deep" for end in self.ends]
+        if self.sides is not None:
+            names = [f"{name}, {int(side)}²" for name, side in zip(names, self.sides, strict=True)]
+        return tuple(names)
+
     def view(self) -> View:
         own = self.light.view()
         eye_to_clip = _cropped(own.eye_to_clip, self.scale, self.offset)
@@ -79,6 +90,35 @@ class CascadedLight(AbstractFittedLight):
         at = self.scale[layer] * own[..., :2] + self.offset[layer]
         inside = 1 - self.margin[layer] - jnp.abs(at)
         return jnp.minimum(inside[..., 0], inside[..., 1])
+
+    def choose(self, points: Float[Array, "h w 3"], blend: Scalar | None, fade: float | None) -> Choice:
+        """The cascades that `points` (h, w, 3), in world units, are looked up in, and their weights.
+
+        **Arguments:**
+
+        - `blend`: over which part of a slice, or of the map's half width, a cascade fades into the next; none if
+            cascades are not blended.
+        - `fade`: over which part of the last slice shadows fade out at its end; none if there are shadows beyond it.
+        """
+        layer, depth = self.layer(points), self.depth(points)
+        strength = None if fade is None else self._strength(depth, fade)
+        if blend is None or self.count == 1:
+            return Choice(layer, strength=strength)
+        other, last = jnp.minimum(layer + 1, self.count - 1), layer == self.count - 1
+        if self.select == "interval":
+            begins = jnp.concatenate([self.begins[:1], self.ends[:-1]])
+            from_end = (self.ends[layer] - depth) / (self.ends - begins)[layer]
+        else:
+            last = last | (self.to_border(points, other) < 0)
+            from_end = self.to_border(points, layer)
+        weight = jnp.clip(from_end / jnp.maximum(blend, _LEAST_BLEND), 0, 1)
+        return Choice(layer, other, jnp.where(last, 1, weight), strength)
+
+    def _strength(self, depth: Float[Array, "h w"], fade: float) -> Float[Array, "h w"]:
+        """How strong shadows are at a `depth`, from 1 to 0 beyond the last slice."""
+        begin = self.begins[0] if self.count == 1 else self.ends[-2]
+        from_end = (self.ends[-1] - depth) / (self.ends[-1] - begin)
+        return jnp.where(from_end < 0, 0.0, 1.0) if fade == 0 else jnp.clip(from_end / fade, 0, 1)
 
 
 @jax.jit

@@ -1,19 +1,19 @@
 """A directional light whose shadow map is virtual."""
 
+import dataclasses
+
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._types import Scalar
-from .._pages import Pages, cell_of
-from .._view import View
-from ._abstract import AbstractLight
-from ._fitted import AbstractFittedLight
+from ...geometry import AbstractLight, Pages, View, cell_of
+from ._fitted_light import AbstractFittedLight
 
 
 class PagedLight(AbstractFittedLight):
     """A directional light whose shadow map is virtual, and has a layer for each resident page.
 
-    `shadow.ResolutionMatched` makes one for a light and a camera.
+    `ResolutionMatched` makes one for a light and a camera.
 
     - `light`: the directional light, whose own map is the virtual one.
     - `camera`: the view of the camera.
@@ -43,8 +43,7 @@ class PagedLight(AbstractFittedLight):
         return self.pages.level.shape[0]
 
     def view(self) -> View:
-        own = self.light.view()
-        return View(own.world_to_eye, own.eye_to_clip, own.near, own.far, own.is_perspective, tile=self.pages.tile)
+        return dataclasses.replace(self.light.view(), tile=self.pages.tile, pages=self.pages)
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
         clip = self.light.view().clip(lax.stop_gradient(points))

@@ -5,17 +5,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._types import Mat4, Scalar, Vec2
-from .._view import View
-from .._warp import Warp
-from ._abstract import AbstractLight
-from ._fitted import AbstractFittedLight
+from ...geometry import AbstractLight, View, Warp
+from ._fitted_light import AbstractFittedLight
 
 
 class WarpedLight(AbstractFittedLight):
     """A directional light whose shadow map is a part of the light's own, turned about the light's axis and warped by a
     perspective. Depths are those of the light's own map.
 
-    `shadow.PerspectiveWarp` makes one for a light and a camera.
+    `PerspectiveWarp` makes one for a light and a camera.
 
     - `light`: the directional light.
     - `camera`: the view of the camera.

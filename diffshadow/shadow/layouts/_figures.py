@@ -1,0 +1,45 @@
+"""What figures show of a layout."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from jaxtyping import Array, Float, Int
+
+from ..._types import Mask
+
+
+class MapFigure(NamedTuple):
+    """How the layers of a map are named in a figure.
+
+    - `title`: of the figure.
+    - `layers`: what each layer shows, for layers side by side; none if they are put together into one image.
+    - `used`: how many layers show anything; the others come last.
+    """
+
+    title: str
+    layers: tuple[str, ...] | None
+    used: int
+
+
+class LayerFigure(NamedTuple):
+    """Which layers an image is looked up in, as colours over the image.
+
+    - `name`: of the figure's file, a word.
+    - `title`, `subtitle`: above the figure.
+    - `labels`: what each colour in the legend means, by its number.
+    - `colour`: (h, w), the number of the colour at each pixel.
+    - `other`, `weight`: (h, w), a second colour, and the weight of the first in the mean of both; none if there is only
+        one.
+    - `brightness`: (h, w), a factor of the colour; none for 1.
+    - `shown`: (h, w), which pixels are coloured.
+    """
+
+    name: str
+    title: str
+    subtitle: str
+    labels: Mapping[int, str]
+    colour: Int[Array, "h w"]
+    other: Int[Array, "h w"] | None
+    weight: Float[Array, "h w"] | None
+    brightness: Float[Array, "h w"] | None
+    shown: Mask
