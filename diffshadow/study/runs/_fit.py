@@ -258,6 +258,7 @@ def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[
     drawn, arrays = fitted.drawn, {**_arrays(fitted), **shaded[worst]}
     run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config.with_layout_of_fit())
+    record.write_fitted(draft, fitted.config, fitted.result.fitted)
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
     for i in fitted.shown:
