@@ -22,7 +22,8 @@ from stored_runs import TINY
 from diffshadow import fit, io, metrics, study
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, load_config, settings_file
-from diffshadow.study.runs import _convert
+from diffshadow.shadow import ThreeJs, engine_code
+from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import _traced
 from diffshadow.study.runs._shade import perceptual_error
@@ -198,7 +199,7 @@ def test_a_bias_that_engines_lack_is_converted_and_measured():
     for name in ("this configuration", "three.js", "Babylon.js"):
         ((rmse, acne),) = re.findall(rf"{name} +RMSE (\S+), false shadow (\S+)%", said)
         assert 0 < float(rmse) < 0.15
-        assert float(acne) < 1
+        assert float(acne) < 3
     assert "light.shadow.bias = -" in said
     assert "generator.bias = " in said
     assert "Godot 4, Bevy, Filament, Unity URP are left out" in said
@@ -706,12 +707,26 @@ def test_fits_of_an_engine_leave_its_code():
     code = (made / "engine.js").read_text()
     assert result["code"] == {"scene.light": code}
     fitted = {name.removeprefix("technique."): value for name, value in result["fitted"].items()}
-    assert f"light.shadow.bias = {fitted['bias']:.7g};" in code
-    assert f"light.shadow.radius = {fitted['radius']:.7g};" in code
+    assert f"light.shadow.bias = {np.float32(fitted['bias'])!s};" in code
+    assert f"light.shadow.radius = {np.float32(fitted['radius'])!s};" in code
     assert all(line in said for line in code.splitlines())
     assert "material.shadowSide = THREE.DoubleSide;" in (made / "report.html").read_text()
     assert result["metrics"]["after"]["rmse"] < 0.9 * result["metrics"]["before"]["rmse"]
     assert (made / "shadow_map.png").exists()
+
+
+@pytest.mark.parametrize("where", ["direction: [1.3, -2.4, -1.2]", "azimuth: 20, elevation: 50"])
+def test_code_of_an_engine_has_the_lights_own_camera(where):
+    window = {"left": -1.9, "right": 2.3, "top": 1.7, "bottom": -2.1}
+    camera = f"position: [-1.3, 2.6, 1.2], near: 0.3, far: 8, {', '.join(f'{k}: {v}' for k, v in window.items())}"
+    config = tiny(f"scene.light={{{where}, shadow_camera: {{{camera}}}}}")
+    given = _engine._as_given(config.scene.light, build_scene(config).light)
+    assert given[:4] == ("directional", [-1.3, 2.6, 1.2], 0.3, 8)
+    assert given.window == window
+    if "direction" in where:
+        assert given.target == pytest.approx([0, 0.2, 0], abs=1e-12)
+    code = engine_code(ThreeJs(), given, (1.0, 5.0))
+    assert "left: -1.9, right: 2.3, top: 1.7, bottom: -2.1, near: 0.3, far: 8 }" in code
 
 
 def test_progress_is_shown_to_a_terminal_only(finished, tiny_figures):

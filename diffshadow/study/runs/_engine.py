@@ -6,19 +6,35 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..._types import HostArray, VectorMap
-from ...geometry import AbstractLight, PointLight
-from ...shadow import BabylonJs, FittableTechnique, ThreeJs, engine_code
+from ...config import Config, DirectionalLightConfig, LightConfig
+from ...geometry import AbstractLight, DirectionalLight, PointLight
+from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
 from ._setup import Drawn
 
 CODE = "engine.js"
 """The file in a run's folder that holds the code."""
 
 
-def code_of(technique: FittableTechnique, drawn: Sequence[Drawn]) -> dict[str, str]:
-    """The code for each light, by its key; none if the technique is no engine's."""
+def code_of(technique: FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
+    """The code for each light of `config`, by its key; none if the technique is no engine's."""
     if not isinstance(technique, ThreeJs | BabylonJs):
         return {}
-    return {each.key: engine_code(technique, each.scene.light, _distances(each)) for each in drawn}
+    sections = config.scene.each_light.values()
+    return {
+        each.key: engine_code(technique, _as_given(section, each.scene.light), _distances(each))
+        for section, each in zip(sections, drawn, strict=True)
+    }
+
+
+def _as_given(section: LightConfig, light: AbstractLight) -> AbstractLight | EngineLight:
+    """`light`, or the engine's own camera if the section has one: a light's map keeps its middle and its size only."""
+    if not isinstance(section, DirectionalLightConfig) or section.shadow_camera is None:
+        return light
+    assert isinstance(light, DirectionalLight)
+    camera, direction = section.shadow_camera, section.direction or np.asarray(light.direction).tolist()
+    target = [at + towards for at, towards in zip(camera.position, direction, strict=True)]
+    window = {name: getattr(camera, name) for name in ("left", "right", "top", "bottom")}
+    return EngineLight("directional", list(camera.position), camera.near, camera.far, target, window)
 
 
 def _distances(drawn: Drawn) -> tuple[float, float]:

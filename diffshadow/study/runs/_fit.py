@@ -63,7 +63,8 @@ class FittedRun(NamedTuple):
     @property
     def code(self) -> dict[str, str]:
         """The code for the lights of an engine, by their keys; of several views, for the first."""
-        return code_of(self.result.technique, self.mapped[: len(self.views.fitted[0].drawn)])
+        first = self.views.fitted[0]
+        return code_of(self.result.technique, first.config, self.mapped[: len(first.drawn)])
 
     @property
     def shown(self) -> list[int]:
