@@ -23,7 +23,7 @@ from rich.text import Text
 
 from ._memory import collect_rarely, keep_freed_memory
 from ._xla import use_all_cores
-from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable
+from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable, settings_file
 from .console import Console
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
@@ -149,20 +149,27 @@ def validate(config: Path, /, *overrides: str) -> None:
 def convert(config: Path, /, *overrides: str) -> None:
     """Prints the bias of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
 
-    Example: `diffshadow convert configs/quickstart.yaml bias.constant=1.5 bias.normal_offset=1`
+    Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
+    it fits the shadows of three.js and Babylon.js, which takes as long as two fits.
+
+    Example: `diffshadow convert runs/quickstart`
+
+    Example: `diffshadow convert configs/quickstart.yaml bias.slope=0 bias.constant=1.5`
 
     Parameters
     ----------
     config
-        YAML file with technique type shadow_map.
+        YAML file with technique type shadow_map, or the folder of a finished run.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
     """
-    settings = load_config(config, overrides)
+    file, origin = settings_file(config)
+    settings = load_config(file, overrides)
+    origin += f", with {' '.join(overrides)}" if overrides else ""
     _start_jax()
     from . import study
 
-    study.convert(settings, console=Console())
+    study.convert(settings, console=Console(), origin=origin)
 
 
 @app.command

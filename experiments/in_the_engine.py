@@ -193,7 +193,7 @@ def _babylon_js(light: EngineLight, technique: BabylonJs) -> tuple[dict[str, Any
     given: dict[str, Any] = {"type": light.type, "position": light.position}
     given |= {"shadowMinZ": light.near, "shadowMaxZ": light.far}
     if light.target is not None:
-        given["direction"] = np.subtract(light.target, light.position).tolist()
+        given["direction"] = light.direction
     if light.angle is not None:
         given["angle"] = 2 * light.angle
     if light.window is not None:

@@ -12,7 +12,6 @@ from ._errors import printable as printable
 from .reading._advise import Advice as Advice
 from .reading._advise import Technique as Technique
 from .reading._advise import load_advice as load_advice
-from .reading._advise import with_fitted as with_fitted
 from .reading._dump import Row as Row
 from .reading._dump import describe as describe
 from .reading._dump import dump as dump
@@ -20,6 +19,13 @@ from .reading._dump import dump_resolved as dump_resolved
 from .reading._dump import fit_units as fit_units
 from .reading._load import load_config as load_config
 from .reading._load import parse_config as parse_config
+from .reading._of_run import CONFIG_FILE as CONFIG_FILE
+from .reading._of_run import FITTED_FILE as FITTED_FILE
+from .reading._of_run import RECOMMENDED_FILE as RECOMMENDED_FILE
+from .reading._of_run import RESULT_FILE as RESULT_FILE
+from .reading._of_run import SettingsFile as SettingsFile
+from .reading._of_run import settings_file as settings_file
+from .reading._of_run import with_fitted as with_fitted
 from .reading._sweep_runs import Sweep as Sweep
 from .reading._sweep_runs import SweepRun as SweepRun
 from .reading._sweep_runs import SweepRuns as SweepRuns

@@ -7,7 +7,7 @@ from ._report import report as report
 from .imports._import import import_scene as import_scene
 from .pages._compare import compare as compare
 from .runs._check import check as check
-from .runs._engine import convert as convert
+from .runs._convert import convert as convert
 from .runs._fit import run_fit as run_fit
 from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render as run_render

@@ -3146,7 +3146,7 @@ _CONFIG = (
     ),
     _fault(
         "advise: a fitted value may leave its bounds",
-        "config/reading/_advise.py",
+        "config/reading/_of_run.py",
         'inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)',
         'inside = float(f"{value:.{_DIGITS}g}")',
         "test_advise.py",

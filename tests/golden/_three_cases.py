@@ -97,6 +97,12 @@ def three_cases() -> dict[str, dict[str, Any]]:
     add("spot_pcf_oblong_focus", "PCF", SPOT, mapSize=[96, 128], focus=0.8, aspect=1.2, bias=-0.002, radius=2.0)
     add("spot_pcf_reversed", "PCF", SPOT, is_reversed=True, bias=-0.002, radius=2.0)
     add("spot_vsm_radius_3", "VSM", SPOT, bias=-0.001, radius=3.0)
+    # Neither sizes nor samples are powers of two, and samples lie on the borders between texels.
+    add("spot_vsm_odd_sizes", "VSM", SPOT, bias=-0.002, mapSize=[90, 110], radius=1.5, blurSamples=7)
+    # The engine's own range, in which depths are close to 1 and their squares cancel.
+    add("spot_vsm_wide_range", "VSM", SPOT, camera={"near": 0.5, "far": 500.0}, bias=-0.0005, radius=4.0)
+    # Nothing but noise.
+    add("directional_vsm_radius_1", "VSM", SUN, radius=1.0)
     add("point_basic_bias", "Basic", LAMP, bias=-0.0012)
     add("point_basic_default_sides", "Basic", LAMP, DEFAULT)
     add("point_pcf_radius_4", "PCF", LAMP, bias=-0.004, radius=4.0)

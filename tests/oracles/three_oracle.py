@@ -106,22 +106,52 @@ def pcf(depth: np.ndarray, uv: np.ndarray, z: np.ndarray, radius: float, turn: n
 
 
 def blurred(depth: np.ndarray, radius: float, samples: int) -> np.ndarray:
-    """The map (h, w, 2) of mean and standard deviation, rounded to half floats after each pass."""
-    height, width = depth.shape
-    offsets = radius * (np.linspace(-1, 1, samples) if samples > 1 else np.zeros(1))
-    rows = np.floor(np.arange(height)[:, None] + 0.5 + offsets).astype(int).clip(0, height - 1)
-    taps = depth.astype(f32)[rows]  # (h, samples, w)
-    vertical = as_half(*mean_and_deviation([(t, t * t) for t in taps.transpose(1, 0, 2)]))
+    """The map (h, w, 2) of mean and standard deviation, rounded to half floats after each pass: the engine's bits.
+
+    Every operation is one in float32, as the software rasterizer does it.
+    """
+    return horizontally(vertically(depth, radius, samples), radius, samples)
+
+
+def vertically(depth: np.ndarray, radius: float, samples: int) -> np.ndarray:
+    height = depth.shape[0]
+    rows = [in_texels(np.arange(height, dtype=f32), o * f32(radius), height).astype(int) for o in offsets(samples)]
+    return as_half(*mean_and_deviation([(depth[row], depth[row] * depth[row]) for row in rows]))
+
+
+def horizontally(moments: np.ndarray, radius: float, samples: int) -> np.ndarray:
+    height, width = moments.shape[:2]
+    # In maps whose height is no power of two, rounding moves each row a little towards a neighbour.
+    own_low, own_high, own_share = between(in_texels(np.arange(height, dtype=f32), f32(0), height), height)
     pairs = []
-    for offset in offsets:
-        place = np.arange(width) + offset
-        low = np.floor(place).astype(int)
-        share = (place - low)[:, None].astype(f32)
-        mean, deviation = np.moveaxis(
-            vertical[:, low.clip(0, width - 1)] * (1 - share) + vertical[:, (low + 1).clip(0, width - 1)] * share, -1, 0
-        )
+    for offset in offsets(samples):
+        low, high, share = between(in_texels(np.arange(width, dtype=f32), offset * f32(radius), width), width)
+        rows = mix(moments[:, low], moments[:, high], share[:, None])
+        mean, deviation = np.moveaxis(mix(rows[own_low], rows[own_high], own_share[:, None, None]), -1, 0)
         pairs.append((mean, deviation * deviation + mean * mean))
     return as_half(*mean_and_deviation(pairs))
+
+
+def offsets(samples: int) -> list[np.float32]:
+    if samples == 1:
+        return [f32(0)]
+    return [f32(-1) + f32(i) * (f32(2) / f32(samples - 1)) for i in range(samples)]
+
+
+def in_texels(texel: np.ndarray, offset: np.float32, size: int) -> np.ndarray:
+    """The place of a texel's centre, moved by `offset`, as the texture unit has it: clamped to less than `size`."""
+    place = (texel + f32(0.5) + offset) / f32(size)
+    return place.clip(f32(0), np.nextafter(f32(1), f32(0))) * f32(size)
+
+
+def between(place: np.ndarray, size: int):
+    """The two texels that `place` lies between, clamped to the edge, and the second one's share."""
+    low = np.floor(place - f32(0.5))
+    return low.astype(int).clip(0, size - 1), (low + 1).astype(int).clip(0, size - 1), place - f32(0.5) - low
+
+
+def mix(low: np.ndarray, high: np.ndarray, share: np.ndarray) -> np.ndarray:
+    return low + share * (high - low)
 
 
 def mean_and_deviation(pairs: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +159,8 @@ def mean_and_deviation(pairs: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.n
     mean, square = np.zeros_like(pairs[0][0], f32), np.zeros_like(pairs[0][0], f32)
     for value, squared in pairs:
         mean, square = mean + value, square + squared
-    mean, square = mean / f32(len(pairs)), square / f32(len(pairs))
+    share = f32(1) / f32(len(pairs))
+    mean, square = mean * share, square * share
     return mean, np.sqrt(np.maximum(f32(0), square - mean * mean))
 
 

@@ -21,7 +21,9 @@ from stored_runs import TINY
 
 from diffshadow import fit, io, metrics, study
 from diffshadow.cli import main
-from diffshadow.config import ConfigError, build_scene, load_config
+from diffshadow.config import ConfigError, build_scene, load_config, settings_file
+from diffshadow.shadow import ThreeJs, engine_code
+from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import _traced
 from diffshadow.study.runs._shade import perceptual_error
@@ -30,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 
 FIT_FILES = {
-    *("config.yaml", "result.json", "arrays.npz", "report.html"),
+    *("config.yaml", "fitted.yaml", "result.json", "arrays.npz", "report.html"),
     *("comparison.png", "shadow_map.png", "loss.png", "parameters.png", "shaded.png"),
 }
 RENDER_FILES = {
@@ -109,9 +111,100 @@ def test_a_render_with_the_fitted_values_has_the_error_of_the_fit():
     folder, _ = run("technique={type: cascades, count: 2}")
     result = result_of(folder)
     values = [f"{name}={value!r}" for name, value in result["fitted"].items()]
-    config = load_config(folder / "config.yaml", [*values, "name=again"])
-    errors = result_of(study.run_render(config, console=console()[0]))["metrics"]["errors"]
-    assert errors["rmse"] == pytest.approx(result["metrics"]["after"]["rmse"], rel=1e-6)
+    for file, settings in (("config.yaml", [*values, "name=again"]), ("fitted.yaml", [])):
+        config = load_config(folder / file, settings)
+        errors = result_of(study.run_render(config, console=console()[0]))["metrics"]["errors"]
+        assert errors["rmse"] == pytest.approx(result["metrics"]["after"]["rmse"], rel=1e-6)
+
+
+def test_a_fit_leaves_a_configuration_with_the_fitted_values(finished):
+    folder, _, _ = finished
+    fitted, result = load_config(folder / "fitted.yaml", fitting=True), result_of(folder)
+    assert fitted.name == "tiny-fitted"
+    for name, value in result["fitted"].items():
+        assert fitted.initial(name) == pytest.approx(value, rel=1e-7)
+    start = load_config(folder / "config.yaml", fitting=True)
+    assert [start.initial(name) for name in result["fitted"]] == pytest.approx([*result["initial"].values()])
+    apart = {"name": start.name, "bias": start.bias, "filter": start.filter, "fit": start.fit}
+    assert fitted.model_copy(update=apart) == start
+
+
+def converted(config, origin: str = "") -> str:
+    to, out = console()
+    study.convert(config, console=to, origin=origin)
+    return out.getvalue()
+
+
+def test_a_finished_fit_is_converted_with_its_fitted_values(finished):
+    folder, _, _ = finished
+    file, origin = settings_file(folder / "config.yaml")
+    config = load_config(file, ["bias.slope=0"])
+    said = converted(config, origin)
+    assert said.startswith(f"the values are those that the fit found, {folder / 'fitted.yaml'}")
+    # Texels are its unit.
+    (texels,) = re.findall(r"Unity URP +shadowBias \(depth\) +(\S+)", said)
+    assert float(texels) == pytest.approx(result_of(folder)["fitted"]["bias.constant"], rel=1e-3)
+    assert "valid where both sides of faces cast" in said
+
+
+LACKING = {
+    "bias.slope": "bias.slope=0.5",
+    "bias.plane (receiver_plane)": "bias.plane={type: receiver_plane}",
+    "bias.terms": "bias.terms={sine: 1}",
+    "bias.factors": "bias.factors=[2, 1, 1, 1, 1, 1] scene.light={type: point, position: [0.5, 3, 1]}",
+    "shadow_map.depth_layer (midpoint)": "shadow_map.depth_layer=midpoint",
+    "shadow_map.polygon_offset": "shadow_map.polygon_offset=[1, 1]",
+    "bias.normal_offset_profile (sine)": "bias.normal_offset=1",
+}
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_a_bias_that_engines_lack_is_fitted_instead(what, monkeypatch):
+    """No constant is printed for an engine that lacks a part of the bias."""
+
+    class FittingError(Exception):
+        pass
+
+    def fit_technique(config, stages):
+        assert config.technique.type == "three.js"
+        assert config.technique.shadow_side == "double"
+        assert sorted(config.fit.parameters) == ["technique.bias", "technique.normal_bias", "technique.radius"]
+        raise FittingError
+
+    monkeypatch.setattr(_convert, "fit_technique", fit_technique)
+    to, out = console()
+    with pytest.raises(FittingError):
+        study.convert(tiny("bias.slope=0", *re.split(" (?=scene)", LACKING[what])), console=to)
+    said = out.getvalue()
+    assert f" have no {what}" in said
+    assert "light.shadow.bias" not in said
+    # Babylon.js and Filament have such a normal offset.
+    assert ("generator.bias" in said) == ("normal_offset" in what)
+
+
+@pytest.mark.parametrize("kind", ["{}", "{type: spot, orbit: {distance: 6}}", "{type: point, position: [0, 4, 1]}"])
+def test_fits_of_engines_start_within_their_bounds(kind):
+    config = tiny(f"scene.light={kind}")
+    lit = _convert._Lit(("scene", "light"), build_scene(config), 0.05, 0.01, 3.0)
+    for overrides in _convert._fits(config, [lit]).values():
+        made = load_config("tiny.yaml", [f"scene.light={kind}", *overrides], fitting=True)
+        for name, bounds in made.fit.parameters.items():
+            assert bounds.lower <= made.initial(name) <= bounds.upper
+
+
+@pytest.mark.exhaustive
+def test_a_bias_that_engines_lack_is_converted_and_measured():
+    overrides = "bias.plane={type: receiver_plane}", "bias.slope=0", "scene.light.angular_radius=1"
+    said = converted(tiny(*overrides))
+    for name in ("this configuration", "three.js", "Babylon.js"):
+        ((rmse, acne),) = re.findall(rf"{name} +RMSE (\S+), false shadow (\S+)%", said)
+        assert 0 < float(rmse) < 0.15
+        assert float(acne) < 3
+    assert "light.shadow.bias = -" in said
+    assert "generator.bias = " in said
+    assert "Godot 4, Bevy, Filament, Unity URP are left out" in said
+    oblong = converted(tiny(*overrides, "shadow_map.resolution=[64, 32]"))
+    assert "Babylon.js is left out, since its maps are square" in oblong
 
 
 def test_fit_writes_every_file_and_nothing_else(finished):
@@ -619,12 +712,26 @@ def test_fits_of_an_engine_leave_its_code():
     code = (made / "engine.js").read_text()
     assert result["code"] == {"scene.light": code}
     fitted = {name.removeprefix("technique."): value for name, value in result["fitted"].items()}
-    assert f"light.shadow.bias = {fitted['bias']:.7g};" in code
-    assert f"light.shadow.radius = {fitted['radius']:.7g};" in code
+    assert f"light.shadow.bias = {np.float32(fitted['bias'])!s};" in code
+    assert f"light.shadow.radius = {np.float32(fitted['radius'])!s};" in code
     assert all(line in said for line in code.splitlines())
     assert "material.shadowSide = THREE.DoubleSide;" in (made / "report.html").read_text()
     assert result["metrics"]["after"]["rmse"] < 0.9 * result["metrics"]["before"]["rmse"]
     assert (made / "shadow_map.png").exists()
+
+
+@pytest.mark.parametrize("where", ["direction: [1.3, -2.4, -1.2]", "azimuth: 20, elevation: 50"])
+def test_code_of_an_engine_has_the_lights_own_camera(where):
+    window = {"left": -1.9, "right": 2.3, "top": 1.7, "bottom": -2.1}
+    camera = f"position: [-1.3, 2.6, 1.2], near: 0.3, far: 8, {', '.join(f'{k}: {v}' for k, v in window.items())}"
+    config = tiny(f"scene.light={{{where}, shadow_camera: {{{camera}}}}}")
+    given = _engine._as_given(config.scene.light, build_scene(config).light)
+    assert given[:4] == ("directional", [-1.3, 2.6, 1.2], 0.3, 8)
+    assert given.window == window
+    if "direction" in where:
+        assert given.target == pytest.approx([0, 0.2, 0], abs=1e-12)
+    code = engine_code(ThreeJs(), given, (1.0, 5.0))
+    assert "left: -1.9, right: 2.3, top: 1.7, bottom: -2.1, near: 0.3, far: 8 }" in code
 
 
 def test_progress_is_shown_to_a_terminal_only(finished, tiny_figures):

@@ -438,11 +438,14 @@ def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypat
     assert figures.name == sweep.runs[0].id + end
     assert (figures / "report.html").is_file()
     assert load_config(figures / "config.yaml").filter == sweep.runs[0].config.filter
+    done = folder / "runs" / sweep.runs[0].id
+    assert (done / "fitted.yaml").exists() == (kind == "fit")
     stored, columns = json.loads((figures / "result.json").read_text())["metrics"], table(folder)
     if kind == "render":
         assert columns["rmse"] == [stored["errors"]["rmse"]]
     else:
         assert columns["after.rmse"] == [stored["after"]["rmse"]]
+        assert load_config(done / "fitted.yaml").bias == load_config(figures / "fitted.yaml").bias
 
 
 def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatch):

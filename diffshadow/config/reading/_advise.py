@@ -16,8 +16,7 @@ from ..sections._sweep import SweepConfig
 from ..sections._technique import MappedConfig, ShadowMapConfig
 from ..whole._schema import Config
 from ._draft import Draft
-from ._dump import dump_resolved
-from ._load import load_draft, parse_config
+from ._load import load_draft
 from ._mistakes import mistakes_of
 from ._sweep_runs import Progress, Sweep, SweepRuns
 
@@ -26,8 +25,6 @@ _SIZE = "shadow_map.resolution"
 _MOST_TECHNIQUES = 1024
 # What a fit says of its parameters beyond the best: techniques are compared at their best.
 _OF_ONE_FIT = ("intervals", "prefer", "front")
-# Significant digits of a fitted value: as many as float32 has.
-_DIGITS = 8
 
 
 class Technique(NamedTuple):
@@ -83,21 +80,6 @@ def load_advice(
     runs.check(progress)
     techniques = tuple(Technique(bias[LABEL], kind[LABEL], size) for (_, bias), (_, kind) in pairs for size in sizes)
     return Advice(settings, Sweep(axes, runs, draft.origin.source, tuple(overrides)), techniques)
-
-
-def with_fitted(config: Config, values: Mapping[str, float]) -> Config:
-    """`config` with these numbers, by the keys that set them, where its fit starts then, and the layout of the fit.
-
-    **Raises** `ConfigError` if a value is out of its limits.
-    """
-    overrides = []
-    for name, value in values.items():
-        bounds = config.fit.parameters[name]
-        # Rounding may move it out of its bounds.
-        inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
-        overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
-    text = dump_resolved(config.with_layout_of_fit())
-    return parse_config(text, overrides, source="the recommended configuration", fitting=True)
 
 
 def _settings_of(draft: Draft) -> AdviseConfig:

@@ -138,6 +138,11 @@ class Parts(Section):
             given["max_blend"] = max(section.blend, bounds["technique.blend"].upper)
         return section.model_copy(update=given)
 
+    def named_with(self, suffix: str) -> Self:
+        """The configuration with `suffix` behind its name, which is cut where both are too long for a folder."""
+        name = self.name.encode()[: _LONGEST_NAME - len(suffix.encode())].decode(errors="ignore")
+        return self.model_copy(update={"name": f"{name}{suffix}"})
+
     def with_layout_of_fit(self) -> Self:
         """The configuration with the layout that its fit draws, so that a render with fitted values draws the same."""
         return self.model_copy(update={"technique": self.laid_out(self.fit.parameters)})

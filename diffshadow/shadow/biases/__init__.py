@@ -15,6 +15,7 @@ from ._features import FEATURES as FEATURES
 from ._features import GLSL_INPUTS as GLSL_INPUTS
 from ._linear import LinearBias as LinearBias
 from ._normal_offset import NormalOffset as NormalOffset
+from ._normal_offset import OffsetProfile as OffsetProfile
 from ._perceptron import MOST_WEIGHTS as MOST_WEIGHTS
 from ._perceptron import PerceptronBias as PerceptronBias
 from ._receiver_plane import ReceiverPlane as ReceiverPlane

@@ -130,9 +130,9 @@ def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
         raise ValueError(
             f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
         )
-    view = light.view()
-    matrix = np.asarray(view.world_to_eye, np.float64)
-    eye, backward = -matrix[:3, :3].T @ matrix[:3, 3], matrix[2, :3].copy()
+    view, given = light.view(), light.center if isinstance(light, DirectionalLight) else light.position
+    eye, backward = np.asarray(given, np.float64), -np.asarray(light.direction, np.float64)
+    backward /= np.linalg.norm(backward)
     if np.hypot(backward[0], backward[2]) < 1e-9:
         backward[2] += nudge
     backward /= np.linalg.norm(backward)

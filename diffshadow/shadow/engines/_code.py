@@ -4,20 +4,23 @@ from collections.abc import Mapping, Sequence
 
 from ...geometry import AbstractLight
 from ._babylon import BabylonJs
-from ._light import EngineLight
+from ._light import EngineLight, plain
 from ._three import ThreeJs
 
 
-def engine_code(settings: ThreeJs | BabylonJs, light: AbstractLight, distances: tuple[float, float]) -> str:
+def engine_code(
+    settings: ThreeJs | BabylonJs, light: AbstractLight | EngineLight, distances: tuple[float, float]
+) -> str:
     """JavaScript that sets `settings` for `light`, with comments on where they hold.
 
     **Arguments:**
 
+    - `light`: of this library, or as the engine has it.
     - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
 
     **Raises** what `EngineLight.of` raises.
     """
-    given = EngineLight.of(light, settings.resolution)
+    given = light if isinstance(light, EngineLight) else EngineLight.of(light, settings.resolution)
     if isinstance(settings, ThreeJs):
         lines = _three_js(settings, given, distances)
     else:
@@ -78,7 +81,7 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
         # Half of it is window depth. It pushes casters, as a negative bias lifts receivers.
         amount = _in_world(given, -bias / 2, distances)
     else:
-        amount = f"{_text(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
+        amount = f"{_about(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
     arguments = str(settings.resolution[0]), "light", _flag(settings.float_maps)
     lines = [
         *_babylon_light(given),
@@ -104,9 +107,8 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
 def _babylon_light(given: EngineLight) -> list[str]:
     """What places the light and its camera."""
     lines = [f"light.position = {_vector(given.position)};"]
-    if given.target is not None:
-        direction = [to - at for at, to in zip(given.position, given.target, strict=True)]
-        lines += [f"light.direction = {_vector(direction)};"]
+    if given.direction is not None:
+        lines += [f"light.direction = {_vector(given.direction)};"]
     if given.angle is not None:
         lines += [f"light.angle = {_text(2 * given.angle)};  // radians, the full cone"]
     if given.window is not None:
@@ -168,19 +170,25 @@ def _in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -
     """The shift towards the light that a bias amounts to."""
     depth = light.far - light.near
     if light.type == "directional":
-        return f"{_text(-bias * depth)} world units towards the light"
+        return f"{_about(-bias * depth)} world units towards the light"
     # z' = f n / ((f - n) d²)
     shifts = [-bias * depth * d * d / (light.far * light.near) for d in distances]
-    near, far = (_text(distance) for distance in distances)
-    return f"{_text(shifts[0])} world units at the distance {near}, {_text(shifts[1])} at {far}"
+    near, far = (_about(distance) for distance in distances)
+    return f"{_about(shifts[0])} world units at the distance {near}, {_about(shifts[1])} at {far}"
 
 
 def _in_texels(light: EngineLight, length: float, width: int) -> str:
     if light.window is None or length == 0:
         return ""
-    return f", {_text(length / (light.window['right'] - light.window['left']) * width)} texels"
+    return f", {_about(length / (light.window['right'] - light.window['left']) * width)} texels"
+
+
+def _about(value: float) -> str:
+    """What a setting amounts to."""
+    return f"{value + 0.0:.5g}"
 
 
 def _text(value: float) -> str:
-    """Seven significant digits, and never -0."""
-    return f"{value + 0.0:.7g}" if value else "0"
+    """The fewest digits that are the same number in single precision, and never -0."""
+    (number,) = plain([value])
+    return f"{number:.9g}"

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
+from ..biases import OffsetProfile
 from ._abstract import engine_light
 from ._light import NO_NUDGE
 
@@ -30,7 +31,10 @@ class EngineSetting(NamedTuple):
 
 class _Common(NamedTuple):
     """What the formulas share: the shift b and a texel's width t in world units, the normal offset m in texels, near n,
-    far f, the range D = f - n, and the distance d along the light's axis."""
+    far f, the range D = f - n, and the distance d along the light's axis.
+
+    - `power`: of the distance with which b grows; None under a directional light, where nothing varies with distance.
+    """
 
     b: float
     t: float
@@ -38,6 +42,7 @@ class _Common(NamedTuple):
     n: float
     f: float
     d: float
+    power: int | None
 
     @property
     def depth(self) -> float:
@@ -48,9 +53,24 @@ class _Common(NamedTuple):
         """Window depth per world unit at the distance d of a perspective: f n / (D d²)."""
         return self.f * self.n / (self.depth * self.d**2)
 
+    def shift(self, note: str, power: int) -> str:
+        """`note` for a setting whose shift grows with `power` of the distance."""
+        return note if self.power in (None, power) or self.b == 0 else f"{note}; {_AT}"
+
+    def offset(self, note: str, power: int) -> str:
+        """`note` for a setting whose normal offset grows with `power` of the distance, as texels do with the first."""
+        return note if self.power is None or power == 1 or self.m == 0 else f"{note}; {_AT}"
+
 
 def engine_settings(
-    light: AbstractLight, resolution: Resolution, bias: float, normal_offset: float, distance: float
+    light: AbstractLight,
+    resolution: Resolution,
+    bias: float,
+    normal_offset: float,
+    distance: float,
+    *,
+    profile: OffsetProfile | None = None,
+    power: int = 0,
 ) -> list[EngineSetting]:
     """A constant bias and a normal offset as the settings of engines, for a light of theirs with the same map.
 
@@ -61,6 +81,10 @@ def engine_settings(
     - `normal_offset`: in texels.
     - `distance`: along the light's axis, in world units, at which settings hold that vary with it; ignored for a
         directional light.
+    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0; None takes an
+        engine's own profile for the same.
+    - `power`: of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth. Notes say
+        which settings grow otherwise.
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
     """
@@ -76,31 +100,49 @@ def engine_settings(
         at_unit = math.sqrt(4 / float(view.eye_to_clip[0, 0] * view.eye_to_clip[1, 1]) / math.prod(resolution))
         texel = at_unit * (distance if view.is_perspective else 1)
         near, far = float(view.near), float(view.far)
-    common = _Common(bias, texel, normal_offset, near, far, distance)
+    growth = None if kind == "directional" else power
+    common = _Common(bias, texel, normal_offset, near, far, distance, growth)
     of = {"directional": _directional, "spot": _spot, "point": _point}[kind]
-    return [*_three(common, kind), *_babylon(common, kind), *of(common)]
+    found = [*_three(common, kind), *_babylon(common, kind), *of(common)]
+    if profile is None or normal_offset == 0:
+        return found
+    # Unity moves nothing along normals under point lights.
+    lacking = {"Unity URP"} if kind == "point" else set()
+    return [each for each in found if _PROFILES[each.engine] == profile and each.engine not in lacking]
 
 
 _AT = "holds at this distance only"
 _RANGE = "a part of far - near"
+_DEPTH = "window depth"
+_WORLD = "world units"
+# How an engine's normal offset grows with the angle to the light. That of Godot goes across the light.
+_PROFILES: dict[str, OffsetProfile | None] = {
+    "three.js": "constant",
+    "Babylon.js": "sine",
+    "Godot 4": None,
+    "Bevy": "constant",
+    "Filament": "sine",
+    "Unity URP": "one_minus_cosine",
+}
 
 
 def _three(c: _Common, kind: str) -> list[EngineSetting]:
-    bias, note = (0.0 - c.b / c.depth, _RANGE) if kind == "directional" else (-c.b * c.slope, _AT)
+    value, note = (0.0 - c.b / c.depth, _RANGE) if kind == "directional" else (-c.b * c.slope, _DEPTH)
     return [
-        EngineSetting("three.js", "light.shadow.bias", bias, note, True),
-        EngineSetting("three.js", "light.shadow.normalBias", c.m * c.t, "world units", True),
+        EngineSetting("three.js", "light.shadow.bias", value, c.shift(note, 2), True),
+        EngineSetting("three.js", "light.shadow.normalBias", c.m * c.t, c.offset(_WORLD, 0), True),
     ]
 
 
 def _babylon(c: _Common, kind: str) -> list[EngineSetting]:
     linear = c.b / (c.n + c.f) if kind == "point" else c.b / c.depth
     pcf = {"directional": 2 * c.b / c.depth, "spot": 2 * c.b * c.slope, "point": linear}[kind]
-    note = {"directional": _RANGE, "spot": _AT, "point": "PCF becomes POISSON"}[kind]
+    note = {"directional": _RANGE, "spot": c.shift(_DEPTH, 2), "point": c.shift("PCF becomes POISSON", 0)}[kind]
+    of = lambda setting, value, note: EngineSetting("Babylon.js", f"generator.{setting}", value, note, True)
     return [
-        EngineSetting("Babylon.js", "generator.bias (NONE, POISSON, ESM)", linear, "a part of the range", True),
-        EngineSetting("Babylon.js", "generator.bias (PCF)", pcf, note, True),
-        EngineSetting("Babylon.js", "generator.normalBias", c.m * c.t, "world units, of casters, times sin θ", True),
+        of("bias (NONE, POISSON, ESM)", linear, c.shift("a part of the range", 0)),
+        of("bias (PCF)", pcf, note),
+        of("normalBias", c.m * c.t, c.offset("world units, of casters, times sin θ", 0)),
     ]
 
 
@@ -109,7 +151,7 @@ def _directional(c: _Common) -> list[EngineSetting]:
         _read("Godot 4", "shadow_bias", 100 * c.b / c.depth, "for blur 1 and soft filter quality factor 1"),
         _read("Godot 4", "shadow_normal_bias", c.m, "shifts across the light only"),
         *_bevy(c),
-        _read("Filament", "constantBias", c.b, "world units"),
+        _read("Filament", "constantBias", c.b, _WORLD),
         _read("Filament", "normalBias", 2 * c.m, "times sin θ"),
         *_unity(c, c.m),
     ]
@@ -117,30 +159,30 @@ def _directional(c: _Common) -> list[EngineSetting]:
 
 def _spot(c: _Common) -> list[EngineSetting]:
     return [
-        _read("Godot 4", "shadow_bias", 2.5 * c.b / c.d, f"roughly; {_AT}"),
+        _read("Godot 4", "shadow_bias", 2.5 * c.b / c.d, c.shift("roughly", 1)),
         *_bevy(c),
-        _read("Filament", "constantBias", c.b, "world units"),
-        _read("Filament", "normalBias", c.m, "grows with distance"),
+        _read("Filament", "constantBias", c.b, c.shift(_WORLD, 0)),
+        _read("Filament", "normalBias", c.m, c.offset("grows with distance", 1)),
         *_unity(c, c.m),
     ]
 
 
 def _point(c: _Common) -> list[EngineSetting]:
-    return [_read("Godot 4", "shadow_bias", c.b, "world units"), *_bevy(c), *_unity(c, 0.0)]
+    return [_read("Godot 4", "shadow_bias", c.b, c.shift(_WORLD, 0)), *_bevy(c), *_unity(c, 0.0)]
 
 
 def _bevy(c: _Common) -> list[EngineSetting]:
     return [
-        _read("Bevy", "shadow_depth_bias", c.b, "world units"),
-        _read("Bevy", "shadow_normal_bias", c.m / math.sqrt(2), "texels of the diagonal"),
+        _read("Bevy", "shadow_depth_bias", c.b, c.shift(_WORLD, 0)),
+        _read("Bevy", "shadow_normal_bias", c.m / math.sqrt(2), c.offset("texels of the diagonal", 1)),
     ]
 
 
 def _unity(c: _Common, normal: float) -> list[EngineSetting]:
     note = "hard shadows; more for soft ones"
     return [
-        _read("Unity URP", "shadowBias (depth)", c.b / c.t, f"texels; {note}"),
-        _read("Unity URP", "shadowNormalBias", normal, f"texels, times 1 - cos θ; {note}"),
+        _read("Unity URP", "shadowBias (depth)", c.b / c.t, c.shift(f"texels; {note}", 0)),
+        _read("Unity URP", "shadowNormalBias", normal, c.offset(f"texels, times 1 - cos θ; {note}", 0)),
     ]
 
 

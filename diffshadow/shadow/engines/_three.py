@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float, safe_norm, safe_sqrt
+from ..._misc import as_float, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
@@ -16,7 +16,8 @@ from .._compare import AbstractCompare, HardCompare
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._engine_map import EngineMap, Side, Sides, each_of
-from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
+from ._variance import at_receivers, blurred, chebyshev
 
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 
@@ -26,10 +27,6 @@ _GOLDEN_ANGLE = 2.399963229728653
 _OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
 # Added to the axis of a light that looks straight up or down.
 _NUDGE = 1e-4
-_LEAST_VARIANCE = 1e-7
-# Light bleeding below this bound is cut off.
-_BLEEDING = 0.3
-_FULL = 0.95
 
 
 class ThreeJs(AbstractEngineShadows):
@@ -52,6 +49,10 @@ class ThreeJs(AbstractEngineShadows):
 
     The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
     reads single texels.
+
+    From a map of the engine's, the blurred map of VSM has the engine's bits, as Chromium computes them without graphics
+    hardware. Under VSM with a radius of about 1 and no bias, all surfaces are compared with themselves, and the last
+    bits of depth decide. Those of the map that is drawn here differ from the engine's, so such noise is another.
 
     **Raises** `ValueError` for an unknown shadow type, a negative radius, or fewer than 1 sample.
     """
@@ -126,10 +127,10 @@ def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 
     elif settings.shadow_type == "VSMShadowMap":
         # What is rounded to half floats is the depth as it is stored.
         as_stored = (lambda depth: 1 - depth) if settings.reversed_depth else (lambda depth: depth)
-        moments = _blurred(as_stored(state.depth), settings)
-        mean, deviation = (bilinear(part, u, v, lambda texel: texel) for part in moments)
+        moments = blurred(as_stored(state.depth), settings.radius, settings.blur_samples)
+        mean, deviation = at_receivers(moments, u, v)
         mean = as_stored(mean)
-        lit = jnp.maximum(compared(mean), _chebyshev(mean, deviation, z))
+        lit = jnp.maximum(compared(mean), chebyshev(mean, deviation, z))
     else:
         height, width = state.resolution
         tap = lambda x, y: bilinear(
@@ -148,48 +149,6 @@ def _mean_over_disk(tap: Any, shape: tuple[int, ...]) -> Float[Array, "h w"]:
         return total + tap(distance * jnp.cos(angle), distance * jnp.sin(angle)), None
 
     return lax.scan(add, jnp.zeros(shape), jnp.arange(_TAPS, dtype=jnp.float32))[0] / _TAPS
-
-
-def _blurred(depth: Float[Array, "h w"], settings: ThreeJs) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear ones along rows.
-
-    Both are rounded to half floats after each pass. Squares are summed in single precision, whose cancellation is part
-    of the picture.
-    """
-    height, width = depth.shape
-    samples = settings.blur_samples
-    offsets = settings.radius * jnp.linspace(-1, 1, samples) if samples > 1 else jnp.zeros(1)
-    rows, columns = jnp.arange(height) + 0.5, jnp.arange(width) + 0.5
-
-    def along_column(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
-        row = jnp.clip(jnp.floor(rows + offset).astype(jnp.int32), 0, height - 1)
-        return (sums[0] + depth[row], sums[1] + depth[row] * depth[row]), None
-
-    zeros = (jnp.zeros_like(depth), jnp.zeros_like(depth))
-    mean, deviation = _as_stored(*lax.scan(along_column, zeros, offsets)[0], samples)
-
-    def along_row(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
-        at = columns + offset - 0.5
-        left = jnp.floor(lax.stop_gradient(at))
-        share = at - left
-        low, high = (jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1))
-        read = lambda part: part[:, low] * (1 - share) + part[:, high] * share
-        m, s = read(mean), read(deviation)
-        return (sums[0] + m, sums[1] + (s * s + m * m)), None
-
-    return _as_stored(*lax.scan(along_row, zeros, offsets)[0], samples)
-
-
-def _as_stored(total: Array, squares: Array, samples: int) -> tuple[Array, Array]:
-    mean, square = total / samples, squares / samples
-    return as_half(mean), as_half(safe_sqrt(square - mean * mean))
-
-
-def _chebyshev(mean: Array, deviation: Array, z: Array) -> Array:
-    """The upper bound on visibility (Donnelly & Lauritzen 2006), cut off below against light bleeding."""
-    variance = jnp.maximum(deviation * deviation, _LEAST_VARIANCE)
-    bound = variance / (variance + (z - mean) ** 2)
-    return jnp.clip((bound - _BLEEDING) / (_FULL - _BLEEDING), 0, 1)
 
 
 def _in_cube(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:

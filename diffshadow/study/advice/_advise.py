@@ -8,17 +8,19 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
-from ...config import Advice, Config, dump_resolved, fit_units, with_fitted
+from ...config import RECOMMENDED_FILE as RECOMMENDED
+from ...config import Advice, Config, fit_units, with_fitted
 from ..files._run_folder import folder_of
 from ..files._schema import are_measurements, read_json, write_json
 from ..files._stored import ADVISE
 from ..pages import _table as table
 from ..runs._progress import counting
+from ..runs._record import write_yaml
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
 from ._measure import LeastBias, Times, least_bias_for, measure_times, single_bias, steps_of
-from ._report import RECOMMENDED, report_advice
+from ._report import report_advice
 from ._special_cases import as_special_case
 from ._verdict import Findings, verdict
 
@@ -69,9 +71,9 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
             candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), least_biases
         )
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
-        named = best.model_copy(update={"name": f"{sweep.name}-recommended"})
+        named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
         with io.atomic_path(folder / RECOMMENDED) as temporary:
-            temporary.write_text(dump_resolved(named), encoding="utf-8", errors="backslashreplace")
+            write_yaml(temporary, named)
         write_record(folder, record_of(sweep, ADVISE, counts_of(tables.results)) | {"advice": _record(found, problems)})
         report_advice(folder)
     _print(console, sweep.name, found)

@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from ... import io
+from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ..files._stored import REPORT, read_result
 from ._candidates import Candidate
 
-RECOMMENDED = "recommended.yaml"
-"""The file of the recommended configuration."""
 _FIGURE = "front"
 
 

@@ -9,11 +9,12 @@ from jaxtyping import Bool, Float, UInt8
 
 from ... import io
 from ..._types import HostArray
+from ...config import CONFIG_FILE as CONFIG
 from ...config import Config, Row, describe, load_config
 from ._run_folder import RESULT
 from ._schema import SLACK, checked_result, read_json, write_json
 
-ARRAYS, CONFIG, REPORT = "arrays.npz", "config.yaml", "report.html"
+ARRAYS, REPORT = "arrays.npz", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
 """The images of each kind of run: their titles, and the names of their arrays."""
 SWEEP = "sweep"

@@ -165,6 +165,14 @@ def print_settings(console: Console, title: str, settings: Sequence[EngineSettin
     print_code(console, title, "\n".join(lines))
 
 
+def print_rows(console: Console, errors: Mapping[str, Mapping[str, float | None]]) -> None:
+    """Prints RMSE and rates of several techniques, one on each line."""
+    shown = {"rmse": "RMSE", "false_shadow_rate": "false shadow", "false_light_rate": "false light"}
+    for name, of in errors.items():
+        numbers = ", ".join(f"{what} {number(key, of[key])}" for key, what in shown.items())
+        console.print(Text(printable(f"  {name:<20}{numbers}")))
+
+
 def print_code(console: Console, title: str, code: str) -> None:
     """Prints lines of code under a title, so that they can be copied."""
     console.print(Text(printable(title), "bold"))

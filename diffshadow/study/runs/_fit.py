@@ -63,7 +63,8 @@ class FittedRun(NamedTuple):
     @property
     def code(self) -> dict[str, str]:
         """The code for the lights of an engine, by their keys; of several views, for the first."""
-        return code_of(self.result.technique, self.mapped[: len(self.views.fitted[0].drawn)])
+        first = self.views.fitted[0]
+        return code_of(self.result.technique, first.config, self.mapped[: len(first.drawn)])
 
     @property
     def shown(self) -> list[int]:
@@ -258,6 +259,7 @@ def _write(draft: Path, fitted: FittedRun, shaded: list[Pictures], result: dict[
     drawn, arrays = fitted.drawn, {**_arrays(fitted), **shaded[worst]}
     run = stored(draft, result, arrays, fitted.config)
     record.write_config(draft, fitted.config.with_layout_of_fit())
+    record.write_fitted(draft, fitted.config, fitted.result.fitted)
     record.write_arrays(draft, arrays)
     figures.write_figures(run, draft)
     for i in fitted.shown:

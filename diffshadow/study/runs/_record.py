@@ -14,10 +14,10 @@ import jax
 import numpy as np
 
 from ... import metrics, shadow
-from ...config import Config, dump_resolved
+from ...config import CONFIG_FILE, FITTED_FILE, Config, dump_resolved, with_fitted
 from ..files._run_folder import RESULT
 from ..files._schema import write_json
-from ..files._stored import ARRAYS, CONFIG
+from ..files._stored import ARRAYS
 from ._setup import Drawn
 
 SCHEMA_VERSION = 1
@@ -46,7 +46,7 @@ def _processor() -> str:
 
 def command(verb: str, folder: Path) -> str:
     """The shell command that repeats the run of `folder`."""
-    return shlex.join(["diffshadow", verb, str(folder / CONFIG)])
+    return shlex.join(["diffshadow", verb, str(folder / CONFIG_FILE)])
 
 
 def measured(image: Any, drawn: Drawn) -> dict[str, float]:
@@ -119,7 +119,19 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
 
 def write_config(folder: Path, config: Config) -> None:
     """Writes `config.yaml`, including all defaults."""
-    (folder / CONFIG).write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
+    write_yaml(folder / CONFIG_FILE, config)
+
+
+def write_fitted(folder: Path, config: Config, values: Mapping[str, float]) -> None:
+    """Writes `fitted.yaml`: `config` with the numbers that were fitted. No keys state where lights and meshes moved, so
+    a fit of these has no such file."""
+    if not config.moves:
+        write_yaml(folder / FITTED_FILE, with_fitted(config.named_with("-fitted"), values))
+
+
+def write_yaml(file: Path, config: Config) -> None:
+    """Writes `config` with all defaults."""
+    file.write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
 
 
 def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:

@@ -131,8 +131,13 @@ def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcom
     """
     config = run.config.with_layout_of_fit() if kind == "fit" else run.config
 
+    found = {name.removeprefix(FITTED): value for name, value in outcome.metrics.items() if name.startswith(FITTED)}
+    fitted = {name: value for name, value in found.items() if value is not None}
+
     def write(draft: Path) -> None:
         record.write_config(draft, config)
+        if fitted:
+            record.write_fitted(draft, config, fitted)
         record.write_result(draft, outcome._asdict())
 
     place = Path(folder) / RUNS / run.id

@@ -1,5 +1,6 @@
 """Code for three.js: it makes the light that the settings hold for."""
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from golden_engines import engine_golden
 
 from diffshadow.geometry import DirectionalLight, MatrixLight, PointLight, RectangleLight, SpotLight
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs, engine_code
+from diffshadow.shadow.engines._abstract import engine_light
 
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0)
 
@@ -70,6 +72,50 @@ def test_a_light_of_the_engine_comes_back(name):
         assert found.position == pytest.approx(settings["position"])
 
 
+PLACED = [
+    DirectionalLight((-2.2, -3.8, -1.6), (2.2, 4, 1.6), (4.0, 3.0), 0.1, 8.7),
+    SpotLight((2.2, 4, 1.6), np.subtract((0, 0.2, 0), (2.2, 4, 1.6)), 30.0, 0.1, 8.7),
+]
+
+
+@pytest.mark.parametrize("light", PLACED, ids=["sun", "spot"])
+def test_code_has_the_numbers_that_a_light_was_given(light):
+    code = engine_code(ThreeJs(bias=-0.0007, resolution=(64, 64)), light, (1.0, 5.0))
+    assert "light.position.set(2.2, 4, 1.6);" in code
+    assert "light.target.position.set(0, 0.2, 0);" in code
+    assert "near: 0.1, far: 8.7 }" in code
+    assert "light.shadow.bias = -0.0007;" in code
+    if isinstance(light, DirectionalLight):
+        assert "{ left: -2, right: 2, top: 1.5, bottom: -1.5," in code
+    code = engine_code(BabylonJs(resolution=(64, 64)), light, (1.0, 5.0))
+    assert "light.position = new BABYLON.Vector3(2.2, 4, 1.6);" in code
+    assert "light.direction = new BABYLON.Vector3(-2.2, -3.8, -1.6);" in code
+    # Of its matrices, no digits are printed that their rounding does not leave.
+    code = engine_code(ThreeJs(), MatrixLight(light.view().world_to_eye, light.view().eye_to_clip), (1.0, 5.0))
+    assert "light.position.set(2.2, 4, 1.6);" in code
+    assert "near: 0.1, far: 8.7 }" in code
+
+
+def test_a_number_without_a_shorter_form_keeps_all_digits_of_single_precision():
+    value = np.float32(-0.028972616)
+    code = engine_code(ThreeJs(bias=value, normal_bias=1e-8), SUN, (1.0, 5.0))
+    assert f"light.shadow.bias = {value!s};" in code
+    assert "light.shadow.normalBias = 1e-08;" in code
+
+
+@pytest.mark.parametrize("light", PLACED, ids=["sun", "spot"])
+def test_an_engines_light_is_where_it_was_put(light):
+    """Its matrix is rounded once, from the position: far from the origin, one more rounding would be seen."""
+    at = np.float32([220.2, 400.4, 160.6])
+    eye = {"center": at} if isinstance(light, DirectionalLight) else {"position": at}
+    moved = engine_light(dataclasses.replace(light, **eye), 0.0)
+    points = at + np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    rows = basis(np.zeros(3), np.asarray(light.direction, np.float64))
+    matrix = np.asarray(moved.world_to_eye, np.float64)
+    found = points @ matrix[:3, :3].T + matrix[:3, 3]
+    np.testing.assert_allclose(found, (points - at) @ rows.T, atol=4e-5)
+
+
 def test_code_says_what_a_bias_amounts_to():
     technique = ThreeJs(bias=-0.001, normal_bias=0.02, radius=2.0, resolution=(64, 128), shadow_side="double")
     code = engine_code(technique, SUN, (1.0, 5.0))
@@ -101,7 +147,7 @@ def test_babylons_window_is_the_mirror_image():
     assert "new BABYLON.ShadowGenerator(64, light, true)" in code
     spot = SpotLight((1, 3, 2), (-0.4, -1, -0.3), 30.0, 0.5, 9.0)
     code = engine_code(BabylonJs(filter="BLUREXPONENTIALSHADOWMAP", resolution=(64, 64)), spot, (1.0, 5.0))
-    assert f"light.angle = {np.radians(60):.7g};" in code
+    assert f"light.angle = {np.float32(np.radians(60))!s};" in code
     assert "generator.blurBoxOffset = 1;" in code
     assert "generator.depthScale = 50;" in code
 

@@ -60,3 +60,36 @@ def test_no_bias_is_no_bias_everywhere():
 def test_a_place_behind_the_light_is_refused():
     with pytest.raises(ValueError, match=r"distance is -1.0; expected world units in front"):
         engine_settings(SPOT, SIZE, SHIFT, TEXELS, -1.0)
+
+
+def test_engines_with_another_normal_bias_are_left_out():
+    of = lambda light, profile, m=TEXELS: {
+        each.engine for each in engine_settings(light, SIZE, SHIFT, m, 2.0, profile=profile)
+    }
+    assert of(SUN, "constant") == {"three.js", "Bevy"}
+    assert of(SUN, "sine") == {"Babylon.js", "Filament"}
+    assert of(SUN, "one_minus_cosine") == {"Unity URP"}
+    assert of(LAMP, "one_minus_cosine") == set()
+    assert of(SUN, "sine", 0.0) == of(SUN, None) == {each for each, _ in values(SUN)}
+
+
+@pytest.mark.parametrize(
+    ("power", "steady"),
+    [
+        (0, {"generator.bias (NONE, POISSON, ESM)", "shadow_depth_bias", "constantBias", "shadowBias (depth)"}),
+        (1, {"shadow_bias"}),
+        (2, {"light.shadow.bias", "generator.bias (PCF)"}),
+    ],
+)
+def test_notes_say_which_settings_hold_at_one_distance_only(power, steady):
+    found = engine_settings(SPOT, SIZE, SHIFT, 0.0, 2.0, power=power)
+    at_all = {each.setting for each in found if "at this distance" not in each.note}
+    offsets = {each.setting for each in found if "normal" in each.setting.lower()}
+    assert at_all - offsets == steady
+    assert not any("at this distance" in each.note for each in engine_settings(SUN, SIZE, SHIFT, TEXELS, 2.0))
+    moved = engine_settings(SPOT, SIZE, 0.0, TEXELS, 2.0)
+    assert {each.setting for each in moved if "at this distance" in each.note} == {
+        "light.shadow.normalBias",
+        "generator.normalBias",
+        "shadowNormalBias",
+    }

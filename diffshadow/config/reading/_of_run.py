@@ -1,0 +1,118 @@
+"""The settings that a finished run found, as configurations."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic_core import from_json
+
+from .._errors import ConfigError, Mistake, Place
+from ..whole._schema import Config
+from ._dump import dump_resolved
+from ._load import parse_config
+
+CONFIG_FILE, RESULT_FILE = "config.yaml", "result.json"
+"""Files in a run's folder: what it started from, and its numbers."""
+FITTED_FILE, RECOMMENDED_FILE = "fitted.yaml", "recommended.yaml"
+"""Configurations in the folders of a fit and of a recommendation: what was fitted, and what was chosen."""
+# Significant digits of a fitted value: as many as float32 has.
+_DIGITS = 8
+_COPY = "copy config.yaml to another folder, set the values of result.json in it, and give that file"
+
+
+class SettingsFile(NamedTuple):
+    """A configuration's file.
+
+    - `origin`: what its values are, as a part of a sentence.
+    """
+
+    path: Path
+    origin: str
+
+
+def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
+    """The configuration with the values that a run found.
+
+    **Arguments:**
+
+    - `path`: a run's folder, its `config.yaml`, or any other configuration.
+
+    **Returns** `fitted.yaml` of a fit, `recommended.yaml` of a recommendation, `config.yaml` of a render, and otherwise
+    `path`.
+
+    **Raises** `ConfigError` for a folder without a run, a sweep, a run that failed, and a fit without `fitted.yaml`.
+    """
+    given = Path(path)
+    # A null character makes a path that no system accepts; reading it reports that.
+    is_folder = "\0" not in str(given) and given.is_dir()
+    folder = given if is_folder else given.parent
+    if not is_folder and (given.name != CONFIG_FILE or not (folder / RESULT_FILE).is_file()):
+        return SettingsFile(given, f"those of {given}")
+    name, origin = _found(_result(folder, str(given)), str(given))
+    if not (folder / name).is_file():
+        mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
+        raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")
+    return SettingsFile(folder / name, f"{origin}, {folder / name}")
+
+
+def with_fitted(config: Config, values: Mapping[str, float], source: str = "the fitted configuration") -> Config:
+    """`config` with these numbers, by the keys that set them, where its fit starts then, and the layout of the fit.
+
+    `source` is the name of the configuration in errors.
+
+    **Raises** `ConfigError` if a value is out of its limits.
+    """
+    overrides = []
+    for name, value in values.items():
+        bounds = config.fit.parameters[name]
+        # Rounding may move it out of its bounds.
+        inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
+        overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
+    return parse_config(dump_resolved(config.with_layout_of_fit()), overrides, source=source, fitting=True)
+
+
+def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
+    """The name of the file with what a run found, and what its values are."""
+    kind, metrics = result.get("kind"), result.get("metrics")
+    if result.get("status") == "failed":
+        raise _mistake(path, "holds a run that failed; expected a finished one; read the error in result.json")
+    if kind == "sweep":
+        raise _mistake(path, "holds a sweep; expected a single run; give one of the folders in runs/")
+    if kind == "advise":
+        return RECOMMENDED_FILE, "those of the recommended technique"
+    # Runs of a sweep have no kind.
+    is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
+    if is_fit and any(name.startswith("scene.") for name in _names(result)):
+        what = "holds a fit of lights or meshes, whose values no configuration of the run states"
+        raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")
+    return (FITTED_FILE, "those that the fit found") if is_fit else (CONFIG_FILE, "those of the run")
+
+
+def _names(result: Mapping[str, Any]) -> list[str]:
+    """The names of what a run fitted."""
+    fitted, metrics = result.get("fitted"), result.get("metrics")
+    if isinstance(fitted, Mapping):
+        return list(fitted)
+    return [key.removeprefix("fitted.") for key in metrics] if isinstance(metrics, Mapping) else []
+
+
+def _result(folder: Path, path: str) -> Mapping[str, Any]:
+    """The content of `result.json`."""
+    expected = "expected a configuration in YAML, or the folder of a finished run"
+    # Reading anything else, such as a pipe, could block forever.
+    if not (folder / RESULT_FILE).is_file():
+        raise _mistake(path, f"is a folder without {RESULT_FILE}; {expected}; check the path")
+    try:
+        result = from_json((folder / RESULT_FILE).read_bytes())
+    except OSError as error:
+        raise _mistake(path, f"cannot be read ({error.strerror}); {expected}; check its permissions") from error
+    except ValueError:
+        result = None
+    if not isinstance(result, Mapping):
+        raise _mistake(path, f"holds a damaged {RESULT_FILE}; {expected}; run it again")
+    return result
+
+
+def _mistake(path: str, what: str) -> ConfigError:
+    return ConfigError([Mistake(Place(path), "", what)])
