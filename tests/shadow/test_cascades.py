@@ -461,6 +461,11 @@ def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     choose = eqx.filter_jit(lambda layout, light, points: layout.choose(light, points))
     ending = choose(given_slices(6.0, 11.0, fade=0.0), state.light, points).strength
     np.testing.assert_array_equal(np.asarray(ending)[0], np.float32(depth) <= 11)
+    # Only the last of several slices fades.
+    ends = jnp.asarray([2.0, 6.0, 11.0])
+    third = eqx.tree_at(lambda light: (light.begins, light.ends), state.light, (jnp.asarray([0.1, 2.0, 6.0]), ends))
+    fading = choose(given_slices(2.0, 6.0, 11.0), third, points).strength
+    np.testing.assert_allclose(np.asarray(fading)[0], strength, atol=1e-6)
 
 
 @eqx.filter_jit
