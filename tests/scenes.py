@@ -77,34 +77,6 @@ def lamp(mesh: Mesh, position: Any = LAMP) -> SpotLight:
 LIGHTS: dict[str, Callable[[Mesh], Any]] = {"directional": sun, "spot": lamp}
 
 
-def placed(scene: Scene, matrix: Any) -> Scene:
-    """The scene's mesh, a pinhole camera and a light moved by a similarity `matrix` (4, 4)."""
-    matrix = np.asarray(matrix, dtype=float)
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    point = lambda p: matrix[:3, :3] @ np.asarray(p, dtype=float) + matrix[:3, 3]
-    way = lambda d: matrix[:3, :3] @ np.asarray(d, dtype=float)
-    mesh, camera, light = scene.mesh, scene.camera, scene.light
-    moved = Mesh(np.asarray(mesh.vertices, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3], mesh.faces)
-    camera = PinholeCamera(
-        point(camera.eye),
-        point(camera.target),
-        way(camera.up),
-        camera.fov_y,
-        camera.near * scale,
-        camera.far * scale,
-        camera.resolution,
-    )
-    if isinstance(light, SpotLight):
-        light = SpotLight(
-            point(light.position), way(light.direction), light.outer_angle, light.near * scale, light.far * scale
-        )
-    else:
-        light = DirectionalLight(
-            way(light.direction), point(light.center), light.extent * scale, light.near * scale, light.far * scale
-        )
-    return Scene(moved, camera, light)
-
-
 def seen_by(camera: Any, mesh: Mesh) -> Surface:
     """The surface, with the same fields as surfaces of points that are made by hand: they share programs."""
     return dataclasses.replace(draw_surface(mesh, camera), from_behind=None)

@@ -584,13 +584,19 @@ def test_an_engines_numbers_are_its_own():
         ),
         ("scene.light={type: point, position: [0, 3, 0]}", "is point, for which three.js draws no VSMShadowMap"),
         ("fit.parameters={scene.light.position.x: {lower: 0, upper: 1}}", r"is three\.js in a fit of lights or meshes"),
+        (
+            "technique={type: three.js, shadow_type: PCFShadowMap}",
+            r"shadow_map.resolution: is \[32, 64\], and a light is point, whose map is a cube's faces",
+        ),
     ],
 )
 def test_what_an_engine_lacks_is_refused(override, words):
     text = TINY + "technique: {type: three.js, shadow_type: VSMShadowMap}\n"
-    light = [] if "scene.light=" in override else ["scene.light={type: spot, position: [0, 3, 0]}"]
+    kind = "point" if "PCFShadowMap" in override else "spot"
+    light = [] if "scene.light=" in override else [f"scene.light={{type: {kind}, position: [0, 3, 0]}}"]
+    size = ["shadow_map.resolution=[32, 64]"] if kind == "point" else []
     with pytest.raises(ConfigError, match=words):
-        build_fit(parse_config(text, [*light, override]))
+        build_fit(parse_config(text, [*light, *size, override]))
 
 
 def test_virtual_maps_are_built_as_they_are_set():

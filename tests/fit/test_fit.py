@@ -23,6 +23,7 @@ from diffshadow.fit import (
 )
 from diffshadow.fit._history import Reporter
 from diffshadow.fit.problems import Joint
+from diffshadow.fit.solvers import Stop, optimistix_solver
 from diffshadow.geometry import Scene
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
@@ -374,6 +375,18 @@ def test_bounds_that_the_filter_does_not_allow_are_refused(kernel, lower, upper,
 def test_bounds_that_the_bias_does_not_allow_are_refused(known):
     with pytest.raises(ValueError, match=r"bounds go further than the technique allows: .*bias is -1.0; expected 0 or"):
         fit(known, [Parameter("bias.constant", -0.5, -1.0, -0.2)])
+
+
+@pytest.mark.parametrize("name", [*SOLVERS, "adam"])
+def test_each_number_of_a_solver_is_where_it_belongs(name):
+    solver, stop = Solver(name, 7, rtol=3e-3, atol=5e-7, learning_rate=0.02, noise=0.1), Stop(0.3, 0.4)
+    made = optimistix_solver(solver, print, stop)
+    assert (made.rtol, made.atol) == (3e-3, 5e-7)
+    if name == "levenberg_marquardt":
+        assert (made.noise, made.search.noise, made.stop) == (0.1, 0.1, stop)
+    if name == "adam":
+        assert made.descent.steps == 7
+        np.testing.assert_allclose(made.search.learning_rate, 0.02)
 
 
 @pytest.mark.parametrize(

@@ -304,6 +304,15 @@ def test_lights_and_cameras_of_gltf_look_along_their_nodes(tmp_path):
     assert any("alpha test" in remark for remark in scene.remarks)
 
 
+def test_a_parallel_camera_of_gltf_has_its_height_and_shape(tmp_path):
+    content = gltf()
+    # Its sizes are half of what it shows.
+    box = {"xmag": 3.0, "ymag": 0.5, "znear": 0.25, "zfar": 8.0}
+    content["cameras"] = [{"type": "orthographic", "orthographic": box}]
+    (camera,) = read_scene(as_file(tmp_path, content)).cameras
+    assert (camera.height, camera.aspect, camera.near, camera.far, camera.fov_y) == (1.0, 6.0, 0.25, 8.0, None)
+
+
 GLTF_FAULTS = {
     "no such light": (lambda it: it["extensions"]["KHR_lights_punctual"]["lights"].pop(), "refers to light 2"),
     "no such camera": (lambda it: it["cameras"].pop(), "refers to camera 0"),

@@ -31,6 +31,7 @@ from diffshadow.reference import (
     trace_visibility,
     trace_visibility_exact,
 )
+from diffshadow.reference._sampling import LightSampler
 
 
 def flat(vertices, faces):
@@ -358,6 +359,16 @@ def test_concentric_mapping_keeps_areas():
         assert np.mean(radius < r) == pytest.approx(r * r, abs=2e-3)
     assert np.mean(points[..., 0] + points[..., 1] > 0) == pytest.approx(0.5, abs=3e-3)
     np.testing.assert_array_equal(concentric_disk(np.array([[0.5, 0.5], [1.0, 0.5]])), [[0, 0], [1, 0]])
+
+
+@pytest.mark.parametrize(("samples", "columns", "rows"), [(6, 3, 2), (9, 3, 3), (7, 7, 1)])
+def test_stratified_samples_are_one_in_each_cell_anywhere_in_it(samples, columns, rows):
+    square = (LightSampler("square", samples, "stratified", 3).points(0, 500) + 1) / 2
+    cell = np.floor(square[..., 0] * columns) + columns * np.floor(square[..., 1] * rows)
+    assert (np.sort(cell, axis=1) == np.arange(samples)).all()
+    within = np.stack([square[..., 0] * columns % 1, square[..., 1] * rows % 1])
+    assert (within.min(axis=(1, 2)) < 0.02).all()
+    assert (within.max(axis=(1, 2)) > 0.98).all()
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "stratified"])

@@ -11,6 +11,7 @@ from diffshadow._misc import in_float64
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
+    MatrixCamera,
     Mesh,
     OrthographicCamera,
     PinholeCamera,
@@ -143,28 +144,32 @@ POINTS = 64
 
 
 @eqx.filter_jit
-def _contained(layout, size, eye, target, fov, direction, fractions):
+def _contained(layout, size, eye, target, fov, aside, direction, fractions):
     """How far inside the margin of their cascade points of the view lie, and of the next; and which are blended."""
 
-    def of_one(eye, target, fov, direction, fractions):
-        camera = PinholeCamera(eye, target, fov_y=fov, near=NEAR, far=FAR, resolution=(48, 64))
-        light = DirectionalLight(direction, jnp.zeros(3), jnp.full(2, 900.0), -500.0, 500.0)
+    def of_one(eye, target, fov, aside, direction, fractions):
+        axis = PinholeCamera(eye, target, fov_y=fov, near=NEAR, far=FAR, resolution=(48, 64))
+        view, half = axis.view(), jnp.tan(jnp.deg2rad(fov) / 2) * jnp.array([axis.aspect, 1.0])
+        # The axis passes beside the middle of the image.
+        projection = view.eye_to_clip.at[:2, 2].add(aside)
+        camera = MatrixCamera(view.world_to_eye, projection, axis.resolution, is_perspective=True)
+        light = DirectionalLight(direction, jnp.zeros(3), jnp.array([900.0, 700.0]), -500.0, 500.0)
         cascaded = layout.light(light, camera, size)
         depth = NEAR * (FAR / NEAR) ** fractions[:, 0]
-        view = camera.view()
-        half = jnp.tan(jnp.deg2rad(fov) / 2) * jnp.array([camera.aspect, 1.0])
-        across = depth[:, None] * half * (2 * fractions[:, 1:] - 1)
+        across = depth[:, None] * half * (2 * fractions[:, 1:] - 1 + aside)
         local = jnp.concatenate([across, -depth[:, None]], axis=-1)
-        points = camera.eye + jnp.sum(local[:, :, None] * view.world_to_eye[:3, :3], axis=1)
+        points = axis.eye + jnp.sum(local[:, :, None] * view.world_to_eye[:3, :3], axis=1)
         layer = cascaded.layer(points)
         following = jnp.minimum(layer + 1, layout.count - 1)
         begins = jnp.concatenate([cascaded.begins[:1], cascaded.ends[:-1]])
         in_band = (cascaded.ends[layer] - depth) < layout.blend * (cascaded.ends - begins)[layer]
-        beside = lambda layer: jnp.max(jnp.abs(cascaded.view().facing(layer).clip(points)[:, :2]), axis=-1)
-        least = 1 - 2 * layout.margin / layout.sides(size)[:, 0]
-        return least[layer] - beside(layer), least[following] - beside(following), in_band
+        within = 1 - 2 * layout.margin / layout.sides(size)
+        inside = lambda layer: jnp.min(
+            within[layer] - jnp.abs(cascaded.view().facing(layer).clip(points)[:, :2]), axis=-1
+        )
+        return inside(layer), inside(following), in_band
 
-    return jax.vmap(of_one)(eye, target, fov, direction, fractions)
+    return jax.vmap(of_one)(eye, target, fov, aside, direction, fractions)
 
 
 # Two that differ in everything, and two that are crosswise to them.
@@ -186,7 +191,8 @@ def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, sele
     fractions[:, ::2, 1:] = rng.integers(0, 2, (CAMERAS, POINTS // 2, 2))
     layout = Cascades(4, 0.8, shares=shares, stabilize=stabilize, select=select, blend=0.2, margin=6.0)
     fov = rng.uniform(20, 100, CAMERAS)
-    inside, in_next, in_band = _contained(layout, (64, 64), eye, target, fov, direction, fractions)
+    size, aside = (48, 64) if shares is None else (64, 64), rng.uniform(-1, 1, (CAMERAS, 2))
+    inside, in_next, in_band = _contained(layout, size, eye, target, fov, aside, direction, fractions)
     # Rounding: a window is a few hundred units wide, in float32.
     assert np.asarray(inside).min() > -1e-4
     if select == "interval":
@@ -238,6 +244,11 @@ def test_equal_shares_are_none():
         layout = Cascades(3, shares=(0.3,) * 3, max_share=max_share)
         assert layout.layer_resolution(SIZE) == (side, side)
         assert np.asarray(layout.sides(SIZE)).tolist() == [[64, 64]] * 3
+    scene = Scene(posts(), along_corridor(), sun(posts(), (0.4, -1.0, 0.3)))
+    depth = np.asarray(mapping(cascades(0.7, shares=(2.0,) * 4)).prepare(scene).depth)
+    side = SHARED_TEXELS
+    np.testing.assert_array_equal(depth[:, :side, :side], mapping(cascades(0.7), texels=side).prepare(scene).depth)
+    assert depth[:, side:].min() == depth[:, :, side:].min() == 1
 
 
 def test_cascades_with_shares_are_those_of_maps_of_their_size():
@@ -463,6 +474,11 @@ def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     choose = eqx.filter_jit(lambda layout, light, points: layout.choose(light, points))
     ending = choose(given_slices(6.0, 11.0, fade=0.0), state.light, points).strength
     np.testing.assert_array_equal(np.asarray(ending)[0], np.float32(depth) <= 11)
+    # Only the last of several slices fades.
+    ends = jnp.asarray([2.0, 6.0, 11.0])
+    third = eqx.tree_at(lambda light: (light.begins, light.ends), state.light, (jnp.asarray([0.1, 2.0, 6.0]), ends))
+    fading = choose(given_slices(2.0, 6.0, 11.0), third, points).strength
+    np.testing.assert_allclose(np.asarray(fading)[0], strength, atol=1e-6)
 
 
 def test_figures_of_cascades_show_what_receivers_are_looked_up_in(grid):

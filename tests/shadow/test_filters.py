@@ -21,7 +21,7 @@ from diffshadow.shadow import (
     stratified,
 )
 from diffshadow.shadow.filters._pcf import _covered, _lower_edge, _width
-from diffshadow.shadow.patterns import EARLY_SAMPLES
+from diffshadow.shadow.patterns import EARLY_SAMPLES, interleaved_gradient_noise
 
 HARD, SOFT = HardCompare(), SoftCompare(2.0)
 
@@ -158,27 +158,33 @@ def test_disk_uses_the_set_of_each_pixel(shape, rng):
     np.testing.assert_allclose(found, expected, atol=3e-6)
 
 
-@pytest.mark.parametrize("mode", [pytest.param("bilinear", marks=pytest.mark.exhaustive), "nearest"])
-def test_early_out_differs_only_where_the_first_eight_agree_and_the_rest_do_not(mode, rng):
+@pytest.mark.parametrize(
+    ("mode", "rotated"), [("bilinear", True), pytest.param("nearest", False, marks=pytest.mark.exhaustive)]
+)
+def test_early_out_is_the_mean_of_eight_taps_where_these_agree_and_of_all_elsewhere(mode, rotated, rng):
     # Patches of depth larger than the disk, so that many look-ups see no edge.
-    depth = np.kron(rng.uniform(0.2, 0.8, (4, 4)), np.ones((9, 9)))
-    shadow_map, lookup = map_of(depth), lookups_at(rng.uniform(0, 36, (40, 40)), rng.uniform(0, 36, (40, 40)))
-    full = RandomDisk(4.0, lookup=mode)
-    early = RandomDisk(4.0, lookup=mode, early_out=True)
-    outermost = _first(full, EARLY_SAMPLES)
-    exact, quick, eight = (np.asarray(apply(f, shadow_map, lookup, HARD)) for f in (full, early, outermost))
-    agree = (eight == 0) | (eight == 1)
-    differs = np.abs(quick - exact) > 1e-6
-    assert (differs <= agree).all()
-    np.testing.assert_array_equal(quick[agree], eight[agree])
-    assert (differs == (agree & (np.abs(exact - eight) > 1e-6))).all()
-    # A ring of eight misses little: a few pixels do differ, and few of those that agree.
-    assert 0 < differs.sum() < 0.15 * agree.sum()
-    assert 0.15 < agree.mean() < 1
+    shape, radius = (9, 13), 2.0
+    depth = np.kron(rng.uniform(0.2, 0.8, (2, 2)), np.ones((8, 8)))
+    shadow_map, (x, y) = map_of(depth), rng.uniform(0, 16, (2, *shape))
+    pattern = Pattern(stratified((4, 3), 4).offsets, rotated)
+    rows, columns = np.indices(shape) % 4
+    angle = 2 * np.pi * np.asarray(interleaved_gradient_noise(shape), np.float64) * rotated
+    cosine, sine = np.cos(angle), np.sin(angle)
 
+    def tap(offset):
+        dx, dy = offset[rows, columns, 0], offset[rows, columns, 1]
+        places = x + radius * (cosine * dx - sine * dy), y + radius * (sine * dx + cosine * dy)
+        return np.asarray(
+            apply({"bilinear": Bilinear(), "nearest": Nearest()}[mode], shadow_map, lookups_at(*places), HARD)
+        )
 
-def _first(disk, count):
-    return RandomDisk(disk.radius, Pattern(disk.pattern.offsets[:count]), disk.lookup)
+    taps = np.array([tap(offset) for offset in np.asarray(pattern.offsets, np.float64)])
+    first = taps[:EARLY_SAMPLES].mean(axis=0)
+    agree = (first < 1e-6) | (first > 1 - 1e-6)
+    assert 0.15 < agree.mean() < 0.9
+    early = RandomDisk(radius, pattern, mode, early_out=True)
+    found = apply(early, shadow_map, lookups_at(x, y), HARD)
+    np.testing.assert_allclose(found, np.where(agree, np.round(first), taps.mean(axis=0)), atol=1e-5)
 
 
 def test_early_out_of_few_samples_is_the_plain_mean(rng):

@@ -82,6 +82,12 @@ def test_camera_that_sees_a_surface_has_no_cause():
             "2 are beside its frustum;",
             "outer_angle",
         ),
+        # Far from both of its planes.
+        (
+            "{type: spot, position: [9, 5, 0], target: [9, 0, 0], outer_angle: 9, near: 0.1, far: 50}",
+            "2 are beside its frustum;",
+            "outer_angle",
+        ),
         (
             "{type: spot, position: [1e9, 1e9, 0]}",
             "none is within its frustum, since single precision",

@@ -88,6 +88,9 @@ def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Confl
     if isinstance(technique, BabylonJsConfig) and height != width:
         message = f"is {[height, width]}, and technique.type is babylon.js, whose maps are square"
         yield ("shadow_map", "resolution"), fault(message, "two equal numbers", "change it")
+    elif height != width and any(light.type == "point" for light in config.scene.each_light.values()):
+        message = f"is {[height, width]}, and a light is point, whose map is a cube's faces in engines"
+        yield ("shadow_map", "resolution"), fault(message, "two equal numbers", "change it")
     for name in ("side", "shadow_side", "back_face_culling"):
         sides = getattr(technique, name, None)
         if isinstance(sides, tuple) and len(sides) != count:

@@ -108,7 +108,14 @@ def map_of(
     - `is_mirrored`: draws what a left-handed camera sees: x runs the other way, and in a cube map the world's y does.
     - `push`: how far casters are pushed away from the light when the near and far planes clip them, in clip depth from
         -1 to 1. Depths are those without it.
+
+    **Raises** `ValueError` for a point light's map that is not square.
     """
+    if isinstance(light, PointLight) and resolution[0] != resolution[1]:
+        raise ValueError(
+            f"the map of the point light has {resolution} texels, (height, width); expected a square one, for the "
+            "faces of a cube: make them equal"
+        )
     view = cube_view(light, is_mirrored) if isinstance(light, PointLight) else light.view()
     flip = is_mirrored and not isinstance(light, PointLight)
     push = as_float(push)

@@ -80,7 +80,7 @@ class ThreeJs(AbstractEngineShadows):
         """The map of the scene's only light. It does not depend on `surface`.
 
         **Raises** `ValueError` for an area light, a point light with `VSMShadowMap`, which the engine does not draw, or
-        a number of sides that is not the number of meshes.
+        with a map that is not square, or a number of sides that is not the number of meshes.
         """
         is_variance = self.shadow_type == "VSMShadowMap"
         if is_variance and isinstance(scene.light, PointLight):

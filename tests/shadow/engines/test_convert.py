@@ -7,8 +7,9 @@ import pytest
 from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
 from diffshadow.shadow import engine_settings
 
-SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 4.0), -3.0, 5.0)
-SPOT = SpotLight((1, 3, 2), (-0.4, -1, -0.3), 45.0, 0.5, 10.0)
+# Windows that are not square: texels are as large as in one of 4 by 4 world units, of the spot light at distance 2.
+SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (2.0, 8.0), -3.0, 5.0)
+SPOT = SpotLight((1, 3, 2), (-0.4, -1, -0.3), math.degrees(math.atan(2)), 0.5, 10.0, aspect=0.25)
 LAMP = PointLight((0, 2, 0), 0.5, 10.0)
 SHIFT, TEXELS, SIZE = 0.02, 1.5, (100, 100)
 # n f / (D d²) at d = 2.

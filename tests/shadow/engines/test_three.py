@@ -120,6 +120,14 @@ def test_the_own_camera_gives_the_engines_picture():
     assert (off <= 1 / 255)[same].mean() > 0.99
 
 
+def test_maps_of_a_cubes_faces_are_square():
+    scene = scene_of(engine_golden("three", "point_pcf_radius_4"))
+    with pytest.raises(
+        ValueError, match=r"point light has \(32, 64\) texels, \(height, width\); expected a square one"
+    ):
+        ThreeJs(resolution=(32, 64)).prepare(scene)
+
+
 def test_a_mesh_that_receives_nothing_is_lit_and_does_not_count():
     golden = engine_golden("three", "directional_basic_mixed")
     assert not golden.settings["meshes"][3]["receives"]
