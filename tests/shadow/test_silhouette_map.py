@@ -19,19 +19,23 @@ from diffshadow.geometry import (
     DirectionalLight,
     Edges,
     Mesh,
+    OrthographicCamera,
     PointLight,
+    Scene,
     SpotLight,
     library_mesh,
     merge,
 )
 from diffshadow.io import load_mesh
-from diffshadow.raster import Surface, rasterize
+from diffshadow.raster import Surface, draw_surface, rasterize
+from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bias,
     Bilinear,
     Castano,
     FourTap,
     HardCompare,
+    MapSettings,
     Nearest,
     Pattern,
     PercentageCloser,
@@ -96,6 +100,17 @@ def _centred(mesh: Mesh) -> Mesh:
     c, s = np.cos(0.35), np.sin(0.35)
     v = v @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     return Mesh(jnp.asarray(v + np.array([0.02, 0.75, -0.03])), mesh.faces)
+
+
+def _crumpled(seed: int, subdivisions: int, frequency: float) -> np.ndarray:
+    """Vertices (v, 3) of a closed sphere whose folds hide each other, crumpled by waves of random directions."""
+    rng, ball = np.random.default_rng(seed), library_mesh("sphere", subdivisions=subdivisions)
+    at = np.asarray(ball.vertices, np.float64)
+    at = at - (at.min(axis=0) + at.max(axis=0)) / 2
+    for _ in range(20):
+        wave = np.sin(2 * at @ rng.normal(scale=frequency, size=(3, 1)) + rng.uniform(0, 7))
+        at = at + 0.08 * rng.normal(size=3) * wave
+    return at
 
 
 def _bunny() -> Mesh:
@@ -640,6 +655,40 @@ def test_a_rim_does_not_shadow_itself():
     points = np.einsum("hwk,hwkc->hwc", rng.dirichlet(np.ones(3), own.shape), corners[own])
     visibility = np.asarray(_visibility(_technique(Nearest()), shadow_map, surface_at(points, normals[own])))
     assert (visibility == 1).all()
+
+
+# If texels whose edges are all hidden had silhouettes, 30 to 120 points of each would be lit.
+@pytest.mark.parametrize("seed", [1, 2, 12, 15])
+def test_no_light_leaks_into_the_shadow_of_a_closed_mesh(seed):
+    faces = library_mesh("sphere", subdivisions=1).faces
+    mesh = _centred(Mesh(_crumpled(seed, 1, 3.0), faces))
+    visibility = _visibility(_technique(Nearest()), _draw(mesh, _sun(STILL)), _ground())
+    texel = 2.2 / TEXELS
+    near, lit = _near_outlines(mesh, LIGHTS["sun"][2](STILL), _spread(POINTS**2), 2 * texel)
+    assert np.sum(~near & ~lit) > 100
+    np.testing.assert_array_equal(np.asarray(visibility).ravel()[~near], lit[~near])
+
+
+@pytest.mark.exhaustive
+def test_no_light_leaks_into_the_shadows_of_200_crumpled_spheres():
+    """On a wall behind them, more than two pixels from what rays find to be the outline."""
+    size, way = 128, np.array([0.0, 0.0, -1.0])
+    wall = Mesh(np.array([[-2, -2, -2], [2, -2, -2], [2, 2, -2], [-2, 2, -2]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    camera = OrthographicCamera(1.5 * way, 2 * way, UP, height=2.0, near=0.1, far=1.0, resolution=(size, size))
+    light = DirectionalLight(way, np.zeros(3), (2.0, 2.0), -3.5, 3.5)
+    settings = MapSettings((size, size), silhouettes=True)
+    technique = ShadowMapping(Bilinear(), Bias(0), map=settings)
+    faces = library_mesh("sphere", subdivisions=4).faces
+    for seed in range(200):
+        vertices = _crumpled(seed, 4, (2.0, 4.0, 8.0, 20.0)[seed % 4])
+        mesh = Mesh(vertices / np.abs(vertices).max(axis=0) * [0.7, 0.7, 1.0], faces)
+        scene = Scene([mesh, wall], camera, light, casts=[True, False])
+        surface = draw_surface(scene.mesh, camera)
+        found = np.asarray(technique.visibility(technique.prepare(scene), surface))
+        traced = np.asarray(trace_visibility(scene, samples=1, supersampling=4).visibility)
+        deep = ndimage.maximum_filter(traced, 5) == ndimage.minimum_filter(traced, 5)
+        assert np.sum(deep & (traced == 0)) > 100
+        np.testing.assert_allclose(found[deep], traced[deep], atol=0.02, err_msg=f"seed {seed}")
 
 
 def test_a_thin_bar_between_texel_centres_casts_a_shadow():

@@ -112,7 +112,9 @@ def find_contours(
     on_edge = start.on_edge | end.on_edge
     follows = on_edge[0] & (~has_two | on_edge[1])
     planes = jax.tree.map(lambda v: jnp.where(follows, v, lax.stop_gradient(v)), planes)
-    return Contours(planes, inner, outer, follows, jnp.any(used[0], axis=0))
+    # Where all crossings are hidden, no outline is in sight. The corners' depths then differ as on any slanted surface.
+    in_sight = jnp.any(crossings.at < crossings.depth.size - 1, axis=(0, 1))
+    return Contours(planes, inner, outer, follows, in_sight & jnp.any(used[0], axis=0))
 
 
 def _pair(
