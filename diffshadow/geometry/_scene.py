@@ -24,8 +24,8 @@ class Scene(eqx.Module):
     - `meshes`: all visible surfaces; one mesh or several, stored as a tuple.
     - `camera`: where the image is drawn from.
     - `lights`: one light or several, stored as a tuple.
-    - `casts`: for each mesh, whether techniques draw its shadow; all cast if left out. A mesh that does not cast still
-        receives shadows, and still blocks rays of the ray-traced reference.
+    - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
+        shadows. It blocks no ray of the ray-traced reference either, unless that asks for `blockers="all"`.
     - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
         all meshes.
 

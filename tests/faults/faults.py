@@ -3488,10 +3488,10 @@ _STUDY = (
         "test_study.py",
     ),
     _fault(
-        "cached reference: supersampling is no part of the key",
+        "cached reference: how it is traced is no part of the key",
         "study/runs/_setup.py",
-        "reference.cache_key(scene, *how, traced.supersampling)",
-        "reference.cache_key(scene, *how)",
+        "reference.cache_key(scene, **how)",
+        "reference.cache_key(scene)",
         "test_study.py",
     ),
     _fault(

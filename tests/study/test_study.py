@@ -76,7 +76,14 @@ def test_reference_is_kept_by_all_that_it_depends_on(monkeypatch):
 
     monkeypatch.setattr(io, "cached_arrays", kept)
     scene = build_scene(tiny())
-    for override in ("name=other", "seed=1", "reference.samples=9", "reference.supersampling=2", "bias.constant=2"):
+    for override in (
+        "name=other",
+        "seed=1",
+        "reference.samples=9",
+        "reference.supersampling=2",
+        "reference.blockers=all",
+        "bias.constant=2",
+    ):
         with pytest.raises(KeyFoundError):
             _traced(tiny(override), scene, Stages(console()[0]))
     # Neither the name nor a bias changes it.

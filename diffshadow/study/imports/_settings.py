@@ -105,9 +105,6 @@ def settings_of(
             "light": _light(light, shadow, middle, remarks),
         }
     }
-    if not all(mesh.casts for mesh in meshes):
-        names = ", ".join(mesh.name for mesh in meshes if not mesh.casts)
-        remarks.append(f"castShadow = false of {names}: they cast in the traced reference all the same")
     if shadow is not None:
         settings["shadow_map"] = {"resolution": [*reversed(shadow.map_size)]}
     if technique == "three.js":
