@@ -277,13 +277,14 @@ def blocking_faces(scene: Scene, blockers: Blockers) -> Bool[HostArray, " f"]:
 
 def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
     """The message that the camera misses the scene: where each of them is, and how to mend it."""
-    world = triangles.to_world(triangles.corners).reshape(-1, 3)
-    low, high = world.min(axis=0), world.max(axis=0)
+    corners = triangles.to_world(triangles.corners).reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     view, camera = rays.view, scene.camera
     matrix = np.asarray(view.world_to_eye)
-    distance = -(world @ matrix[2, :3] + matrix[2, 3])
+    distance = -(corners @ matrix[2, :3] + matrix[2, 3])
     near, far = float(view.near), float(view.far)
-    brief = lambda values: [float(f"{v:.4g}") for v in np.asarray(values)]
+    # In the world, where coordinates may be large.
+    brief = lambda point: [float(f"{x:.4g}") + at for x, at in zip(np.asarray(point), scene.origin, strict=True)]
     if distance.max() < near or distance.min() > far:
         remedy = (
             "turn the camera round"

@@ -3182,8 +3182,8 @@ _CONFIG = (
     _fault(
         "shadow camera: an off-centre window is centred",
         "config/building/_scene.py",
-        "center = np.asarray(camera.position) + (low + high)[:2] / 2 @ rows[:2]",
-        "center = np.asarray(camera.position) + 0 * (low + high)[:2] @ rows[:2]",
+        "center = position + (low + high)[:2] / 2 @ rows[:2]",
+        "center = position + 0 * (low + high)[:2] @ rows[:2]",
         "test_config_build.py",
         "test_import.py",
     ),

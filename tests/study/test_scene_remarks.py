@@ -72,7 +72,7 @@ def test_a_mesh_that_hides_a_light_from_all_is_named_with_the_key(tmp_path):
     (remark,) = remarks(f"{BULB}, casts: false", tmp_path, LAMP, "reference={blockers: all}")
     assert "set reference.blockers to casters" in remark
     # A room, whose walls light and camera share; and one with a window, through which the camera looks.
-    room = "path: builtin:box, options: {size: [20, 20, 20]}"
+    room = "path: builtin:box, options: {size: [20, 20, 20]}, translate: [0, -1, 0]"
     assert remarks(room, tmp_path, LAMP) == []
     hall = "path: builtin:box, options: {size: [6, 6, 6]}, translate: [0, -0.1, 0]"
     assert remarks(hall, tmp_path, LAMP, "scene.camera.eye=[0, 3, 9]", "scene.camera.near=7.2") == []

@@ -121,6 +121,20 @@ def test_a_render_with_the_fitted_values_has_the_error_of_the_fit():
     assert errors["rmse"] == pytest.approx(result["metrics"]["after"]["rmse"], rel=1e-6)
 
 
+def test_a_scene_a_million_of_its_sizes_away_has_the_same_figures(finished):
+    by = 3e6
+    places = [f"scene.meshes.{i}.translate=[{by}, {by + height}, {by}]" for i, height in enumerate((0.2, 0.0))]
+    folder, _ = run(*places)
+    near, far = result_of(finished[0]), result_of(folder)
+    for values in ("initial", "fitted"):
+        assert far[values] == pytest.approx(near[values], rel=1e-3)
+    for state in ("before", "after"):
+        assert far["metrics"][state] == pytest.approx(near["metrics"][state], rel=1e-3, abs=1e-5)
+    assert far["warnings"] == near["warnings"]
+    # The configuration is the one that was given.
+    assert load_config(folder / "config.yaml").scene.meshes[1].translate == (by, by, by)
+
+
 def test_fit_writes_every_file_and_nothing_else(finished):
     folder, _, home = finished
     assert folder == home / "runs" / "tiny"
@@ -658,12 +672,14 @@ def readme():
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, training) = {}, readme
+    names, (technique, sun, far, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
     found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
     assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
+    exec(far, names)
+    assert names["scene"].origin == (6e5, 0, 3e6)
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
     assert "float shadow_visibility(" in capsys.readouterr().out

@@ -36,7 +36,7 @@ class EngineLight(NamedTuple):
 
     @classmethod
     def of(cls, light: AbstractLight, resolution: Resolution) -> "EngineLight":
-        """The settings for `light` with a map of `resolution`.
+        """The settings for `light` with a map of `resolution`, in the coordinates of `light`.
 
         **Raises** `ValueError` for a perspective camera that is off its axis, and what `engine_light` raises.
         """

@@ -32,7 +32,7 @@ def code_of(technique: FittableTechnique, drawn: Sequence[Drawn]) -> dict[str, s
     """The code for each light, by its key; none if the technique is no engine's."""
     if not isinstance(technique, ThreeJs | BabylonJs):
         return {}
-    return {each.key: engine_code(technique, each.scene.light, _distances(each)) for each in drawn}
+    return {each.key: engine_code(technique, each.scene.light, _distances(each), each.scene.origin) for each in drawn}
 
 
 def _distances(drawn: Drawn) -> tuple[float, float]:
