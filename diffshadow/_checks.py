@@ -1,6 +1,7 @@
 """Checks of values that users give."""
 
 import dataclasses
+import math
 from typing import Any
 
 import equinox as eqx
@@ -55,6 +56,13 @@ def check_resolution(name: str, resolution: Any) -> None:
         raise ValueError(
             f"{name} is {resolution!r}; expected (height, width), each an integer from 1 to {MOST_PIXELS_ACROSS}"
         )
+
+
+def text_within(value: float, lower: float, upper: float, digits: int = 4) -> str:
+    """The value of a parameter with these bounds, to so many digits, and to more where it is far from 0 and its bounds
+    are close to each other."""
+    beyond = abs(value) / (100 * (upper - lower))
+    return f"{value:.{digits + (math.ceil(math.log10(beyond)) if beyond > 1 else 0)}g}"
 
 
 def listed(values: Any) -> str:

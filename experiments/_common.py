@@ -148,10 +148,9 @@ def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
             return reference.reference_from_image(io.read_visibility(section.path), scene)
         except ValueError as error:
             raise mistake(settings, "reference.path", str(error)) from error
-    how = section.samples, section.sampler, settings.seed
-    rays = section.supersampling
-    traced = lambda: vars(reference.trace_visibility(scene, *how, supersampling=rays))
-    arrays = io.cached_arrays(reference.cache_key(scene, *how, supersampling=rays), traced)
+    how = section.how(settings.seed)
+    traced = lambda: vars(reference.trace_visibility(scene, **how))
+    arrays = io.cached_arrays(reference.cache_key(scene, **how), traced)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

@@ -140,10 +140,7 @@ def fit_one(
     plan = build_fit(settings, scene)
     (problem,) = pose_problems(settings, plan, scene)
     off = {p.name: OFF[p.name.split(".")[2]] * rng.normal() for p in plan.parameters}
-    parameters = [
-        fit.Parameter(p.name, plan.truth[p.name] + off[p.name], p.lower, p.upper, p.unit, p.path)
-        for p in plan.parameters
-    ]
+    parameters = [dataclasses.replace(p, initial=plan.truth[p.name] + off[p.name]) for p in plan.parameters]
     # Twice what is planned here, so that few other draws need more and recompile.
     crossings = 2 * problem.planned().crossings if crossings is None else crossings
     problem = dataclasses.replace(problem, crossings=crossings)

@@ -13,6 +13,7 @@ the fit, below which no fit to this image can be expected to get; and the fracti
 ended within ten times the target of 0.05 degrees or 0.2 percent.
 """
 
+import dataclasses
 import json
 import math
 import sys
@@ -144,7 +145,7 @@ def recover(mesh: str, kind: Kind, starts: int, pixels: int, texels: int, seed: 
     for _ in range(starts):
         begin = start_near(truth, kind, rng)
         pairs = zip(plan.parameters, begin, strict=True)
-        parameters = [fit.Parameter(p.name, float(b), p.lower, p.upper, p.unit, p.path) for p, b in pairs]
+        parameters = [dataclasses.replace(p, initial=float(b)) for p, b in pairs]
         started = time.perf_counter()
         result = fit.fit(problems, parameters, solver=plan.solver, anneal=plan.anneal)
         seconds.append(time.perf_counter() - started)

@@ -12,6 +12,7 @@ from ._parameters import Parameter as Parameter
 from ._parameters import Parameters as Parameters
 from ._parameters import parameter_names as parameter_names
 from ._parameters import resolve as resolve
+from ._parameters import with_parameters as with_parameters
 from ._parameters import with_values as with_values
 from ._precision import Precision as Precision
 from ._profile import Bound as Bound

@@ -148,12 +148,13 @@ def fit(
         raise ValueError(f"a front of {front} points is asked for; expected {FEWEST} or more, in a fit of a technique")
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
+    offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
     initial = as_float([p.initial for p in parameters])
     spread = starts_within(fitted, initial, starts, seed)
     began = time.perf_counter()
     joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, blurs, pixels)
-    run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, on_step)
+    run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, _from_offsets(on_step, offsets))
     with run.reporter:
         path, tried = run.through(spread)
     best = path.chosen(solver.noise or 0.0)
@@ -165,7 +166,7 @@ def fit(
         values = profiler.preferred(prefer, tolerance).values if prefer else least
     points = front_of(run, least, front) if front else []
     end = run.judged_at(as_float(values))
-    return FitResult(
+    result = FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),
         fitted=dict(zip(run.names, values, strict=True)),
@@ -183,6 +184,34 @@ def fit(
         profiles=profiles,
         best=dict(zip(run.names, least, strict=True)),
         front=points,
+    )
+    return _with_offsets(result, offsets) if any(offsets) else result
+
+
+def _from_offsets(on_step: Callable[[Step], None] | None, offsets: Sequence[float]) -> Callable[[Step], None] | None:
+    if on_step is None or not any(offsets):
+        return on_step
+    return lambda step: on_step(step._replace(values=_plus(step.values, offsets)))
+
+
+def _plus(values: Sequence[float], offsets: Sequence[float]) -> tuple[float, ...]:
+    return tuple(value + offset for value, offset in zip(values, offsets, strict=True))
+
+
+def _with_offsets(result: FitResult, offsets: Sequence[float]) -> FitResult:
+    """`result`, whose values are counted from `offsets` (p,), with the parameters' own values. Only lights and meshes
+    have offsets, and their fits have neither profiles nor fronts."""
+    by_name = lambda values: dict(zip(values, _plus(tuple(values.values()), offsets), strict=True))
+    return result._replace(
+        initial=by_name(result.initial),
+        fitted=by_name(result.fitted),
+        best=by_name(result.best),
+        phases=[phase._replace(values=_plus(phase.values, offsets)) for phase in result.phases],
+        history=[step._replace(values=_plus(step.values, offsets)) for step in result.history],
+        starts=[
+            start._replace(initial=_plus(start.initial, offsets), end=_plus(start.end, offsets))
+            for start in result.starts
+        ],
     )
 
 

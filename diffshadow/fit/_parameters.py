@@ -25,6 +25,8 @@ class Parameter(eqx.Module):
     - `unit`: of all three, for reports.
     - `path`: dotted path to it, such as `"filter.radius"`; its name if left out. A path may stop at a module that holds
         one number: `"bias.constant"` means `"bias.constant.value"`.
+    - `offset`: what the number at `path` is counted from, for a coordinate of a scene that has an origin: the number is
+        the parameter's value less the offset. A value far from 0 keeps its digits in this way.
 
     **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
     """
@@ -35,11 +37,17 @@ class Parameter(eqx.Module):
     upper: float = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="texels")
     path: str | None = eqx.field(static=True, default=None)
+    offset: float = eqx.field(static=True, default=0.0)
 
     @property
     def where(self) -> str:
         """The dotted path to it."""
         return self.name if self.path is None else self.path
+
+    def counted(self) -> "Parameter":
+        """The parameter with all values counted from its offset, in double precision."""
+        initial, lower, upper = (value - self.offset for value in (self.initial, self.lower, self.upper))
+        return Parameter(self.name, initial, lower, upper, self.unit, self.path)
 
     def __check_init__(self):
         if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
@@ -70,7 +78,8 @@ class Parameters(eqx.Module):
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> "Parameters":
         """The paths and bounds of `parameters`."""
-        lower, upper = (as_float([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
+        counted = [p.counted() for p in parameters]
+        lower, upper = (as_float([getattr(p, end) for p in counted]) for end in ("lower", "upper"))
         return cls(tuple(p.where for p in parameters), lower, upper)
 
     def __getitem__(self, indices: Sequence[int]) -> "Parameters":
@@ -106,6 +115,12 @@ class Parameters(eqx.Module):
         """The inverse of `to_bounded`, for values moved off the bounds by at least `inset` of their distance."""
         fraction = jnp.clip((x - self.lower) / (self.upper - self.lower), inset, 1 - inset)
         return jnp.arcsin(2 * fraction - 1)
+
+
+def with_parameters(module: PyTree, parameters: Sequence[Parameter], values: Sequence[float]) -> PyTree:
+    """`module` with `values` (p,) of `parameters` in place of its own numbers."""
+    counted = [value - p.offset for p, value in zip(parameters, values, strict=True)]
+    return with_values(module, [p.where for p in parameters], as_float(counted))
 
 
 def resolve(module: PyTree, name: str) -> Any:

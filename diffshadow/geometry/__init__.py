@@ -16,6 +16,11 @@ from ._mesh import face_normals as face_normals
 from ._mesh import merge as merge
 from ._normals import crease_normals as crease_normals
 from ._normals import weld as weld
+from ._origin import WORLD as WORLD
+from ._origin import Origin as Origin
+from ._origin import PrecisionWarning as PrecisionWarning
+from ._origin import origin_of as origin_of
+from ._origin import step_of as step_of
 from ._pages import Pages as Pages
 from ._pages import Tile as Tile
 from ._pages import cell_of as cell_of

@@ -1,6 +1,7 @@
 """A scene: meshes, a camera and lights."""
 
 import dataclasses
+import warnings
 from collections.abc import Iterable
 
 import equinox as eqx
@@ -8,9 +9,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._checks import check_instance
+from .._misc import concrete
 from .._types import HostArray
 from ._camera import AbstractCamera
 from ._mesh import Mesh, merge
+from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of
 from .lights import AbstractLight
 
 
@@ -24,13 +27,18 @@ class Scene(eqx.Module):
     - `meshes`: all visible surfaces; one mesh or several, stored as a tuple.
     - `camera`: where the image is drawn from.
     - `lights`: one light or several, stored as a tuple.
-    - `casts`: for each mesh, whether techniques draw its shadow; all cast if left out. A mesh that does not cast still
-        receives shadows, and still blocks rays of the ray-traced reference.
+    - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
+        shadows. It blocks no ray of the ray-traced reference either, unless that asks for `blockers="all"`.
     - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
         all meshes.
+    - `origin`: the world point that the coordinates of meshes, camera and lights are counted from. A scene far from the
+        world's origin needs one, see `origin_of`; a configuration's scene has it.
 
     **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or unless `casts` and `receives` have one
     entry per mesh.
+
+    **Warns** with `PrecisionWarning` if the meshes are so far from their origin that single precision cannot hold their
+    shape.
     """
 
     meshes: tuple[Mesh, ...] = eqx.field(converter=_as_tuple)
@@ -38,6 +46,7 @@ class Scene(eqx.Module):
     lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_tuple)
     casts: tuple[bool, ...] | None = eqx.field(static=True, default=None)
     receives: tuple[bool, ...] | None = eqx.field(static=True, default=None)
+    origin: Origin = eqx.field(static=True, converter=as_origin, default=WORLD)
 
     def __check_init__(self):
         if not self.meshes:
@@ -56,6 +65,26 @@ class Scene(eqx.Module):
                 )
         if self.casts is not None and not any(self.casts):
             raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
+        self._check_precision()
+
+    def _check_precision(self) -> None:
+        """**Warns** if the meshes are too far from the origin."""
+        known = [concrete(mesh.vertices) for mesh in self.meshes]
+        points = [points for points in known if points is not None and points.dtype == np.float32 and len(points)]
+        if not points or len(points) < len(known):
+            return
+        low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+        if step := step_of(low, high):
+            origin = [float(f"{value:.9g}") for value in origin_of([low, high])]
+            warnings.warn(
+                PrecisionWarning(
+                    f"the scene is {(high - low).max():.3g} world units wide, and so far from its origin that single "
+                    f"precision has steps of {step:.2g} there: shadows lose their digits; subtract a point such as "
+                    f"{origin} from all vertices, cameras and lights in double precision, and give it to the Scene as "
+                    "origin"
+                ),
+                stacklevel=4,
+            )
 
     @property
     def mesh(self) -> Mesh:

@@ -18,6 +18,7 @@ from ._errors import MeshWarning as MeshWarning
 from ._images import read_visibility as read_visibility
 from ._images import write_png as write_png
 from ._images import write_visibility as write_visibility
+from ._meshes import coarse_steps as coarse_steps
 from ._meshes import load_mesh as load_mesh
 from ._ply import write_ply as write_ply
 from .scenes._parts import SceneCamera as SceneCamera

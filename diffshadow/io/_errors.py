@@ -6,7 +6,7 @@ class FileError(ValueError):
 
 
 class MeshWarning(UserWarning):
-    """A mesh file holds something besides triangles, which was left out."""
+    """A mesh file holds something besides triangles, which was left out, or its coordinates are rounded."""
 
 
 class MeshError(Exception):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import HostArray
-from ..geometry import Mesh, crease_normals, weld
+from ..geometry import Mesh, crease_normals, step_of, weld
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
 from ._obj import read_obj
@@ -30,6 +30,11 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
 }
 # Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
+# Coordinates this close to whole steps, as a part of a step, were rounded to these.
+_BETWEEN = 0.125
+# Multiples of this many steps of single precision are round numbers, which hide no digits. So may the numbers of fewer
+# vertices than these be, such as a box's.
+_ROUND, _FEW = 8, 12
 
 
 def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 30.0) -> Mesh:
@@ -46,8 +51,10 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
         GLB and glTF.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
+    Under `jax.enable_x64` its vertices are float64, as those of a mesh far from the file's origin should be.
 
-    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines.
+    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, or if its coordinates lie
+    so far from their origin that single precision, in which they were stored, has rounded the mesh's shape.
 
     **Raises** `FileError` if the file is missing, damaged or in an unknown format, requires an unsupported extension
     of its format, has a polygon that crosses itself, holds no triangles, or holds vertices that are not finite; and
@@ -79,9 +86,32 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
+    if coarse := coarse_steps(vertices):
+        warnings.warn(MeshWarning(f"the mesh file {file} {coarse}"), stacklevel=2)
     if crease_angle is not None:
         normals = crease_normals(vertices, faces, crease_angle)
     return Mesh(vertices, faces, normals)
+
+
+def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
+    """What is wrong with `vertices` that were rounded to single precision far from their origin; empty if nothing."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    step = step_of(low, high)
+    if not step or len(vertices) < _FEW:
+        return ""
+    # The steps of smaller coordinates are smaller.
+    far = vertices[np.abs(vertices) > np.abs(vertices).max() / 2]
+    # In binary numbers, or in the decimals of a text.
+    decimal = lambda least: 10.0 ** np.ceil(np.log10(least))
+    are_whole = lambda steps: bool((np.abs(far - np.round(far / steps) * steps) <= _BETWEEN * steps).all())
+    is_rounded = are_whole(step) or are_whole(decimal(step * _BETWEEN))
+    if not is_rounded or are_whole(_ROUND * step) or are_whole(decimal(_ROUND * step)):
+        return ""
+    return (
+        f"is far from its origin, and its coordinates there have steps of {step:.2g}, which is "
+        f"{step / (high - low).max():.2%} of its size, as if stored in single precision: its shape is rounded; move it "
+        "to the origin before it is exported, and give its place with translate"
+    )
 
 
 def _own_normals(polygons: Polygons) -> Float[HostArray, "v 3"]:

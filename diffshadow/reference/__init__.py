@@ -6,5 +6,6 @@ from ._exact import trace_visibility_exact as trace_visibility_exact
 from ._reference import Reference as Reference
 from ._sampling import Sampler as Sampler
 from ._sampling import concentric_disk as concentric_disk
+from ._visibility import Blockers as Blockers
 from ._visibility import reference_from_image as reference_from_image
 from ._visibility import trace_visibility as trace_visibility

@@ -7,15 +7,21 @@ import numpy as np
 
 from ..geometry import Scene
 from ._sampling import Sampler, check_sampling
+from ._visibility import Blockers, blocking_faces
 
 # Increase it whenever a change to this subpackage changes its images.
-_ALGORITHM = 1
+_ALGORITHM = 2
 # Settings of lights that affect shading only.
 _OF_SHADING = {"inner_angle"}
 
 
 def cache_key(
-    scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0, supersampling: int = 1
+    scene: Scene,
+    samples: int = 64,
+    sampler: Sampler = "sobol",
+    seed: int = 0,
+    supersampling: int = 1,
+    blockers: Blockers = "casters",
 ) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines the result of `trace_visibility`.
 
@@ -29,7 +35,7 @@ def cache_key(
     of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
     sampling = (*of_light, int(supersampling))
     mesh = scene.mesh
-    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces), blocking_faces(scene, blockers))
     return ("reference", _ALGORITHM, sampling, triangles, _fields(scene.camera), _fields(light))
 
 

@@ -11,7 +11,7 @@ from ._rays import Hits, Rays, Triangles
 from ._reference import Reference
 from ._sampling import Sampler
 from ._tracer import AbstractTracer
-from ._visibility import trace_with
+from ._visibility import Blockers, trace_with
 
 # Ray-triangle pairs tested at once: at 3 float64 each they take tens of megabytes.
 _PAIRS = 1 << 19
@@ -31,6 +31,7 @@ class ExactTracer(AbstractTracer):
     def __init__(self, triangles: Triangles):
         self._corner = triangles.corners[:, 0]
         self._edges = triangles.corners[:, 1:] - triangles.corners[:, :1]
+        self._numbers = triangles.numbers
 
     def closest(self, rays: Rays) -> Int[HostArray, " n"]:
         face = np.full(len(rays.origin), -1, dtype=np.int32)
@@ -56,9 +57,8 @@ class ExactTracer(AbstractTracer):
         for part in self._parts(len(which)):
             distance = self._distances(origin[which[part]], direction[part])
             nearest = _TINY / np.linalg.norm(direction[part], axis=-1, keepdims=True)
-            between = (distance > nearest) & (distance < reach)
-            between[np.arange(len(between)), face[which[part]]] = False
-            hit[part] = between.any(axis=1)
+            others = self._numbers != face[which[part], None]
+            hit[part] = ((distance > nearest) & (distance < reach) & others).any(axis=1)
         return hit
 
     def _parts(self, count: int) -> list[slice]:
@@ -89,6 +89,7 @@ def trace_visibility_exact(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     supersampling: int = 1,
+    blockers: Blockers = "casters",
 ) -> Reference:
     """`trace_visibility` with every ray in float64 and tested against every triangle.
 
@@ -96,4 +97,4 @@ def trace_visibility_exact(
     pixels, samples and triangles. Arguments, result, errors and sample points are those of `trace_visibility`, so the
     two results differ by rounding only.
     """
-    return trace_with(ExactTracer, scene, samples, sampler, seed, progress, supersampling)
+    return trace_with(ExactTracer, scene, samples, sampler, seed, progress, supersampling, blockers)

@@ -27,6 +27,7 @@ class Triangles:
     - `corners`: (f, 3, 3), each face's corners.
     - `normals`: (f, 3), unit, outwards by the right-hand rule; 0 for a face without area.
     - `areas`: (f,), in squared frame units.
+    - `numbers`: (f,), the index of each face in the mesh.
 
     **Raises** `ValueError` if the whole mesh is a single point.
     """
@@ -47,11 +48,13 @@ class Triangles:
         normals = np.cross(b - a, c - a)
         self.areas = np.linalg.norm(normals, axis=-1) / 2
         self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
+        self.numbers = np.arange(len(self.corners))
 
     def only(self, faces: Bool[HostArray, " f"]) -> "Triangles":
         """The triangles selected by `faces` (f,), in the same frame."""
         some = copy.copy(self)
         some.corners, some.normals, some.areas = self.corners[faces], self.normals[faces], self.areas[faces]
+        some.numbers = self.numbers[faces]
         return some
 
     def to_frame(self, points: Float64[HostArray, "*n 3"]) -> Float64[HostArray, "*n 3"]:

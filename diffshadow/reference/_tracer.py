@@ -36,7 +36,7 @@ class AbstractTracer(abc.ABC):
 
         **Arguments:**
 
-        - `origin`: (n, 3), from `start`; `face`: (n,), the faces that rays start on.
+        - `origin`: (n, 3), from `start`; `face`: (n,), the faces of the scene's mesh that rays start on.
         - `which`: (r,), the index of each ray's origin.
         - `direction`: (r, 3), of any length.
         - `reach`: the greatest distance of an occluder, in multiples of `direction`; may be infinite.

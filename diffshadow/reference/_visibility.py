@@ -4,11 +4,12 @@ import dataclasses
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
+from .._checks import check_choice
 from .._types import HostArray
 from ..geometry import AbstractLight, Scene
 from ._embree import EmbreeTracer
@@ -17,6 +18,9 @@ from ._rays import CameraRays, Hits, Rays, Triangles, hits_on_planes
 from ._reference import Reference
 from ._sampling import LightSampler, Sampler, check_sampling
 from ._tracer import AbstractTracer
+
+Blockers = Literal["casters", "all"]
+"""Which meshes block shadow rays: those that cast, or all."""
 
 # Rays per batch: few enough to stay in cache, and to keep memory at tens of megabytes per thread.
 BATCH = 1 << 16
@@ -32,12 +36,14 @@ def trace_visibility(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     supersampling: int = 1,
+    blockers: Blockers = "casters",
 ) -> Reference:
     """Traces how much of the scene's light is visible from each pixel of its camera.
 
     A ray through each pixel's centre finds the surface between the camera's near and far distances. Shadow rays from
     there to points of the light find which of these are occluded. Every surface is two-sided, but receives light only
-    on the side that faces the camera: parts of the light below that side's horizon count as occluded. A light's cone,
+    on the side that faces the camera: parts of the light below that side's horizon count as occluded. A mesh that does
+    not cast is seen, but blocks no shadow ray, as in engines: a lamp may stand inside its own bulb. A light's cone,
     near and far are ignored, since they are settings of a shadow map.
 
     **Arguments:**
@@ -50,13 +56,14 @@ def trace_visibility(
     - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
       over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
       rays, with at least one each. `position`, `normal` and `face` remain those at pixel centres.
+    - `blockers`: what blocks shadow rays: `"casters"`, or `"all"` meshes, whatever the scene's `casts` says.
 
     **Returns:** a `Reference`.
 
     **Raises** `ValueError` if the scene has several lights, the camera sees no surface, `samples`, `seed` or
-    `supersampling` is out of range, or `sampler` is unknown.
+    `supersampling` is out of range, or `sampler` or `blockers` is unknown.
     """
-    return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress, supersampling)
+    return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress, supersampling, blockers)
 
 
 def reference_from_image(visibility: Any, scene: Scene) -> Reference:
@@ -97,15 +104,17 @@ def trace_with(
     seed: int,
     progress: Callable[[float], None] | None,
     supersampling: int,
+    blockers: Blockers,
 ) -> Reference:
     """`trace_visibility` with the tracer that `make_tracer` makes from the scene's triangles."""
     check_sampling(samples, sampler, supersampling)
+    check_choice("blockers", blockers, get_args(Blockers))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
     sampling = sampling_of(scene.light, max(1, samples // supersampling**2), sampler, int(seed))
 
     def traced(scene: Scene) -> Reference:
-        job = Job(make_tracer, scene, sampling)
+        job = Job(make_tracer, scene, sampling, blockers)
         job.run(progress)
         return job.reference(samples=sampling.samples, visibility=job.visibility)
 
@@ -152,19 +161,26 @@ def sampling_of(light: AbstractLight, samples: int, sampler: str, seed: int) -> 
 
 
 class Job:
-    """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced."""
+    """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced.
+
+    - `tracer`: of all triangles, which the camera sees; `occluders`: of the triangles that block shadow rays.
+    """
 
     def __init__(
         self,
         make_tracer: Callable[[Triangles], AbstractTracer],
         scene: Scene,
         sampling: Sampling | None,
+        blockers: Blockers = "casters",
     ):
         self.scene, self.sampling = scene, sampling
         self.triangles = Triangles(scene.mesh)
         self.rays = CameraRays(scene.camera, self.triangles)
         self.lamp = Lamp(scene.light, self.triangles)
-        self.tracer = make_tracer(self.triangles)
+        self.tracer = self.occluders = make_tracer(self.triangles)
+        blocking = blocking_faces(scene, blockers)
+        if sampling is not None and not blocking.all():
+            self.occluders = make_tracer(self.triangles.only(blocking))
         self.reach = np.inf if self.lamp.is_directional else 1 - _SHORT_OF_LIGHT
         self.size = self.rays.height * self.rays.width
         self.position, self.normal = (np.zeros((self.size, 3), dtype=np.float32) for _ in range(2))
@@ -221,7 +237,7 @@ class Job:
         self.normal[pixel] = hits.normal
         if self.sampling is None:
             return
-        above, hidden = self.shadowed(hits, self.sampling.points(first, count, seen), self.tracer)
+        above, hidden = self.shadowed(hits, self.sampling.points(first, count, seen), self.occluders)
         lit = above & ~hidden
         self.visibility[pixel] = lit.mean(axis=1, dtype=np.float64)
         self.standard_error[pixel] = self._standard_error(lit)
@@ -254,15 +270,21 @@ class Job:
         return np.abs(difference) * np.sqrt(half * (samples - half)) / samples
 
 
+def blocking_faces(scene: Scene, blockers: Blockers) -> Bool[HostArray, " f"]:
+    """Which faces of the scene's mesh block shadow rays."""
+    return np.ones(len(scene.casting_faces), bool) if blockers == "all" else scene.casting_faces
+
+
 def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
     """The message that the camera misses the scene: where each of them is, and how to mend it."""
-    world = triangles.to_world(triangles.corners).reshape(-1, 3)
-    low, high = world.min(axis=0), world.max(axis=0)
+    corners = triangles.to_world(triangles.corners).reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     view, camera = rays.view, scene.camera
     matrix = np.asarray(view.world_to_eye)
-    distance = -(world @ matrix[2, :3] + matrix[2, 3])
+    distance = -(corners @ matrix[2, :3] + matrix[2, 3])
     near, far = float(view.near), float(view.far)
-    brief = lambda values: [float(f"{v:.4g}") for v in np.asarray(values)]
+    # In the world, where coordinates may be large.
+    brief = lambda point: [float(f"{x:.4g}") + at for x, at in zip(np.asarray(point), scene.origin, strict=True)]
     if distance.max() < near or distance.min() > far:
         remedy = (
             "turn the camera round"

@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -49,6 +51,81 @@ def test_mesh_is_sized_dropped_scaled_turned_and_moved():
     # A unit cube on the ground; about x, up becomes +z; about z, +y becomes -x, and +z stays.
     assert np.allclose(moved.mesh.bounds, [[0.5, 1.5, 3], [1.5, 2.5, 4]], atol=1e-6)
     assert np.allclose(moved.mesh.corner_normals, face_normals(moved.mesh)[:, None], atol=1e-6)
+
+
+FAR = (6e5, -8e3, 3e6)
+LIGHTS = {
+    "shadow camera": "{type: directional, shadow_camera: {position: [X1, Y4, Z2], near: 0.5, far: 9}}",
+    "sun": "{type: directional, azimuth: 40}",
+    "spot": "{type: spot, position: [X2, Y4, Z1], target: [X0.5, Y0, Z0]}",
+    "point": "{type: point, orbit: {azimuth: 30}}",
+    "rectangle": "{type: rectangle, position: [X2, Y4, Z1], target: [X0.5, Y0, Z0]}",
+}
+
+
+def placed_at(text, origin):
+    """`text` with its coordinates, such as X1.5, counted from `origin`."""
+    return re.sub(r"([XYZ])(-?[0-9.]+)", lambda m: repr(float(m[2]) + origin["XYZ".index(m[1])]), text)
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_a_scene_far_from_the_worlds_origin_is_the_same_one(light):
+    text = (
+        "scene:\n"
+        "  meshes: [{path: 'builtin:box', rotate: [0, 20, 0], translate: [X0.3, Y0, Z0.1]},\n"
+        "    {path: 'builtin:plane', options: {size: 6}, translate: [X0, Y0, Z0]}]\n"
+        f"  light: {LIGHTS[light]}\n"
+        "  camera: {eye: [X2.2, Y2.4, Z3], target: [X0, Y0.5, Z0]}\n"
+    )
+    near, far = (build_scene(parse_config(placed_at(text, origin))) for origin in ((0.0, 0.0, 0.0), FAR))
+    assert near.origin == (0, 0, 0)
+    assert far.origin == FAR
+    # Coordinates in the millions have nine digits in double precision after the point.
+    for ours, theirs in zip(jax.tree.leaves(near), jax.tree.leaves(far), strict=True):
+        np.testing.assert_allclose(theirs, ours, rtol=1e-6, atol=1e-6)
+
+
+def test_a_mistake_in_a_far_scene_says_what_coordinates_are_counted_from():
+    mesh, camera = "{path: 'builtin:box', translate: [X0, Y0, Z0]}", "{eye: [X1, Y1, Z1], target: [X1, Y1, Z1]}"
+    text = f"scene: {{meshes: [{mesh}], camera: {camera}}}"
+    with pytest.raises(ConfigError, match=r"\[1.0, 1.0, 1.0\].*counted from the scene's origin, \[600000.0, -8000.0"):
+        build_scene(parse_config(placed_at(text, FAR)))
+
+
+def test_poses_of_a_far_scene_are_fitted_from_its_origin_and_told_in_the_world(tmp_path):
+    poses = {
+        "light.position.z": "{lower: Z0, upper: Z2}",
+        "light.elevation": "{lower: 0, upper: 90}",
+        "light.radius": "{lower: 0, upper: 1}",
+        "meshes.0.translate.x": "{initial: X0.5, lower: X-1, upper: X1}",
+        # Its file is where its vertices are.
+        "meshes.1.translate.x": "{lower: -1, upper: 1}",
+        "meshes.0.vertices.0.y": "{lower: Y-1, upper: Y1}",
+    }
+    text = (
+        "scene: {meshes: [{path: 'builtin:box', translate: [X0.25, Y0, Z0]}, {path: far.obj}],\n"
+        "  light: {type: spot, position: [X2, Y4, Z1], target: [X0, Y0, Z0]}, camera: {eye: [X3, Y3, Z3]}}\n"
+        "filter: {type: pcss}\n"
+        f"fit: {{parameters: {{{', '.join(f'scene.{name}: {bounds}' for name, bounds in poses.items())}}}}}\n"
+    )
+
+    def plan_at(origin):
+        (tmp_path / "far.obj").write_text(placed_at("v X0 Y0 Z0\nv X1 Y0 Z0\nv X0 Y0 Z1\nf 1 2 3\n", origin))
+        return build_fit(parse_config(placed_at(text, origin), folder=tmp_path))
+
+    near, far = plan_at((0.0, 0.0, 0.0)), plan_at(FAR)
+    x, y, z = FAR
+    assert [p.offset for p in near.parameters] == [0] * len(poses)
+    offsets = dict(zip(poses, (z, 0, 0, x, 0, y), strict=True))
+    assert {p.name.removeprefix("scene."): p.offset for p in far.parameters} == offsets
+    for ours, theirs in zip(near.parameters, far.parameters, strict=True):
+        counted = theirs.counted()
+        for end in ("initial", "lower", "upper"):
+            assert getattr(counted, end) == pytest.approx(getattr(ours, end), rel=1e-6, abs=1e-6)
+        assert far.truth[theirs.name] == pytest.approx(near.truth[ours.name] + theirs.offset, rel=1e-12)
+        assert float(resolve(far.arrangement, theirs.where)) == pytest.approx(
+            float(resolve(near.arrangement, ours.where)), rel=1e-6, abs=1e-6
+        )
 
 
 def test_albedo_is_that_of_the_mesh():

@@ -3182,8 +3182,8 @@ _CONFIG = (
     _fault(
         "shadow camera: an off-centre window is centred",
         "config/building/_scene.py",
-        "center = np.asarray(camera.position) + (low + high)[:2] / 2 @ rows[:2]",
-        "center = np.asarray(camera.position) + 0 * (low + high)[:2] @ rows[:2]",
+        "center = position + (low + high)[:2] / 2 @ rows[:2]",
+        "center = position + 0 * (low + high)[:2] @ rows[:2]",
         "test_config_build.py",
         "test_import.py",
     ),
@@ -3488,10 +3488,10 @@ _STUDY = (
         "test_study.py",
     ),
     _fault(
-        "cached reference: supersampling is no part of the key",
+        "cached reference: how it is traced is no part of the key",
         "study/runs/_setup.py",
-        "reference.cache_key(scene, *how, traced.supersampling)",
-        "reference.cache_key(scene, *how)",
+        "reference.cache_key(scene, **how)",
+        "reference.cache_key(scene)",
         "test_study.py",
     ),
     _fault(

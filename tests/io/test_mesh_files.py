@@ -5,6 +5,7 @@ import os
 import struct
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -211,6 +212,34 @@ def test_binary_stl_with_nan_is_refused(tmp_path):
     path.write_bytes(bytes(80) + struct.pack("<I12fH", 1, *values, 0))
     with pytest.raises(FileError, match="NaN or infinite"):
         load_mesh(path)
+
+
+def curved(far):
+    """A dozen points on an arc, about one unit wide, `far` along x; and OBJ's lines for the fan of triangles."""
+    angle = np.linspace(0, 3, 12)
+    points = np.stack([np.cos(angle) + far, np.sin(angle), 0 * angle], axis=-1)
+    return points, [f"f 1 {i} {i + 1}" for i in range(2, 12)]
+
+
+def test_a_mesh_far_from_its_origin_keeps_its_digits_in_double_precision(tmp_path):
+    points, faces = curved(1e6)
+    path = write(tmp_path / "far.obj", "\n".join([*(f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()), *faces]))
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(load_mesh(path).vertices, points)
+    assert load_mesh(path).vertices.dtype == np.float32
+
+
+@pytest.mark.parametrize("digits", [".17g", ".8g"])
+def test_a_mesh_rounded_to_single_precision_far_from_its_origin_is_remarked_on(digits, tmp_path):
+    points, faces = curved(1e5)
+    rows = [f"v {x:{digits}} {y:{digits}} {z:{digits}}" for x, y, z in points.astype(np.float32).tolist()]
+    with pytest.warns(MeshWarning, match=r"rounded.obj is far from its origin.*steps of 0.0078, which is 0.39% of its"):
+        load_mesh(write(tmp_path / "rounded.obj", "\n".join([*rows, *faces])))
+    points, faces = curved(1e3)
+    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.astype(np.float32).tolist()]
+    load_mesh(write(tmp_path / "near.obj", "\n".join([*rows, *faces])))
+    # Round numbers are no rounded ones.
+    load_mesh(write(tmp_path / "round.obj", "v 1000000 0 0\nv 1000001 0 0\nv 1000000 1 0\nf 1 2 3\n"))
 
 
 # Meshes that other people made

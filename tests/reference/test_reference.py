@@ -637,6 +637,51 @@ def test_cache_key_changes_with_all_that_matters_and_with_nothing_else():
     assert same_key(cache_key(hard, 16, "sobol", 0), cache_key(hard, 64, "stratified", 7))
 
 
+def lamp_in_its_bulb(*casts):
+    """A lamp of some size over the floor of a small scene, inside a sphere, whose camera sees all three."""
+    scene = small_scene("pinhole", "spot", pixels=24)
+    bulb = sphere(0.3, 7, 9, (-0.8, 1.8, 0.8))
+    lamp = PointLight((-0.8, 1.8, 0.8), 0.1, 20.0, radius=0.1)
+    return Scene([scene.mesh, bulb], scene.camera, lamp, casts=casts or None)
+
+
+@pytest.mark.parametrize("trace", [trace_visibility, trace_visibility_exact])
+def test_rays_pass_through_a_mesh_that_does_not_cast(trace):
+    given = lamp_in_its_bulb(True, False)
+    found, closed = trace(given, 8), trace(given, 8, blockers="all")
+    bare = trace(Scene(given.meshes[0], given.camera, given.light), 8)
+    beside = found.face < len(given.meshes[0].faces)
+    # The bulb is seen. Its outer side turns away from the lamp.
+    assert (~beside).sum() > 5
+    assert not found.visibility[~beside].any()
+    np.testing.assert_array_equal(found.visibility[beside], bare.visibility[beside])
+    assert 0.2 < found.visibility[beside & found.mask].mean() < 0.95
+    assert not closed.visibility[closed.mask].any()
+    np.testing.assert_array_equal(closed.visibility, trace(lamp_in_its_bulb(), 8).visibility)
+    for field in ("face", "position", "normal"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(closed, field))
+
+
+def test_exact_rays_ignore_the_face_they_start_on_among_those_that_block():
+    """A face has another number among those that block than in the mesh."""
+    from diffshadow.reference._exact import ExactTracer
+    from diffshadow.reference._rays import Triangles
+
+    triangles = Triangles(together([floor(y=0.0), floor(y=1.0), floor(y=2.0)]))
+    blocking = ExactTracer(triangles.only(np.arange(6) >= 2))
+    start = triangles.to_frame(np.array([[0.5, 0.9999999, 0.1], [0.5, 0.5, 0.1], [0.5, 0.9999999, 0.1]]))
+    faces, up = np.array([2, 0, 5]), np.array([[0.0, 1.0, 0.0]] * 3)
+    reach = 1.2 * triangles.scale
+    assert blocking.occluded(start, faces, np.arange(3), up, reach).tolist() == [True, True, True]
+    assert blocking.occluded(start, faces, np.arange(3), up, 0.8 * triangles.scale).tolist() == [False, True, True]
+
+
+def test_cache_key_depends_on_what_blocks():
+    closed, bare = lamp_in_its_bulb(), lamp_in_its_bulb(True, False)
+    assert not same_key(cache_key(closed), cache_key(bare))
+    assert same_key(cache_key(closed), cache_key(bare, blockers="all"))
+
+
 # What matters to a picture's shadows
 
 
@@ -665,6 +710,14 @@ def test_a_part_hides_light_if_its_shadow_is_seen(card, hides, light):
     }
     scene = Scene(together([floor(half=1.0), card]), camera, lights[light])
     assert hides_light(scene, half_of(scene, 1)) == hides
+
+
+def test_a_part_that_does_not_cast_hides_no_light():
+    scene = lamp_in_its_bulb(True, False)
+    bulb = np.arange(scene.mesh.faces.shape[0]) >= len(scene.meshes[0].faces)
+    assert not hides_light(scene, bulb)
+    assert hides_light(scene, bulb, "all")
+    assert hides_light(scene, ~bulb)
 
 
 def test_a_part_hides_light_behind_another_part_and_of_any_of_several_lights():

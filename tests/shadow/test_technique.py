@@ -7,7 +7,7 @@ from scenes import marked, quad, side_camera, sun
 
 from diffshadow.geometry import Edges, Scene, merge
 from diffshadow.raster import draw_surface
-from diffshadow.reference import trace_visibility_exact
+from diffshadow.reference import trace_visibility, trace_visibility_exact
 from diffshadow.shadow import (
     AbstractTechnique,
     Bias,
@@ -21,7 +21,9 @@ from diffshadow.shadow import (
 )
 
 FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
-SCENE = Scene([FLOOR, CARD], side_camera((64, 64)), sun(merge([FLOOR, CARD])), casts=(False, True))
+# Above all else, and out of sight.
+CANOPY = quad((0, 4, 0), (9, 0, 0), (0, 0, -9))
+SCENE = Scene([FLOOR, CARD, CANOPY], side_camera((64, 64)), sun(merge([FLOOR, CARD])), casts=(False, True, False))
 SIZE = (64, 64)
 TECHNIQUES = {
     "shadow_map": ShadowMapping(Bilinear(), Bias(1.0), map=MapSettings(SIZE)),
@@ -63,6 +65,12 @@ def test_every_technique_draws_the_shadow_of_a_card(name, seen):
     exact = name in ("shadow_volumes", "irregular_z_buffer")
     assert np.mean(np.abs(visibility - truth.visibility)[on_floor]) < (1e-3 if exact else 0.03)
     assert (visibility[~np.asarray(surface.mask)] == 1).all()
+
+
+def test_what_does_not_cast_darkens_the_reference_only_if_asked(seen):
+    _, truth = seen
+    assert 0.5 < truth.visibility[truth.mask].mean() < 1
+    assert not trace_visibility(SCENE, blockers="all").visibility[truth.mask].any()
 
 
 def test_a_technique_of_ones_own_is_one(seen):

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from gltf_scene import gltf
@@ -203,6 +204,35 @@ def test_the_code_of_an_imported_light_has_its_own_camera(tmp_path):
     assert given.position == pytest.approx([-1.3, 2.6, 1.2], abs=1e-6)
     assert given.window == pytest.approx({"left": -2, "right": 2, "top": 3, "bottom": -3}, abs=1e-5)
     assert (given.near, given.far) == (pytest.approx(0.7), pytest.approx(8))
+
+
+def three_far(by):
+    content = json.loads((FOLDER / "yard.json").read_text())
+    content["object"]["matrix"][12:15] = by
+    return content
+
+
+def gltf_far(by):
+    """With the local coordinates as they were, below a node that is far away."""
+    content = gltf()
+    content["nodes"][0]["translation"] = [-0.3, 5, -0.3]
+    content["nodes"].append({"translation": by, "children": [*range(len(content["nodes"]))]})
+    return content
+
+
+@pytest.mark.parametrize("content", [three_far, gltf_far])
+def test_a_scene_far_from_the_worlds_origin_is_taken_over_with_all_digits(tmp_path, content):
+    built = []
+    for number, by in enumerate(([0, 0, 0], [6e6, -8e3, 3e6])):
+        path = tmp_path / f"{number}.json"
+        path.write_text(json.dumps(content(by)))
+        made = import_scene(path, console=Console(quiet=True), output=tmp_path / f"made {number}")
+        built.append(build_scene(load_config(made, fitting=True)))
+    near, far = built
+    # The texts of both have nine digits or more of the scene.
+    for ours, theirs in zip(jax.tree.leaves(near), jax.tree.leaves(far), strict=True):
+        at = np.asarray(far.origin) - [6e6, -8e3, 3e6] if ours.shape[-1:] == (3,) else 0
+        assert min(np.abs(theirs - ours).max(), np.abs(theirs + at - ours).max()) < 2e-6 * max(np.abs(ours).max(), 1)
 
 
 @pytest.mark.parametrize(("light", "kind"), [("light 0", "directional"), ("light 1", "point"), ("light 2", "spot")])

@@ -1,4 +1,5 @@
-"""Remarks on scenes: meshes that contribute nothing to the picture, and what was left out of mesh files."""
+"""Remarks on scenes: meshes that contribute nothing to the picture, meshes around lights, and what was left out of
+files."""
 
 import pytest
 from rich.console import Console
@@ -21,8 +22,8 @@ scene:
 COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
 
 
-def remarks(mesh, folder):
-    config = parse_config(SCENE.format(mesh=mesh), folder=folder)
+def remarks(mesh, folder, *overrides):
+    config = parse_config(SCENE.format(mesh=mesh), overrides, folder=folder)
     with Stages(Console(quiet=True)) as stages:
         scene, messages = load(config, stages)
     return [*messages, *scene_remarks(config, [scene], draw_surface(scene.mesh, scene.camera))]
@@ -57,6 +58,24 @@ def test_a_mesh_that_contributes_nothing_is_named_with_its_cause(mesh, cause, tm
 )
 def test_a_mesh_that_is_seen_or_whose_shadow_is_seen_gets_no_remark(mesh, tmp_path):
     assert remarks(mesh, tmp_path) == []
+
+
+LAMP = "scene.light={type: point, position: [1, 1.5, 1]}"
+BULB = "path: builtin:sphere, options: {radius: 0.2}, translate: [1, 1.3, 1]"
+
+
+def test_a_mesh_that_hides_a_light_from_all_is_named_with_the_key(tmp_path):
+    (remark,) = remarks(BULB, tmp_path, LAMP)
+    assert remark.startswith("scene.light is inside scene.meshes.2 (builtin:sphere), which hides it from all")
+    assert "set scene.meshes.2.casts to false" in remark
+    assert remarks(f"{BULB}, casts: false", tmp_path, LAMP) == []
+    (remark,) = remarks(f"{BULB}, casts: false", tmp_path, LAMP, "reference={blockers: all}")
+    assert "set reference.blockers to casters" in remark
+    # A room, whose walls light and camera share; and one with a window, through which the camera looks.
+    room = "path: builtin:box, options: {size: [20, 20, 20]}, translate: [0, -1, 0]"
+    assert remarks(room, tmp_path, LAMP) == []
+    hall = "path: builtin:box, options: {size: [6, 6, 6]}, translate: [0, -0.1, 0]"
+    assert remarks(hall, tmp_path, LAMP, "scene.camera.eye=[0, 3, 9]", "scene.camera.near=7.2") == []
 
 
 def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):

@@ -78,7 +78,14 @@ def test_reference_is_kept_by_all_that_it_depends_on(monkeypatch):
 
     monkeypatch.setattr(io, "cached_arrays", kept)
     scene = build_scene(tiny())
-    for override in ("name=other", "seed=1", "reference.samples=9", "reference.supersampling=2", "bias.constant=2"):
+    for override in (
+        "name=other",
+        "seed=1",
+        "reference.samples=9",
+        "reference.supersampling=2",
+        "reference.blockers=all",
+        "bias.constant=2",
+    ):
         with pytest.raises(KeyFoundError):
             _traced(tiny(override), scene, Stages(console()[0]))
     # Neither the name nor a bias changes it.
@@ -205,6 +212,20 @@ def test_a_bias_that_engines_lack_is_converted_and_measured():
     assert "Godot 4, Bevy, Filament, Unity URP are left out" in said
     oblong = converted(tiny(*overrides, "shadow_map.resolution=[64, 32]"))
     assert "Babylon.js is left out, since its maps are square" in oblong
+
+
+def test_a_scene_a_million_of_its_sizes_away_has_the_same_figures(finished):
+    by = 3e6
+    places = [f"scene.meshes.{i}.translate=[{by}, {by + height}, {by}]" for i, height in enumerate((0.2, 0.0))]
+    folder, _ = run(*places)
+    near, far = result_of(finished[0]), result_of(folder)
+    for values in ("initial", "fitted"):
+        assert far[values] == pytest.approx(near[values], rel=1e-3)
+    for state in ("before", "after"):
+        assert far["metrics"][state] == pytest.approx(near["metrics"][state], rel=1e-3, abs=1e-5)
+    assert far["warnings"] == near["warnings"]
+    # The configuration is the one that was given.
+    assert load_config(folder / "config.yaml").scene.meshes[1].translate == (by, by, by)
 
 
 def test_fit_writes_every_file_and_nothing_else(finished):
@@ -763,12 +784,14 @@ def readme():
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, training) = {}, readme
+    names, (technique, sun, far, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
     found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
     assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
+    exec(far, names)
+    assert names["scene"].origin == (6e5, 0, 3e6)
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
     assert "float shadow_visibility(" in capsys.readouterr().out

@@ -4,7 +4,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
+import numpy as np
+
 from ... import fit, geometry, shading, shadow
+from ..._checks import text_within
 from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
@@ -21,7 +24,8 @@ from ..sections._technique import (
 )
 from ..whole._preferences import preferences
 from ..whole._schema import Config
-from ._scene import build_camera, build_light, build_mesh, stage_of
+from ._scene import Placed, build_camera, build_light, place_mesh, stage_of
+from ._scene import build_mesh as build_mesh
 from ._technique import build_bias, build_compare, build_filter, build_layout
 
 # 120 bytes per triangle, with normals, colours and indices.
@@ -58,30 +62,32 @@ class FitPlan(NamedTuple):
 
 
 def build_scene(config: Config) -> geometry.Scene:
-    """The scene of `config`: its meshes, its camera and its lights.
+    """The scene of `config`: its meshes, its camera and its lights, all counted from the scene's origin.
 
     Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
     **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with its key, and for an open mesh that
     casts if only back faces cast.
     """
-    meshes = _meshes_of(config)
+    placed = _meshes_of(config)
+    origin = geometry.origin_of(np.concatenate([mesh.bounds for mesh in placed]))
+    meshes = [mesh.counted_from(origin) for mesh in placed]
     casts = tuple(mesh.casts for mesh in config.scene.meshes)
     _check_closed(config, meshes)
     casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
-    stage = stage_of(geometry.merge(meshes), casters, meshes[0])
-    with _blame(config, ("scene", "camera")):
+    stage = stage_of(geometry.merge(meshes), casters, meshes[0], origin)
+    with _blame(config, ("scene", "camera"), origin):
         camera = build_camera(config.scene.camera, stage)
     lights = []
     for key, light in config.scene.each_light.items():
-        with _blame(config, ("scene", *key)):
+        with _blame(config, ("scene", *key), origin):
             lights.append(build_light(light, stage))
     receives = tuple(mesh.receives for mesh in config.scene.meshes)
-    return geometry.Scene(meshes, camera, lights, casts, receives)
+    return geometry.Scene(meshes, camera, lights, casts, receives, origin)
 
 
-def _meshes_of(config: Config) -> list[geometry.Mesh]:
-    """The scene's meshes.
+def _meshes_of(config: Config) -> list[Placed]:
+    """The scene's meshes, in the world.
 
     **Raises** `ConfigError` with a mistake for each mesh that cannot be made.
     """
@@ -89,7 +95,7 @@ def _meshes_of(config: Config) -> list[geometry.Mesh]:
     for i, section in enumerate(config.scene.meshes):
         try:
             with _blame(config, ("scene", "meshes", i)):
-                mesh = build_mesh(section)
+                mesh = place_mesh(section)
                 triangles += mesh.faces.shape[0]
                 if triangles > _MOST_TRIANGLES:
                     raise ValueError(
@@ -193,16 +199,18 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
     arrangement = None
     if config.moves:
-        arrangement = build_arrangement(config, build_scene(config) if scene is None else scene)
+        scene = build_scene(config) if scene is None else scene
+        arrangement = build_arrangement(config, scene)
     parameters, truth, units = [], {}, fit_units(config)
+    origin = geometry.WORLD if scene is None else scene.origin
     for name, bounds in config.fit.parameters.items():
         with _blame(config, ("fit", "parameters", name)):
-            path, start = _start(config, name, arrangement)
+            path, start, offset = _start(config, name, arrangement, origin)
             start, limits = _within(start, bounds, units[name]), (bounds.lower, bounds.upper)
             if is_pose(name) and config.reference.type == "traced":
                 truth[name] = _reachable(start, bounds)
             start = start if bounds.initial is None else bounds.initial
-            parameters.append(fit.Parameter(name, start, *limits, units[name], path))
+            parameters.append(fit.Parameter(name, start, *limits, units[name], path, offset))
     return FitPlan(
         parameters,
         built_solver,
@@ -226,7 +234,7 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
 
     **Raises** `ConfigError` if a vertex to fit does not exist in its mesh.
     """
-    poses = []
+    poses, origin = [], scene.origin
     for i, (mesh, section) in enumerate(zip(scene.meshes, config.scene.meshes, strict=True)):
         named = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
         vertices = {
@@ -235,17 +243,31 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
         for vertex, name in vertices.items():
             with _blame(config, ("fit", "parameters", name)):
                 fit.MeshPose.of(mesh, (vertex,))
-        poses.append(fit.MeshPose.of(mesh, tuple(vertices), section.translate))
+        home = tuple(x - _offset(x, at) for x, at in zip(section.translate, origin, strict=True))
+        poses.append(fit.MeshPose.of(mesh, tuple(vertices), home))
     return fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
 
 
-def _start(config: Config, name: str, arrangement: fit.Arrangement | None) -> tuple[str, float]:
-    """The path of the parameter `name` in the fitted module, and its value in the configuration."""
+def _start(
+    config: Config, name: str, arrangement: fit.Arrangement | None, origin: geometry.Origin
+) -> tuple[str, float, float]:
+    """The path of the parameter `name` in the fitted module, its value in the configuration, and what the module's
+    number is counted from."""
     pose = pose_of(config, name) if is_pose(name) else None
-    if pose is not None:
-        return pose.path, float(fit.resolve(arrangement, pose.path))
-    path = fit_paths(config)[name]
-    return path if arrangement is None else f"technique.{path}", config.initial(name)
+    if pose is None:
+        path = fit_paths(config)[name]
+        return path if arrangement is None else f"technique.{path}", config.initial(name), 0.0
+    offset = 0.0
+    if pose.axis is not None:
+        offset = origin[pose.axis]
+        if ".translate." in name:
+            offset = _offset(config.scene.meshes[int(name.split(".")[2])].translate[pose.axis], offset)
+    return pose.path, offset + float(fit.resolve(arrangement, pose.path)), offset
+
+
+def _offset(translation: float, origin: float) -> float:
+    """What a mesh's translation along an axis is counted from: the scene's origin, unless its file is there."""
+    return origin if abs(translation - origin) < abs(translation) else 0.0
 
 
 def _towards_zero(bounds: FitParameterConfig) -> fit.Bound:
@@ -265,16 +287,20 @@ def _reachable(truth: float, bounds: FitParameterConfig) -> float:
     **Raises** `ValueError` if it is not.
     """
     if not bounds.lower <= truth <= bounds.upper:
+        given, lower, upper = (
+            text_within(value, bounds.lower, bounds.upper, 6) for value in (truth, bounds.lower, bounds.upper)
+        )
         raise ValueError(
-            f"is {truth:g} in the scene, from which the reference is traced; expected a value within the fit's bounds, "
-            f"lower = {bounds.lower:g} to upper = {bounds.upper:g}; widen the bounds, or move it in the scene"
+            f"is {given} in the scene, from which the reference is traced; expected a value within the fit's bounds, "
+            f"lower = {lower} to upper = {upper}; widen the bounds, or move it in the scene"
         )
     return truth
 
 
 @contextmanager
-def _blame(config: Config, path: KeyPath) -> Iterator[None]:
-    """Reports errors raised inside as mistakes of the key at `path`."""
+def _blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WORLD) -> Iterator[None]:
+    """Reports errors raised inside as mistakes of the key at `path`. Coordinates in their texts are counted from
+    `origin`."""
     try:
         yield
     except ConfigError:
@@ -282,7 +308,8 @@ def _blame(config: Config, path: KeyPath) -> Iterator[None]:
     except geometry.OptionError as error:
         raise ConfigError([Mistake(*_at(config, (*path, "options", error.option)), error.what)]) from error
     except (ValueError, OSError) as error:
-        raise ConfigError([Mistake(*_at(config, path), str(error))]) from error
+        where = "" if origin == geometry.WORLD else f" (coordinates are counted from the scene's origin, {[*origin]})"
+        raise ConfigError([Mistake(*_at(config, path), f"{error}{where}")]) from error
 
 
 def _at(config: Config, path: KeyPath) -> tuple[Place, str]:

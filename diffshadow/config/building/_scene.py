@@ -2,13 +2,14 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, io
 from ..._misc import as_float
-from ..._types import HostArray, Vec3
+from ..._types import Faces, HostArray, Vec3
 from ..sections._lights import (
     DirectionalLightConfig,
     LightConfig,
@@ -30,46 +31,79 @@ _LEAST_NEAR = 1e-3
 _VERTICAL = 1e-9
 
 
+class Placed(NamedTuple):
+    """The arrays of a mesh, placed in the world: vertices (v, 3) in double precision, faces, the normals of their
+    corners, and albedo."""
+
+    vertices: Float[HostArray, "v 3"]
+    faces: Faces
+    corner_normals: Float[HostArray, "f 3 3"]
+    albedo: Float[HostArray, "3"]
+
+    def counted_from(self, origin: geometry.Origin) -> geometry.Mesh:
+        """The mesh with its coordinates counted from `origin`, which single precision can then hold."""
+        return geometry.Mesh(self.vertices - np.asarray(origin), *self[1:])
+
+    @property
+    def bounds(self) -> Float[HostArray, "2 3"]:
+        """Least and greatest coordinates of the vertices that faces use, (2, 3), in double precision."""
+        used = self.vertices[np.unique(self.faces)]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+
 def build_mesh(config: MeshConfig) -> geometry.Mesh:
-    """One mesh, placed in the scene.
+    """One mesh, placed in the world.
 
     **Raises** `ValueError` if its file cannot be used, its options are not valid, or it reaches too far.
     """
-    if config.builtin is not None:
-        mesh = geometry.library_mesh(config.builtin, **config.options)
-    else:
-        mesh = io.load_mesh(config.path, config.crease_angle if config.normals == "creases" else None)
-    if config.size is not None:
-        mesh = geometry.fit_to_size(mesh, config.size)
-    if config.drop_to_ground:
-        mesh = geometry.drop_to_ground(mesh)
-    mesh = geometry.Mesh(mesh.vertices, mesh.faces, mesh.corner_normals, config.albedo)
-    return _placed(mesh, config.scale, config.rotate, config.translate)
+    return place_mesh(config).counted_from(geometry.WORLD)
+
+
+def place_mesh(config: MeshConfig) -> Placed:
+    """`build_mesh` in double precision."""
+    # In NumPy: nothing is compiled.
+    with jax.enable_x64(True):
+        if config.builtin is not None:
+            mesh = geometry.library_mesh(config.builtin, **config.options)
+        else:
+            mesh = io.load_mesh(config.path, config.crease_angle if config.normals == "creases" else None)
+        if config.size is not None:
+            mesh = geometry.fit_to_size(mesh, config.size)
+        if config.drop_to_ground:
+            mesh = geometry.drop_to_ground(mesh)
+        return _placed(mesh, config.scale, config.rotate, config.translate, config.albedo)
 
 
 class Stage(NamedTuple):
     """What cameras and lights are placed relative to: all points (n, 3), the casters' points (m, 3), and the first
-    mesh's centre and radius."""
+    mesh's centre and radius. All are counted from `origin`, a point of the world."""
 
     points: Float[HostArray, "n 3"]
     casters: Float[HostArray, "m 3"]
     middle: Float[HostArray, "3"]
     radius: float
+    origin: geometry.Origin
+
+    def place(self, point: Triple) -> Float[HostArray, "3"]:
+        """A `point` of the world, in double precision."""
+        return np.asarray(point, np.float64) - np.asarray(self.origin)
 
     def around(self, azimuth: float, elevation: float, distance: float) -> Vec3:
         """The point at `distance` radii from the centre, in the direction given by angles in degrees."""
         return geometry.orbit_eye(as_float(self.middle), distance * self.radius, azimuth, elevation)
 
 
-def stage_of(whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh) -> Stage:
+def stage_of(
+    whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh, origin: geometry.Origin = geometry.WORLD
+) -> Stage:
     used = lambda mesh: np.asarray(mesh.vertices)[np.unique(mesh.faces)]
     corners = used(first)
     middle = np.asarray(first.bounds).mean(axis=0)
     radius = float(np.linalg.norm(corners - middle, axis=-1).max())
-    return Stage(used(whole), used(casters), middle, radius)
+    return Stage(used(whole), used(casters), middle, radius, origin)
 
 
-def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple) -> geometry.Mesh:
+def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple, albedo: Triple) -> Placed:
     """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
 
     It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
@@ -91,14 +125,15 @@ def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple
         )
     normals = np.asarray(mesh.corner_normals, np.float64) @ turn.T
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return geometry.Mesh(vertices, mesh.faces, normals / np.where(length > 0, length, 1), mesh.albedo)
+    normals = (normals / np.where(length > 0, length, 1)).astype(np.float32)
+    return Placed(vertices, mesh.faces, normals, np.asarray(albedo))
 
 
 def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: Stage) -> geometry.AbstractCamera:
     single = lambda point: np.asarray(point, np.float32)
-    target = single(stage.middle if config.target is None else config.target)
+    target = single(stage.middle if config.target is None else stage.place(config.target))
     if config.eye is not None:
-        eye = single(config.eye)
+        eye = single(stage.place(config.eye))
     else:
         assert config.orbit is not None
         eye = single(stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance))
@@ -148,7 +183,7 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
         return _directional(config, stage)
     points = as_float(stage.points)
     if config.position is not None:
-        position = as_float(config.position)
+        position = as_float(stage.place(config.position))
     else:
         assert config.orbit is not None
         position = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
@@ -159,7 +194,7 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
             tight = geometry.SpotLight.around(
                 position,
                 points,
-                target=_vector(config.target),
+                target=_target(config, stage),
                 outer_angle=config.outer_angle,
                 radius=config.radius,
                 inner_angle=config.inner_angle,
@@ -170,7 +205,7 @@ def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
                 position,
                 points,
                 as_float(config.size),
-                target=_vector(config.target),
+                target=_target(config, stage),
                 outer_angle=config.outer_angle,
                 up=as_float(config.up),
             )
@@ -211,7 +246,8 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
     rows = np.stack([right, np.cross(backward, right), backward])
     low = np.array([camera.left, camera.bottom, -camera.far])
     high = np.array([camera.right, camera.top, -camera.near])
-    seen = (stage.points - np.asarray(camera.position)) @ rows.T
+    position = stage.place(camera.position)
+    seen = (stage.points - position) @ rows.T
     least, most = seen.min(axis=0), seen.max(axis=0)
     for sides, k, sign in (("left and right", 0, 1), ("bottom and top", 1, 1), ("near and far", 2, -1)):
         if least[k] > high[k] or most[k] < low[k]:
@@ -221,11 +257,11 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
                 f"scene lies from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an overlap: "
                 "change them, or the position"
             )
-    center = np.asarray(camera.position) + (low + high)[:2] / 2 @ rows[:2]
+    center = position + (low + high)[:2] / 2 @ rows[:2]
     return geometry.DirectionalLight(
         direction, center, (high - low)[:2], camera.near, camera.far, angular_radius, jnp.asarray(up, float)
     )
 
 
-def _vector(value: tuple[float, float, float] | None) -> Vec3 | None:
-    return None if value is None else as_float(value)
+def _target(config: SpotLightConfig | RectangleLightConfig, stage: Stage) -> Vec3 | None:
+    return None if config.target is None else as_float(stage.place(config.target))

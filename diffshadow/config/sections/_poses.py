@@ -43,6 +43,12 @@ class Pose(NamedTuple):
         return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
 
     @property
+    def axis(self) -> int | None:
+        """The axis that it is a coordinate along; none for an angle or a size."""
+        last = self.path.rpartition(".")[2]
+        return _AXES.index(last) if self.unit == _WORLD and last in _AXES else None
+
+    @property
     def is_size(self) -> bool:
         """Whether it is a light's radius."""
         return self.path.endswith(".radius")

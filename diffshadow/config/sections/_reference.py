@@ -1,6 +1,6 @@
 """Sections of the reference."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
@@ -15,12 +15,19 @@ class TracedReferenceConfig(Section):
         default=64, ge=1, le=65536, description="shadow rays per pixel"
     )
     sampler: Literal["sobol", "stratified"] = Field(default="sobol", description="how points of the light are chosen")
+    blockers: Literal["casters", "all"] = Field(
+        default="casters", description="meshes that block rays: those that cast, or all, also with casts: false"
+    )
     supersampling: Annotated[int, Unit("camera rays per pixel side")] = Field(
         default=1,
         ge=1,
         le=8,
         description="camera rays along a pixel's side: 4 averages 4 x 4 per pixel; recommended for fits of poses",
     )
+
+    def how(self, seed: int) -> dict[str, Any]:
+        """The arguments of `reference.trace_visibility` besides the scene."""
+        return {**self.model_dump(exclude={"type"}), "seed": seed}
 
 
 class ImageReferenceConfig(Section):

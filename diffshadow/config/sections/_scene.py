@@ -74,7 +74,7 @@ class MeshConfig(Section):
     albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each component in [0, 1]")
     casts: bool = Field(
         default=True,
-        description="whether it casts shadows with the technique, or only receives them; in the reference all cast",
+        description="whether it casts shadows, or only receives them; reference.blockers can let it block rays",
     )
     receives: bool = Field(
         default=True, description="whether an engine shows shadows on it; pixels of others count in no error"

@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 
-from ...geometry import AbstractLight
+from ...geometry import WORLD, AbstractLight, Origin
 from ._babylon import BabylonJs
 from ._light import EngineLight, plain
 from ._three import ThreeJs
 
 
 def engine_code(
-    settings: ThreeJs | BabylonJs, light: AbstractLight | EngineLight, distances: tuple[float, float]
+    settings: ThreeJs | BabylonJs,
+    light: AbstractLight | EngineLight,
+    distances: tuple[float, float],
+    origin: Origin = WORLD,
 ) -> str:
     """JavaScript that sets `settings` for `light`, with comments on where they hold.
 
@@ -17,27 +20,28 @@ def engine_code(
 
     - `light`: of this library, or as the engine has it.
     - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
+    - `origin`: of the light's scene: the world point that the light's coordinates are counted from.
 
     **Raises** what `EngineLight.of` raises.
     """
     given = light if isinstance(light, EngineLight) else EngineLight.of(light, settings.resolution)
     if isinstance(settings, ThreeJs):
-        lines = _three_js(settings, given, distances)
+        lines = _three_js(settings, given, distances, origin)
     else:
-        lines = _babylon_js(settings, given, distances)
+        lines = _babylon_js(settings, given, distances, origin)
     return "\n".join([*lines, ""])
 
 
-def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, float]) -> list[str]:
+def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, float], origin: Origin) -> list[str]:
     height, width = settings.resolution
     bias, normal_bias = float(settings.bias), float(settings.normal_bias)
     lines = [
         "renderer.shadowMap.enabled = true;",
         f"renderer.shadowMap.type = THREE.{settings.shadow_type};",
-        f"light.position.set({', '.join(map(_text, given.position))});",
+        f"light.position.set({_place(given.position, origin)});",
     ]
     if given.target is not None:
-        lines += [f"light.target.position.set({', '.join(map(_text, given.target))});"]
+        lines += [f"light.target.position.set({_place(given.target, origin)});"]
         lines += ["light.target.updateMatrixWorld();"]
     if given.angle is not None and given.aspect is not None:
         lines += [f"light.angle = {_text(given.angle)};  // radians"]
@@ -72,7 +76,7 @@ def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, flo
     return [*_where_it_holds("three.js r187, WebGLRenderer", is_linear), *lines]
 
 
-def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float, float]) -> list[str]:
+def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float, float], origin: Origin) -> list[str]:
     is_point = given.type == "point"
     # The others' bias is a part of a range that is linear in depth.
     by_depth = settings.filter in ("PCF", "PCSS") and not is_point
@@ -84,7 +88,7 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
         amount = f"{_about(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
     arguments = str(settings.resolution[0]), "light", _flag(settings.float_maps)
     lines = [
-        *_babylon_light(given),
+        *_babylon_light(given, origin),
         f"const generator = new BABYLON.ShadowGenerator({', '.join(arguments)});",
         f"generator.bias = {_text(bias)};  // {amount}",
         f"generator.normalBias = {_text(normal_bias)};  // world units"
@@ -104,9 +108,9 @@ def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float,
     return [*_where_it_holds("Babylon.js 9.34, ShadowGenerator on WebGL2", is_linear), *lines]
 
 
-def _babylon_light(given: EngineLight) -> list[str]:
+def _babylon_light(given: EngineLight, origin: Origin) -> list[str]:
     """What places the light and its camera."""
-    lines = [f"light.position = {_vector(given.position)};"]
+    lines = [f"light.position = new BABYLON.Vector3({_place(given.position, origin)});"]
     if given.direction is not None:
         lines += [f"light.direction = {_vector(given.direction)};"]
     if given.angle is not None:
@@ -186,6 +190,13 @@ def _in_texels(light: EngineLight, length: float, width: int) -> str:
 def _about(value: float) -> str:
     """What a setting amounts to."""
     return f"{value + 0.0:.5g}"
+
+
+def _place(position: Sequence[float], origin: Origin) -> str:
+    """A world point, of which `position` has the digits of single precision when it is counted from `origin`."""
+    if origin == WORLD:
+        return ", ".join(map(_text, position))
+    return ", ".join(f"{float(_text(at)) + start:.15g}" for at, start in zip(position, origin, strict=True))
 
 
 def _text(value: float) -> str:

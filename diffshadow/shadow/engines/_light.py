@@ -48,7 +48,7 @@ class EngineLight(NamedTuple):
 
     @classmethod
     def of(cls, light: AbstractLight, resolution: Resolution) -> "EngineLight":
-        """The settings for `light` with a map of `resolution`.
+        """The settings for `light` with a map of `resolution`, in the coordinates of `light`.
 
         Numbers that the light was given stay as they are. Others have the digits that single precision leaves.
 

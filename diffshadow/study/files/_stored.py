@@ -198,7 +198,7 @@ def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
             "history_phase": io.Layout("iu", (None,)),
             "history_start": io.Layout("iu", (None,), required=False),
             "history_loss": io.Layout("f", (None,), bytes=4),
-            "history_values": io.Layout("f", (None, len(result["fitted"])), bytes=4),
+            "history_values": io.Layout("f", (None, len(result["fitted"]))),
         }
     return layouts
 

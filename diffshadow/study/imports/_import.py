@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
-from ... import io
+from ... import geometry, io
 from ...config import dump, load_config
 from ..pages import _table as table
 from ._settings import Chosen, ShadowType, Technique, choose, settings_of
@@ -57,14 +58,17 @@ def import_scene(
     chosen = choose(scene, camera, light, remarks)
     io.check_writable(folder)
     files = _file_names(chosen)
-    settings = settings_of(chosen, files, scene.engine is not None, technique, shadow_type, remarks)
+    # Far from the world's origin, files keep the shape of meshes, and the configuration their places.
+    origins = [geometry.origin_of(mesh.vertices) for mesh in chosen.meshes]
+    remarks += [f"{mesh.name} {coarse}" for mesh in chosen.meshes if (coarse := io.coarse_steps(mesh.vertices))]
+    settings = settings_of(chosen, files, origins, scene.engine is not None, technique, shadow_type, remarks)
     if technique == "three.js" and scene.engine is None:
         remarks.append("glTF has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
         remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
     (folder / _MESHES).mkdir(parents=True, exist_ok=True)
-    for mesh, of in zip(chosen.meshes, files, strict=True):
-        io.write_ply(folder / of, mesh.vertices, mesh.faces, mesh.normals)
+    for mesh, of, origin in zip(chosen.meshes, files, origins, strict=True):
+        io.write_ply(folder / of, mesh.vertices - np.asarray(origin), mesh.faces, mesh.normals)
     text = _text({"name": name, **settings}, file.name)
     with io.atomic_path(written) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ... import io
+from ... import geometry, io
 
 Technique = Literal["three.js", "shadow_map"]
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
@@ -18,6 +18,8 @@ _HALF_ANGLE = 0.5
 # Bounds of a fit, as fractions of the diagonal of the scene's box: of a bias' shift, and of a normal bias.
 _SHIFT, _OFFSET = 0.04, 0.0125
 _RADIUS = 6.0
+# More than single precision has.
+_DIGITS = 9
 _OTHER = {"front": "back", "back": "front", "double": "double"}
 
 
@@ -82,6 +84,7 @@ def _named[T: (io.SceneCamera, io.SceneLight)](
 def settings_of(
     chosen: Chosen,
     files: Sequence[str],
+    origins: Sequence[geometry.Origin],
     engine: bool,
     technique: Technique,
     shadow_type: ShadowType,
@@ -91,6 +94,7 @@ def settings_of(
 
     **Arguments:**
 
+    - `origins`: for each mesh, the world point that the coordinates in its file are counted from.
     - `engine`: whether the scene says how shadows are drawn; otherwise the technique's defaults are taken.
     """
     meshes, camera, light = chosen
@@ -100,14 +104,11 @@ def settings_of(
     shadow = light.shadow if engine else None
     settings: dict[str, Any] = {
         "scene": {
-            "meshes": [_mesh(mesh, file) for mesh, file in zip(meshes, files, strict=True)],
-            "camera": _camera(camera, middle, remarks),
-            "light": _light(light, shadow, middle, remarks),
+            "meshes": [_mesh(*each) for each in zip(meshes, files, origins, strict=True)],
+            "camera": _camera(camera, middle, diagonal, remarks),
+            "light": _light(light, shadow, middle, diagonal, remarks),
         }
     }
-    if not all(mesh.casts for mesh in meshes):
-        names = ", ".join(mesh.name for mesh in meshes if not mesh.casts)
-        remarks.append(f"castShadow = false of {names}: they cast in the traced reference all the same")
     if shadow is not None:
         settings["shadow_map"] = {"resolution": [*reversed(shadow.map_size)]}
     if technique == "three.js":
@@ -132,15 +133,17 @@ def settings_of(
     return settings
 
 
-def _mesh(mesh: io.SceneMesh, file: str) -> dict[str, Any]:
+def _mesh(mesh: io.SceneMesh, file: str, origin: geometry.Origin) -> dict[str, Any]:
     settings: dict[str, Any] = {"path": file, "normals": "file" if mesh.normals is not None else "creases"}
+    if origin != geometry.WORLD:
+        settings["translate"] = [*origin]
     if mesh.normals is None:
         settings["crease_angle"] = 0
     settings["albedo"] = _rounded(mesh.colour, 4)
     return settings | ({} if mesh.casts else {"casts": False}) | ({} if mesh.receives else {"receives": False})
 
 
-def _camera(camera: io.SceneCamera, middle: Any, remarks: list[str]) -> dict[str, Any]:
+def _camera(camera: io.SceneCamera, middle: Any, diagonal: float, remarks: list[str]) -> dict[str, Any]:
     aspect = camera.aspect
     if aspect is None:
         remarks.append(f"{camera.name}: it has no aspect ratio; its image is made square")
@@ -151,8 +154,8 @@ def _camera(camera: io.SceneCamera, middle: Any, remarks: list[str]) -> dict[str
     reach = max(float((middle - eye) @ forward), 1e-3 * float(np.abs(middle - eye).max()), camera.near or 1e-3)
     settings: dict[str, Any] = {
         "type": "orthographic" if camera.fov_y is None else "pinhole",
-        "eye": _rounded(eye),
-        "target": _rounded(eye + reach * forward),
+        "eye": _place(eye, diagonal),
+        "target": _place(eye + reach * forward, diagonal),
         "up": _rounded(camera.up),
     }
     if camera.fov_y is None:
@@ -166,7 +169,9 @@ def _camera(camera: io.SceneCamera, middle: Any, remarks: list[str]) -> dict[str
     return settings | {"resolution": [max(1, round(height)), max(1, round(width))]}
 
 
-def _light(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, remarks: list[str]) -> dict[str, Any]:
+def _light(
+    light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, diagonal: float, remarks: list[str]
+) -> dict[str, Any]:
     position = np.asarray(light.position)
     settings: dict[str, Any] = {"type": light.type}
     if light.type == "directional":
@@ -175,13 +180,13 @@ def _light(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, rem
         if shadow is not None:
             sides = dict(zip(("left", "right", "top", "bottom"), _rounded(shadow.window), strict=True))
             near, far = _rounded([shadow.near, shadow.far])
-            settings["shadow_camera"] = {"position": _rounded(position), **sides, "near": near, "far": far}
+            settings["shadow_camera"] = {"position": _place(position, diagonal), **sides, "near": near, "far": far}
     else:
-        settings["position"] = _rounded(position)
+        settings["position"] = _place(position, diagonal)
         # A whole degree of light at the middle of the scene, as of a directional one.
         radius = _rounded([math.tan(math.radians(_HALF_ANGLE)) * float(np.linalg.norm(middle - position))], 2)[0]
         if light.type == "spot":
-            settings |= _cone(light, shadow, position, middle, remarks)
+            settings |= _cone(light, shadow, position, middle, diagonal, remarks)
         settings["radius"] = radius
         size = f"its light's radius is {radius:g} world units"
         if shadow is not None:
@@ -193,7 +198,12 @@ def _light(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, rem
 
 
 def _cone(
-    light: io.SceneLight, shadow: io.SceneShadow | None, position: Any, middle: Any, remarks: list[str]
+    light: io.SceneLight,
+    shadow: io.SceneShadow | None,
+    position: Any,
+    middle: Any,
+    diagonal: float,
+    remarks: list[str],
 ) -> dict[str, Any]:
     assert light.direction is not None
     assert light.inner_angle is not None
@@ -207,7 +217,7 @@ def _cone(
     if abs(limited - light.outer_angle) > 1e-6 * limited:
         remarks.append(f"{light.name}: the shading's cone ends at the shadow camera's angle, {limited:.4g} degrees")
     settings: dict[str, Any] = {
-        "target": _rounded(position + reach * axis),
+        "target": _place(position + reach * axis, diagonal),
         "outer_angle": _rounded([limited])[0],
         "inner_angle": _rounded([min(light.inner_angle, limited)])[0],
     }
@@ -254,6 +264,13 @@ def _each(values: list[str]) -> str | list[str]:
     return values[0] if len(set(values)) == 1 else values
 
 
-def _rounded(values: Any, digits: int = 9) -> list[float]:
+def _place(point: Any, diagonal: float) -> list[float]:
+    """A point of the world to nine digits, and to more where it is more than a hundred times as far from the world's
+    origin as a scene's `diagonal` is long."""
+    beyond = float(np.abs(point).max()) / (100 * max(diagonal, np.finfo(np.float32).tiny))
+    return _rounded(point, min(_DIGITS + (math.ceil(math.log10(beyond)) if beyond > 1 else 0), 17))
+
+
+def _rounded(values: Any, digits: int = _DIGITS) -> list[float]:
     """`values` to so many digits, more than single precision has."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in values]

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import io
+from ..._checks import text_within
 from ..files._stored import StoredRun, read_run
 from ._table import ERRORS, UNITS, number, print_comparison
 
@@ -72,9 +73,10 @@ def _settings(runs: Sequence[StoredRun]) -> list[Line]:
 
 def _fitted(runs: Sequence[StoredRun]) -> list[Line]:
     values = [run.result.get("fitted", {}) for run in runs]
-    units = {name: bound["unit"] for run in runs for name, bound in run.result.get("bounds", {}).items()}
+    bounds = {name: bound for run in runs for name, bound in run.result.get("bounds", {}).items()}
+    text = lambda name, value: text_within(value, bounds[name]["lower"], bounds[name]["upper"])
     return [
-        Line(name, units.get(name, ""), [f"{each[name]:.4g}" if name in each else _NONE for each in values])
+        Line(name, bounds[name]["unit"], [text(name, each[name]) if name in each else _NONE for each in values])
         for name in dict.fromkeys(name for each in values for name in each)
     ]
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ... import shadow
+from ..._checks import text_within
 from ..._types import HostArray, Scalar
 from .. import style
 from ..files._stored import LightImages, StoredRun
@@ -292,7 +293,8 @@ def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Fi
         for value in known_truth:
             one.axhline(value, color=style.GREEN, linewidth=1.4, linestyle=":", zorder=1)
         _show_bounds(one, [*values.tolist(), final, *known_truth], bounds["lower"], bounds["upper"])
-        style.heading(one, f"{name} = {final:.4g}", above=16 if i < columns else 4)
+        value = text_within(final, bounds["lower"], bounds["upper"])
+        style.heading(one, f"{name} = {value}", above=16 if i < columns else 4)
     for one in axes[len(names) :]:
         one.axis("off")
     return figure

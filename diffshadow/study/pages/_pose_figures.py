@@ -29,17 +29,15 @@ def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) 
     """
     arrangement = result.arrangement
     assert arrangement is not None
-    steps = np.asarray([result.initial[p.name] for p in plan.parameters]), *_steps_of_best(result)
-    values = np.stack([*steps, np.asarray([result.fitted[p.name] for p in plan.parameters])])
-    names = tuple(p.where for p in plan.parameters)
-    tracks = {
-        key: np.stack([np.asarray(at) for at in _places(arrangement, names, values, key, scene)])
-        for key in _movers(names)
-    }
+    listed = lambda values: np.asarray([values[p.name] for p in plan.parameters])
+    values = np.stack([listed(result.initial), *_steps_of_best(result), listed(result.fitted)])
+    offsets, names = np.asarray([p.offset for p in plan.parameters]), tuple(p.where for p in plan.parameters)
+    places = lambda values, key: np.stack(_places(arrangement, names, values - offsets, key, scene))
+    tracks = {key: places(values, key) for key in _movers(names)}
     truth = {}
     if plan.truth:
-        known = [plan.truth.get(p.name, result.fitted[p.name]) for p in plan.parameters]
-        truth = {key: np.asarray(_places(arrangement, names, np.asarray([known]), key, scene)[0]) for key in tracks}
+        known = listed({**result.fitted, **plan.truth})[None]
+        truth = {key: places(known, key)[0] for key in tracks}
     figure, axes = style.figure(9.6, 4.6, 1, 2)
     for each, (across, up), title in zip(axes, ((0, 2), (0, 1)), ("From above", "From the side"), strict=True):
         _scene(each, scene.meshes, across, up)
@@ -49,7 +47,7 @@ def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) 
             # Seen from above with +x to the right, +z points down.
             each.invert_yaxis()
         each.set_aspect("equal")
-        style.chart(each, "x [world units]", f"{'xyz'[up]} [world units]")
+        style.chart(each, *(f"{'xyz'[axis]}{_from(scene.origin[axis])} [world units]" for axis in (across, up)))
         style.title(each, title)
     handles, labels = axes[0].get_legend_handles_labels()
     named = dict(zip(labels, handles, strict=True))
@@ -72,8 +70,8 @@ def _movers(names: Sequence[str]) -> list[str]:
 
 def _places(
     arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, scene: Scene
-) -> list[Float[Any, "3"]]:
-    """The position of the light or mesh `key` for each of `values` (n, p)."""
+) -> list[Float[HostArray, "3"]]:
+    """The position of the light or mesh `key` for each of `values` (n, p), counted from the scene's origin."""
     kind, index = key.split(".")
     everything = scene.mesh.bounds
     middle, reach = everything.mean(axis=0), jnp.linalg.norm(everything[1] - everything[0]) / 2
@@ -89,7 +87,7 @@ def _places(
             return middle + reach * scene.lights[int(index)].at(pose).towards(middle[None])[0]
         return pose.place
 
-    return [place(jnp.asarray(each, jnp.float32)) for each in values]
+    return [np.asarray(place(jnp.asarray(each, jnp.float32))) for each in values]
 
 
 def _scene(axes: Axes, meshes: Sequence[Mesh], across: int, up: int) -> None:
@@ -112,6 +110,11 @@ def _track(axes: Axes, track: Track, truth: HostArray | None, across: int, up: i
         cross: dict[str, Any] = {"color": style.INK, "marker": "+", "linestyle": "none"}
         axes.plot(truth[across], truth[up], markersize=13, markeredgewidth=1.6, label="truth", **cross)
     axes.margins(_MARGIN)
+
+
+def _from(origin: float) -> str:
+    """What a coordinate is counted from, as a part of an axis' label."""
+    return f" {'-' if origin > 0 else '+'} {abs(origin):.15g}" if origin else ""
 
 
 def _label(key: str) -> str:

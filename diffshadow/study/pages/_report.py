@@ -1,11 +1,12 @@
 """The report of a fit or a render: one self-contained page."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..._checks import text_within
 from ..files._stored import REPORT, LightImages, StoredRun
 from ._table import ERRORS, LIGHT_ERRORS, UNITS, interval_text, noise_text, number, within_text
 
@@ -98,20 +99,24 @@ def _fitted(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Each parameter before and after the fit; for poses also the truth and the standard deviation."""
     poses = result.get("poses") or {}
     truth, deviations = poses.get("truth", {}), (poses.get("precision") or {}).get("deviations", {})
-    return [
-        {
-            "name": name,
-            "initial": f"{result['initial'][name]:.4g}",
-            "fitted": f"{value:.5g}" if truth else f"{value:.4g}",
-            "deviation": "" if deviations.get(name) is None else f"± {deviations[name]:.1g}",
-            "truth": "" if truth.get(name) is None else f"{truth[name]:.5g}",
-            "unit": result["bounds"][name]["unit"],
-            **_sureness(result.get("profiles", {}).get(name)),
-            "lower": f"{result['bounds'][name]['lower']:g}",
-            "upper": f"{result['bounds'][name]['upper']:g}",
-        }
-        for name, value in result["fitted"].items()
-    ]
+    rows = []
+    for name, value in result["fitted"].items():
+        bounds = result["bounds"][name]
+        lower, upper = bounds["lower"], bounds["upper"]
+        rows.append(
+            {
+                "name": name,
+                "initial": text_within(result["initial"][name], lower, upper),
+                "fitted": text_within(value, lower, upper, 5 if truth else 4),
+                "deviation": "" if deviations.get(name) is None else f"± {deviations[name]:.1g}",
+                "truth": "" if truth.get(name) is None else text_within(truth[name], lower, upper, 5),
+                "unit": bounds["unit"],
+                **_sureness(result.get("profiles", {}).get(name)),
+                "lower": text_within(lower, lower, upper, 6),
+                "upper": text_within(upper, lower, upper, 6),
+            }
+        )
+    return rows
 
 
 def _front(result: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -243,6 +248,7 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
 
 
 def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    numbers = _numbers_of(result)
     return [
         {
             "compare": _compare(phase),
@@ -250,12 +256,18 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
             "steps": phase["steps"],
             "error": number("rmse", None if phase["hard_loss"] is None else phase["hard_loss"] ** 0.5),
             "gradient": "–" if phase["gradient_norm"] is None else f"{phase['gradient_norm']:.2g}",
-            "numbers": [f"{value:.4g}" for value in phase["values"].values()],
+            "numbers": numbers(phase["values"]),
             "ended": phase["result"],
             "chosen": i == result["solver"]["chosen_phase"],
         }
         for i, phase in enumerate(result["solver"]["phases"])
     ]
+
+
+def _numbers_of(result: Mapping[str, Any]) -> Callable[[Mapping[str, float]], list[str]]:
+    """Texts of values of the parameters, by name."""
+    ends = {name: (bounds["lower"], bounds["upper"]) for name, bounds in result["bounds"].items()}
+    return lambda values: [text_within(value, *ends[name]) for name, value in values.items()]
 
 
 def _compare(phase: Mapping[str, Any]) -> str:
@@ -266,9 +278,9 @@ def _compare(phase: Mapping[str, Any]) -> str:
 
 def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The initial values and the final error of each of several starts, best first."""
-    starts = (result.get("poses") or {}).get("starts") or []
+    starts, numbers = (result.get("poses") or {}).get("starts") or [], _numbers_of(result)
     return [
-        {"error": number("rmse", start["loss"] ** 0.5), "numbers": [f"{v:.4g}" for v in start["initial"].values()]}
+        {"error": number("rmse", start["loss"] ** 0.5), "numbers": numbers(start["initial"])}
         for start in sorted(starts, key=lambda start: start["loss"])
     ]
 

@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from ..._checks import text_within
 from ...config import printable
 from ...fit import FrontPoint, Parameter, Profile
 from ...shadow import EngineSetting
@@ -67,7 +68,8 @@ def print_fit(
     for column in table.columns[1:3]:
         column.justify = "right"
     for p in parameters:
-        table.add_row(words(p.name), f"{p.initial:.4g}", f"{fitted[p.name]:.4g}", p.unit)
+        cells = (text_within(value, p.lower, p.upper) for value in (p.initial, fitted[p.name]))
+        table.add_row(words(p.name), *cells, p.unit)
     table.add_section()
     _add_errors(table, before, after)
     console.print(table)

@@ -7,7 +7,7 @@ from jaxtyping import Float32
 
 from ..._types import HostArray, VectorMap
 from ...config import Config, DirectionalLightConfig, LightConfig
-from ...geometry import AbstractLight, DirectionalLight, PointLight
+from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight
 from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
 from ._setup import Drawn
 
@@ -20,10 +20,14 @@ def code_of(technique: FittableTechnique, config: Config, drawn: Sequence[Drawn]
     if not isinstance(technique, ThreeJs | BabylonJs):
         return {}
     sections = config.scene.each_light.values()
-    return {
-        each.key: engine_code(technique, _as_given(section, each.scene.light), _distances(each))
-        for section, each in zip(sections, drawn, strict=True)
-    }
+    return {each.key: _code(technique, section, each) for section, each in zip(sections, drawn, strict=True)}
+
+
+def _code(technique: ThreeJs | BabylonJs, section: LightConfig, drawn: Drawn) -> str:
+    light = _as_given(section, drawn.scene.light)
+    # What the section gives is in world coordinates.
+    origin = WORLD if isinstance(light, EngineLight) else drawn.scene.origin
+    return engine_code(technique, light, _distances(drawn), origin)
 
 
 def _as_given(section: LightConfig, light: AbstractLight) -> AbstractLight | EngineLight:

@@ -170,9 +170,9 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):
-        paths, start = [p.where for p in plan.parameters], as_float(list(result.initial.values()))
+        start = list(result.initial.values())
         if result.arrangement is None:
-            techniques = fit.with_values(result.technique, paths, start), result.technique
+            techniques = fit.with_parameters(result.technique, plan.parameters, start), result.technique
             laid_out = [*result.problems, *problems[views.seen :]]
             seen_before, seen_after = (_seen_with(technique, laid_out, drawn) for technique in techniques)
             seen = seen_before, seen_after
@@ -181,7 +181,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
                 for technique, shown in zip(techniques, seen, strict=True)
             )
         else:
-            subjects = fit.with_values(result.arrangement, paths, start), result.arrangement
+            subjects = fit.with_parameters(result.arrangement, plan.parameters, start), result.arrangement
             (before, *seen_before), (after, *seen_after) = (
                 poses.images_at(result.problems, drawn, s) for s in subjects
             )
@@ -287,7 +287,7 @@ def _arrays(fitted: FittedRun) -> dict[str, Any]:
         "history_step": np.asarray([step.step for step in history], np.int32),
         "history_width": np.asarray([step.width for step in history], np.float32),
         "history_loss": np.asarray([step.loss for step in history], np.float32),
-        "history_values": np.asarray([step.values for step in history], np.float32),
+        "history_values": np.asarray([step.values for step in history], np.float64),
     }
 
 

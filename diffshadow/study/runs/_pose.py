@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ... import fit
+from ..._checks import text_within
 from ..._types import HostArray
 from ...config import Config, FitPlan, build_shadow_mapping
 from ...geometry import Scene
@@ -99,10 +100,11 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     deviations: Mapping[str, float] = {} if result.precision is None else result.precision.deviations
     text = lambda value, form: "" if value is None else format(value, form)
     for p in plan.parameters:
+        truth = plan.truth.get(p.name)
         table.add_row(
             words(p.name),
-            text(plan.truth.get(p.name), ".5g"),
-            f"{result.fitted[p.name]:.5g}",
+            "" if truth is None else text_within(truth, p.lower, p.upper, 5),
+            text_within(result.fitted[p.name], p.lower, p.upper, 5),
             text(errors.get(p.name), "+.2g"),
             text(deviations.get(p.name), ".2g"),
         )

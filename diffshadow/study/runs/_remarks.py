@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from ..._checks import text_within
 from ...config import Config
 from ...fit import FitResult, Outcome, Parameter
 from ._pose import pose_remarks
@@ -100,5 +101,6 @@ def _on_bound(parameter: Parameter, value: float) -> list[str]:
         if abs(value - bound) <= reach:
             # These numbers cannot be less than 0.
             mend = "" if bound == 0 and name == "lower" else ": the best value may lie beyond it, so widen the bounds"
-            return [f"{parameter.name} ended on its {name} bound, {bound:g} {parameter.unit}{mend}"]
+            text = text_within(bound, parameter.lower, parameter.upper, 6)
+            return [f"{parameter.name} ended on its {name} bound, {text} {parameter.unit}{mend}"]
     return []

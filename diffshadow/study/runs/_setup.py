@@ -179,14 +179,14 @@ def _reference(
 def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
     traced = config.reference
     assert isinstance(traced, TracedReferenceConfig)
-    how = traced.samples, traced.sampler, config.seed
+    how = traced.how(config.seed)
 
     def trace() -> dict[str, HostArray]:
         show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
-        found = reference.trace_visibility(scene, *how, progress=show, supersampling=traced.supersampling)
+        found = reference.trace_visibility(scene, **how, progress=show)
         return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 
-    arrays = io.cached_arrays(reference.cache_key(scene, *how, traced.supersampling), trace)
+    arrays = io.cached_arrays(reference.cache_key(scene, **how), trace)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

@@ -1,5 +1,7 @@
 """Error messages for a camera or a light that sees nothing, with the likely cause."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -51,7 +53,7 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
     light, points = scene.light, np.asarray(surface.position)[np.asarray(surface.mask)]
     cause, mend = _most_are(config, scene, points)
     position = getattr(light, "position", None)
-    inside = None if position is None else _mesh_around(config, scene, np.asarray(position, np.float64))
+    inside = None if position is None else _mesh_around(config, scene, np.asarray(position, np.float64), scene.casts)
     if inside is not None:
         cause, mend = f"{cause}, and it is inside {inside}", f"move it out of that mesh, {mend}"
     view = light.view()
@@ -96,12 +98,20 @@ def _has_no_depths(view: geometry.View) -> bool:
     return far - near < _LEAST_RATIO * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_RATIO * far)
 
 
-def _mesh_around(config: Config, scene: geometry.Scene, point: Float[HostArray, "3"]) -> str | None:
-    """The key of the first mesh that contains `point`."""
+def _mesh_around(
+    config: Config, scene: geometry.Scene, point: Float[HostArray, "3"], among: Sequence[bool] | None = None
+) -> str | None:
+    """The key of the first mesh that contains `point`, of all or of those that are `among` them."""
     for i, mesh in enumerate(scene.meshes):
-        if abs(_winding_number(mesh, point)) > _INSIDE:
+        if (among is None or among[i]) and is_inside(mesh, point):
             return f"scene.meshes.{i} ({config.scene.meshes[i].path})"
     return None
+
+
+def is_inside(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> bool:
+    """Whether `point` is inside the mesh."""
+    low, high = np.asarray(mesh.bounds, np.float64)
+    return bool(((low <= point) & (point <= high)).all()) and abs(_winding_number(mesh, point)) > _INSIDE
 
 
 def _winding_number(mesh: geometry.Mesh, point: Float[HostArray, "3"]) -> float:

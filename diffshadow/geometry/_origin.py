@@ -1,0 +1,65 @@
+"""The origin of a scene: the world point that its coordinates are counted from.
+
+Single precision has seven digits. Of a scene far from the world's origin, as of a city in its country's coordinates,
+they go to the distance, and none is left for the shadows. Such a scene has an origin of its own: it is subtracted from
+all meshes, cameras and lights once, in double precision.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .._types import HostArray
+
+Origin = tuple[float, float, float]
+
+WORLD: Origin = (0.0, 0.0, 0.0)
+"""The world's own origin."""
+
+# A scene no more than this many of its sizes from the world's origin is counted from there: rounding is at most a
+# millionth of its size.
+_NEAR = 16.0
+# Steps of coordinates larger than this part of an extent are seen in its shadows.
+_COARSE = 2e-4
+
+
+class PrecisionWarning(UserWarning):
+    """Coordinates are too far from the origin for single precision."""
+
+
+def origin_of(points: Any) -> Origin:
+    """The world point that the coordinates of `points` should be counted from.
+
+    **Arguments:**
+
+    - `points`: (n, 3), world units, in NumPy and in double precision: the vertices of all meshes of a scene.
+
+    **Returns:** (0, 0, 0), unless the points lie more than 16 of their sizes from there. Otherwise the middle of their
+    box, rounded to whole steps that are powers of two and no smaller than the box, so that round numbers stay round.
+    """
+    points = np.asarray(points, np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, size = (low + high) / 2, float((high - low).max())
+    if not np.abs(middle).max() > _NEAR * size:
+        return WORLD
+    step = 2.0 ** np.ceil(np.log2(max(size, np.finfo(np.float32).tiny)))
+    x, y, z = (np.round(middle / step) * step + 0.0).tolist()
+    return x, y, z
+
+
+def step_of(low: HostArray, high: HostArray) -> float:
+    """The step between coordinates in single precision at the farther of the corners `low` and `high` (3,) of a box,
+    world units; 0 if it is small beside the box, or the box is a point."""
+    size = float((high - low).max())
+    step = float(np.spacing(np.float32(max(np.abs(low).max(), np.abs(high).max()))))
+    return step if step > _COARSE * size > 0 else 0.0
+
+
+def as_origin(given: Sequence[float | int]) -> Origin:
+    """**Raises** `ValueError` unless `given` is three finite numbers."""
+    values = np.asarray(given, np.float64)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise ValueError(f"the scene's origin is {given!r}; expected three finite world coordinates x, y and z")
+    x, y, z = values.tolist()
+    return x, y, z
