@@ -5,8 +5,16 @@ class FileError(ValueError):
     """A file or folder cannot be read or written, or does not hold what was expected."""
 
 
-class MeshWarning(UserWarning):
+class FileWarning(UserWarning):
+    """A file was read, but not all of it, or not as it says."""
+
+
+class MeshWarning(FileWarning):
     """A mesh file holds something besides triangles, which was left out."""
+
+
+class ImageWarning(FileWarning):
+    """An image file says something of its pixels that is not obeyed, or holds more than was read."""
 
 
 class MeshError(Exception):
