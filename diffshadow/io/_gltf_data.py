@@ -38,7 +38,8 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise MeshError(f"is of glTF version {version}, which cannot be read; convert it to glTF 2.0")
-    if length > len(data):
+    # Some writers fill up the last block of bytes.
+    if length > len(data) or data[length:].strip(b"\0 "):
         raise damaged(f"it has {len(data)} bytes; expected {length}")
     found: dict[int, bytes] = {}
     at = 12
@@ -50,7 +51,8 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
         at += 8 + size
     if _JSON not in found:
         raise damaged("it has no chunk of JSON")
-    return found[_JSON], found.get(_BINARY)
+    # Some writers fill up the text with zeros in place of spaces.
+    return found[_JSON].rstrip(b"\0"), found.get(_BINARY)
 
 
 def item[T](items: Sequence[T], index: int, what: str) -> T:

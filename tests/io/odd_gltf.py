@@ -57,9 +57,9 @@ class Builder:
         buffers = [{"byteLength": len(self.bytes), "uri": uri}, *self.more_buffers]
         return json.dumps({**self.tree, "buffers": buffers}).encode()
 
-    def binary(self) -> bytes:
+    def binary(self, filling: bytes = b" ") -> bytes:
         text = json.dumps({**self.tree, "buffers": [{"byteLength": len(self.bytes)}]}).encode()
-        text += b" " * (-len(text) % 4)
+        text += filling * (4 + -len(text) % 4)
         body = self.bytes + bytes(-len(self.bytes) % 4)
         chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
         # Chunks of other kinds may follow.
@@ -210,6 +210,8 @@ LEFT_OUT = {
 FILES = {
     **{f"{name}.gltf": one(builder.text()) for name, builder in BUILT.items()},
     "list.glb": one(BUILT["list"].binary()),
+    "filled_up.glb": one(BUILT["list"].binary() + bytes(8)),
+    "text_filled_up_with_zeros.glb": one(BUILT["list"].binary(b"\0")),
     "draco_beside_plain.gltf": twice(one(built(draco_beside_plain).text())),
     **{f"{name}.gltf": one(builder.text(), said) for name, (builder, said) in LEFT_OUT.items()},
     "latin_1.gltf": one(BUILT["list"].text().replace(b'"asset"', b'"extras": "J\xfcrgen", "asset"')),
@@ -312,5 +314,6 @@ REFUSED = {
     "array.gltf": (b"[]", "Input should be a valid dictionary"),
     "old.glb": (b"glTF" + struct.pack("<II", 1, 12), "of glTF version 1"),
     "cut.glb": (BUILT["list"].binary()[:-10], "expected"),
+    "longer.glb": (BUILT["list"].binary() + b"more", r"has \d+ bytes; expected \d+"),
     "no_json_chunk.glb": (b"glTF" + struct.pack("<II", 2, 12), "no chunk of JSON"),
 }
