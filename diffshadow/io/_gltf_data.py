@@ -5,7 +5,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sectio
 
 import base64
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 from urllib.parse import unquote, unquote_to_bytes
@@ -21,7 +21,8 @@ from ._text import excerpt, listed
 _MAGIC = b"glTF"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3}
+Form = Literal["SCALAR", "VEC3", "VEC4"]
+_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 # A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
 _MOST_ZEROS = 2**24
 
@@ -75,7 +76,7 @@ class Buffers:
         self._binary = binary
         self._loaded: dict[int, bytes] = {}
 
-    def values(self, index: int, form: Literal["SCALAR", "VEC3"]) -> Shaped[HostArray, "n width"]:
+    def values(self, index: int, form: Form) -> Shaped[HostArray, "n width"]:
         """The accessor's n rows. Normalized integers are mapped to [-1, 1] or [0, 1].
 
         **Raises** `MeshError` if they cannot be read, and `NoDataError` if an extension provides them.

@@ -16,6 +16,8 @@ from ._errors import MeshError
 _EXACT, _TOUCHING = 1e-9, 1e-4
 # A face is flat if its corners are this close to its plane, as a fraction of its extent.
 _FLAT = 1e-3
+# Beyond this, the vertices of instances fill gigabytes.
+_MOST_REPEATED = 1 << 26
 
 
 class Polygons(NamedTuple):
@@ -107,7 +109,32 @@ def strip_triangles(strip: Int[HostArray, " n"]) -> Int[HostArray, "t 3"]:
     return triangles
 
 
-def placed(
+def repeated(
+    points: Float[HostArray, "v 3"],
+    triangles: Int[HostArray, "t 3"],
+    normals: Float[HostArray, "v 3"] | None,
+    to_world: Float[HostArray, "n 4 4"],
+) -> tuple[Float[HostArray, "v2 3"], Int[HostArray, "t2 3"], Float[HostArray, "v2 3"] | None]:
+    """Vertices, triangles and normals in world space, once for each matrix; a mirror reverses the winding.
+
+    **Raises** `MeshError` for more triangles or vertices than memory has room for.
+    """
+    if len(to_world) * max(len(points), len(triangles)) > _MOST_REPEATED:
+        raise MeshError(
+            f"has {len(to_world):,} instances of {len(triangles):,} triangles; expected at most {_MOST_REPEATED:,} "
+            "triangles: leave some out"
+        )
+    vertices, faces, turned = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros((0, 3))]
+    for number, matrix in enumerate(to_world):
+        there, corners, of_vertices = _placed(points, triangles, normals, matrix)
+        vertices.append(there)
+        faces.append(corners + number * len(points))
+        if of_vertices is not None:
+            turned.append(of_vertices)
+    return np.concatenate(vertices), np.concatenate(faces), None if normals is None else np.concatenate(turned)
+
+
+def _placed(
     points: Float[HostArray, "v 3"],
     triangles: Int[HostArray, "t 3"],
     normals: Float[HostArray, "v 3"] | None,
