@@ -2887,16 +2887,16 @@ _IO = (
     _fault(
         "scenes: a mirrored mesh keeps its winding",
         "io/_polygons.py",
-        "return vertices, triangles[:, ::-1], None if normals is None else -normals",
-        "return vertices, triangles, None if normals is None else -normals",
+        "np.where(is_mirrored, triangles[:, ::-1], triangles)",
+        "np.where(is_mirrored, triangles, triangles)",
         "test_scene_files.py",
         "test_odd_meshes.py",
     ),
     _fault(
         "scenes: normals turn as vertices do",
         "io/_polygons.py",
-        "normals = normals @ np.stack([np.cross(linear[:, i - 2], linear[:, i - 1]) for i in range(3)])",
-        "normals = normals @ linear.T",
+        "turned = normals @ np.stack([np.cross(linear[:, :, i - 2], linear[:, :, i - 1]) for i in range(3)], axis=1)",
+        "turned = normals @ linear.swapaxes(1, 2)",
         "test_scene_files.py",
     ),
     _fault(
