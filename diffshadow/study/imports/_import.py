@@ -101,7 +101,7 @@ def _write(folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh
     **Raises** `FileError` if that is not possible.
     """
     io.check_writable(folder / _MESHES)
-    made = [level for level in (folder, *folder.parents) if not level.exists()]
+    made = [level for level in (folder / _MESHES, folder, *folder.parents) if not level.exists()]
     draft = folder / f".{name}-{secrets.token_hex(6)}"
     try:
         (draft / _MESHES).mkdir(parents=True)
@@ -117,8 +117,8 @@ def _write(folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if not (folder / name).exists():
-            with contextlib.suppress(OSError):
-                for level in (folder / _MESHES, *made):
+            for level in made:
+                with contextlib.suppress(OSError):
                     level.rmdir()
 
 
