@@ -34,7 +34,7 @@ IMPORTED_BY = {
 PURE = {*COMMON, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {
     *("pathlib", "os", "shutil", "tempfile", "logging", "yaml", "pydantic", "matplotlib", "rich"),
-    *("cyclopts", "imageio", "OpenEXR", "jinja2"),
+    *("cyclopts", "PIL", "OpenEXR", "jinja2"),
 }
 # The reference traces on all cores, and asks the system for their number.
 EXCEPTIONS = {("reference", "os")}

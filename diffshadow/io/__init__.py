@@ -14,6 +14,8 @@ from ._cache import keep_compiled_programs as keep_compiled_programs
 from ._cache import programs_folder as programs_folder
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError as FileError
+from ._errors import FileWarning as FileWarning
+from ._errors import ImageWarning as ImageWarning
 from ._errors import MeshWarning as MeshWarning
 from ._images import read_visibility as read_visibility
 from ._images import write_png as write_png

@@ -1,12 +1,25 @@
 """Errors and warnings of file input and output."""
 
+from collections.abc import Sequence
+
+# The most names in one sentence.
+_SHOWN = 4
+
 
 class FileError(ValueError):
     """A file or folder cannot be read or written, or does not hold what was expected."""
 
 
-class MeshWarning(UserWarning):
+class FileWarning(UserWarning):
+    """A file was read, but not all of it, or not as it says."""
+
+
+class MeshWarning(FileWarning):
     """A mesh file holds something besides triangles, which was left out, or its coordinates are rounded."""
+
+
+class ImageWarning(FileWarning):
+    """An image file says something of its pixels that is not obeyed, or holds more than was read."""
 
 
 class MeshError(Exception):
@@ -14,6 +27,30 @@ class MeshError(Exception):
 
     The readers of the formats raise it; `load_mesh` puts the name in front.
     """
+
+
+class Faults:
+    """What is wrong with parts of a scene that are left out."""
+
+    def __init__(self):
+        self._names: dict[str, list[str]] = {}
+
+    def add(self, name: str, fault: MeshError) -> None:
+        """Adds the part of this name."""
+        self._names.setdefault(str(fault), []).append(name)
+
+    def remarks(self) -> list[str]:
+        """A sentence for each fault, with the names of the parts that have it."""
+        return [f"{_some(names)}: left out, since the file {fault}" for fault, names in self._names.items()]
+
+    def error(self) -> MeshError | None:
+        """The first fault; none if there is none."""
+        return next((MeshError(f"{fault} (in {names[0]})") for fault, names in self._names.items()), None)
+
+
+def _some(names: Sequence[str]) -> str:
+    rest = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {rest} others" if rest > 1 else f" and {names[-1]}" if rest == 1 else "")
 
 
 def damaged(reason: str) -> MeshError:

@@ -14,10 +14,11 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from .._types import HostArray
-from ._errors import MeshError, damaged
-from ._gltf_data import Buffers, NoDataError, chunks, item, unread
-from ._gltf_schema import DRACO, Document, Node, Primitive, parse
-from ._polygons import Polygons, placed, strip_triangles
+from ._errors import Faults, MeshError, damaged
+from ._gltf_data import Buffers, Form, NoDataError, chunks, item, unread
+from ._gltf_schema import DRACO, INSTANCES, VISIBILITY, Document, Node, Primitive, not_obeyed, parse
+from ._polygons import Polygons, repeated, strip_triangles
+from ._text import excerpt
 
 
 class _Triangles(NamedTuple):
@@ -42,6 +43,14 @@ class Part(NamedTuple):
     normals: Float[HostArray, "v 3"] | None
 
 
+class PlacedNode(NamedTuple):
+    """A node of the scene, its matrix to world space, and whether it and the nodes above it are visible."""
+
+    node: Node
+    to_world: Float[HostArray, "4 4"]
+    is_visible: bool
+
+
 # Primitive modes other than triangles: their names, and how many primitives n vertices make.
 _OTHERS = {
     0: ("point", lambda n: n),
@@ -50,7 +59,9 @@ _OTHERS = {
     3: ("line", lambda n: max(n - 1, 0)),
 }
 _LIST, _STRIP, _FAN = 4, 5, 6
-_INSTANCES = "EXT_mesh_gpu_instancing"
+HIDDEN_MESH = "hidden mesh"
+# The attributes of instances.
+_PLACEMENT: Mapping[str, Form] = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
 
 def read_gltf(data: bytes, folder: Path) -> Polygons:
@@ -82,26 +93,44 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
     )
 
 
-def parts_of(document: Document, buffers: Buffers, left_out: Counter[str]) -> Iterator[Part]:
+def parts_of(
+    document: Document, buffers: Buffers, left_out: Counter[str], faults: Faults | None = None
+) -> Iterator[Part]:
     """The triangles of a file's scene, with node transforms and morph weights applied.
 
-    What is no triangle is added to `left_out`.
+    What is hidden, no triangle, or not supported is added to `left_out`.
+
+    **Arguments:**
+
+    - `faults`: if given, a primitive that cannot be read is added there, and the others are read.
 
     **Raises** `MeshError` as `read_gltf` does.
     """
-    for node, to_world in nodes_of(document):
+    left_out["animation"] += len(document.animations)
+    left_out.update(f"extension {name}" for name in not_obeyed(document))
+    for node, to_world, is_visible in nodes_of(document):
         if node.mesh is None:
+            continue
+        if not is_visible:
+            left_out[HIDDEN_MESH] += 1
             continue
         mesh = item(document.meshes, node.mesh, "mesh")
         left_out["skin"] += node.skin is not None
-        left_out["instanced node"] += _INSTANCES in node.extensions
         for primitive in mesh.primitives:
             if primitive.mode in _OTHERS:
                 name, count = _OTHERS[primitive.mode]
                 left_out[name] += count(_count(primitive, buffers))
-                continue
-            weights = mesh.weights if node.weights is None else node.weights
-            yield Part(node, primitive, *placed(*_triangles(primitive, weights, buffers), to_world))
+            elif "POSITION" not in primitive.attributes:
+                left_out["primitive without positions"] += 1
+            else:
+                weights = mesh.weights if node.weights is None else node.weights
+                try:
+                    triangles = _triangles(primitive, weights, buffers)
+                    yield Part(node, primitive, *repeated(*triangles, to_world @ _instances(node, buffers)))
+                except MeshError as fault:
+                    if faults is None:
+                        raise
+                    faults.add(node.name or mesh.name or "mesh", fault)
 
 
 def _flat(part: Part) -> Part:
@@ -112,8 +141,8 @@ def _flat(part: Part) -> Part:
     return part._replace(vertices=corners.reshape(-1, 3), faces=faces, normals=np.repeat(normals, 3, axis=0))
 
 
-def nodes_of(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]]]:
-    """The nodes of the scene, each with its matrix to world space.
+def nodes_of(document: Document) -> Iterator[PlacedNode]:
+    """The nodes of the scene.
 
     The scene is the file's default one, otherwise its first one. In a file without scenes, all nodes are used.
     """
@@ -123,16 +152,61 @@ def nodes_of(document: Document) -> Iterator[tuple[Node, Float[HostArray, "4 4"]
         children = {child for node in document.nodes for child in node.children}
         roots = [i for i in range(len(document.nodes)) if i not in children]
     seen: set[int] = set()
-    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    waiting = [(root, np.eye(4), True) for root in reversed(roots)]
     while waiting:
-        index, parent = waiting.pop()
+        index, parent, is_visible = waiting.pop()
         node = item(document.nodes, index, "node")
         if index in seen:
             raise damaged(f"its node {index} has two parents, or is its own ancestor")
         seen.add(index)
         to_world = parent @ _matrix(node, index)
-        yield node, to_world
-        waiting += [(child, to_world) for child in reversed(node.children)]
+        is_visible = is_visible and not _is_hidden(node)
+        yield PlacedNode(node, to_world, is_visible)
+        waiting += [(child, to_world, is_visible) for child in reversed(node.children)]
+
+
+def _is_hidden(node: Node) -> bool:
+    """Whether the node itself, not one above it, is hidden. Drafts of the extension have `hidden` for `visible`."""
+    stored = node.extensions.get(VISIBILITY)
+    return isinstance(stored, Mapping) and (stored.get("visible") is False or stored.get("hidden") is True)
+
+
+def _instances(node: Node, buffers: Buffers) -> Float[HostArray, "n 4 4"]:
+    """The matrices of the instances of the node's mesh, to the node's space."""
+    stored = node.extensions.get(INSTANCES)
+    attributes = stored.get("attributes") if isinstance(stored, Mapping) else None
+    if not isinstance(attributes, Mapping) or not attributes:
+        return np.eye(4)[None]
+    columns: dict[str, HostArray] = {}
+    for name, form in _PLACEMENT.items():
+        index = attributes.get(name)
+        if index is not None:
+            if not isinstance(index, int) or index < 0:
+                raise damaged(f"the {name} of its instances is {excerpt(str(index))}; expected an accessor")
+            columns[name] = _plain_values(buffers, index, form)
+    counts = {len(rows) for rows in columns.values()}
+    if len(counts) > 1:
+        raise damaged(
+            f"its instances have {' and '.join(map(str, sorted(counts)))} rows; expected as many of each kind"
+        )
+    matrices = np.tile(np.eye(4), (counts.pop() if counts else 1, 1, 1))
+    try:
+        if "ROTATION" in columns:
+            matrices[:, :3, :3] = Rotation.from_quat(columns["ROTATION"]).as_matrix()
+    except ValueError as error:
+        raise damaged("one of its instances has a rotation that is none") from error
+    if "SCALE" in columns:
+        matrices[:, :3, :3] *= columns["SCALE"][:, None]
+    if "TRANSLATION" in columns:
+        matrices[:, :3, 3] = columns["TRANSLATION"]
+    return matrices
+
+
+def _plain_values(buffers: Buffers, index: int, form: Form) -> Float[HostArray, "n width"]:
+    try:
+        return buffers.values(index, form).astype(np.float64)
+    except NoDataError:
+        raise damaged(f"its accessor {index} has no data") from None
 
 
 def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
@@ -150,8 +224,6 @@ def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
 
 def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers) -> _Triangles:
     """The vertices and triangles of a primitive: section 3.7.2.1 for their order."""
-    if "POSITION" not in primitive.attributes:
-        raise damaged("a primitive has no positions")
     try:
         points = buffers.values(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
         triangles = _ordered(_indices(primitive, buffers), primitive.mode)

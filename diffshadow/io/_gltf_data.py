@@ -5,7 +5,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sectio
 
 import base64
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 from urllib.parse import unquote, unquote_to_bytes
@@ -21,7 +21,8 @@ from ._text import excerpt, listed
 _MAGIC = b"glTF"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3}
+Form = Literal["SCALAR", "VEC3", "VEC4"]
+_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 # A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
 _MOST_ZEROS = 2**24
 
@@ -38,7 +39,8 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise MeshError(f"is of glTF version {version}, which cannot be read; convert it to glTF 2.0")
-    if length > len(data):
+    # Some writers fill up the last block of bytes.
+    if length > len(data) or data[length:].strip(b"\0 "):
         raise damaged(f"it has {len(data)} bytes; expected {length}")
     found: dict[int, bytes] = {}
     at = 12
@@ -50,7 +52,8 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
         at += 8 + size
     if _JSON not in found:
         raise damaged("it has no chunk of JSON")
-    return found[_JSON], found.get(_BINARY)
+    # Some writers fill up the text with zeros in place of spaces.
+    return found[_JSON].rstrip(b"\0"), found.get(_BINARY)
 
 
 def item[T](items: Sequence[T], index: int, what: str) -> T:
@@ -73,7 +76,7 @@ class Buffers:
         self._binary = binary
         self._loaded: dict[int, bytes] = {}
 
-    def values(self, index: int, form: Literal["SCALAR", "VEC3"]) -> Shaped[HostArray, "n width"]:
+    def values(self, index: int, form: Form) -> Shaped[HostArray, "n width"]:
         """The accessor's n rows. Normalized integers are mapped to [-1, 1] or [0, 1].
 
         **Raises** `MeshError` if they cannot be read, and `NoDataError` if an extension provides them.

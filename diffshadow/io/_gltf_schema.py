@@ -16,13 +16,26 @@ from ._text import decode, excerpt, listed
 
 _Index = Annotated[int, Field(ge=0)]
 _Extensions = Mapping[str, Any]
-# Extensions that affect appearance only, not geometry.
-_OF_LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp")
-_OF_LOOKS += ("EXT_texture_", "EXT_lights_", "MSFT_texture_", "MSFT_packing_")
 DRACO = "KHR_draco_mesh_compression"
 LIGHTS = "KHR_lights_punctual"
-# Supported extensions: integer positions, and compressed triangles.
-_READ = ("KHR_mesh_quantization", DRACO)
+VISIBILITY = "KHR_node_visibility"
+INSTANCES = "EXT_mesh_gpu_instancing"
+UNLIT = "KHR_materials_unlit"
+TRANSMISSION = "KHR_materials_transmission"
+# Supported extensions. Without the first, positions are no integers.
+_READ = ("KHR_mesh_quantization", DRACO, VISIBILITY, INSTANCES)
+# Extensions that change neither which triangles there are nor where: looks, behaviour, descriptions, levels of detail
+# besides the finest, and hints for drawing.
+_WITHOUT_TRIANGLES = (
+    *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp", "KHR_audio"),
+    *("KHR_interactivity", "KHR_node_hoverability", "KHR_node_selectability", "KHR_physics", "KHR_rigid_bodies"),
+    *("EXT_texture_", "EXT_lights_", "EXT_mesh_features", "EXT_structural_metadata", "EXT_feature_metadata"),
+    *("EXT_instance_features", "EXT_mesh_manifold", "EXT_mesh_primitive_edge_visibility"),
+    *("MSFT_texture_", "MSFT_packing_", "MSFT_lod", "ADOBE_materials_", "NV_materials_", "OMI_", "AGI_"),
+    *("FB_ngon_encoding", "CESIUM_primitive_outline", "GOOGLE_"),
+)
+# Compressed data may have a plain copy, which is read.
+_COMPRESSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 class _Part(BaseModel):
@@ -99,6 +112,8 @@ class Material(_Part):
     name: str = ""
     double_sided: bool = False
     alpha_mode: str = "OPAQUE"
+    emissive_factor: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    extensions: _Extensions = {}
 
 
 class Perspective(_Part):
@@ -157,12 +172,14 @@ class Document(_Part):
     """A whole file. Its parts refer to one another by index."""
 
     accessors: list[Accessor] = []
+    animations: list[Any] = []
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
     # Of use to scenes alone, so that a mesh can be read from a file in which they are at fault.
     cameras: list[Any] = []
     extensions: _Extensions = {}
     extensions_required: list[str] = []
+    extensions_used: list[str] = []
     materials: list[Any] = []
     meshes: list[Mesh] = []
     nodes: list[Node] = []
@@ -196,4 +213,9 @@ def parse(text: bytes) -> Document:
 
 def unknown(extensions: Iterable[str]) -> list[str]:
     """Those of `extensions` that may affect geometry and are not supported."""
-    return [name for name in extensions if not name.startswith(_OF_LOOKS) and name not in _READ]
+    return [name for name in extensions if not name.startswith(_WITHOUT_TRIANGLES) and name not in _READ]
+
+
+def not_obeyed(document: Document) -> list[str]:
+    """The extensions that the file uses and could do without, and that may change what is seen of it."""
+    return [name for name in unknown(dict.fromkeys(document.extensions_used)) if name not in _COMPRESSIONS]

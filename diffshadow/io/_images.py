@@ -1,28 +1,27 @@
 """Reads and writes images.
 
-In memory row 0 is the bottom row. Image files (PNG, EXR) begin with the top row; they are flipped here and nowhere
-else. A `.npy` file holds the array as it is in memory. Values are linear: no gamma curve is applied.
+In memory row 0 is the bottom row. Image files (PNG, EXR) begin with the top row; they are flipped in this subpackage
+and nowhere else. A `.npy` file holds the array as it is in memory. Values are linear: no gamma curve is applied.
 """
 
-import contextlib
 import math
 import os
-import struct
-import sys
-from collections.abc import Callable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as iio
 import numpy as np
-import OpenEXR
 from jaxtyping import Float
 
 from .._types import HostArray
 from ._arrays import read_header
 from ._atomic import atomic_path
-from ._errors import FileError
+from ._errors import FileError, ImageWarning
+from ._exr import read_exr, write_exr
 from ._paths import existing_file
+from ._pixels import Pixels
+from ._png import read_png, write_levels
 
 # The first bytes of each file format, and its usual suffix.
 _SIGNATURES = {
@@ -38,8 +37,6 @@ _SIGNATURES = {
     b"#?RADIANCE": ".hdr",
     b"PK\x03\x04": ".npz or .zip",
 }
-# 8192 squared: far more pixels than any image that is compared, in a few hundred megabytes.
-_MOST_PIXELS = 1 << 26
 # A mean of values in [0, 1] may leave the interval by this much through rounding.
 _ROUNDING = 1e-5
 
@@ -59,27 +56,32 @@ def write_png(path: str | os.PathLike[str], image: Any) -> None:
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[-1] != 3) or pixels.size == 0:
         raise ValueError(f"the image to write has the shape {pixels.shape}; expected (h, w) or (h, w, 3)")
     unit = _in_unit_range(pixels, "the image to write", ValueError)
-    _save(path, lambda file: iio.imwrite(file, np.rint(unit[::-1] * 255).astype(np.uint8), extension=".png"))
+    _save(path, lambda file: write_levels(file, np.rint(unit[::-1] * 255).astype(np.uint8)))
 
 
 def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
     """Reads a visibility image (1 lit, 0 shadowed) from a `.npy`, `.png` or `.exr` file.
 
     - `.npy`: an (h, w) array whose row 0 is the bottom row.
-    - `.png`: grey or colour with 1, 8 or 16 bits per channel (16-bit colour is read as 8-bit), linear from 0 to 1;
-        colour channels are averaged and alpha is ignored.
-    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel.
+    - `.png`: grey, colour or a palette, with any number of bits, linear from 0 to 1. Colour channels are averaged, and
+        alpha is ignored. Significant bits (`sBIT`) and the orientation of Exif are obeyed.
+    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part that has these;
+        divided by alpha, as the format has it. The picture is what the display window shows; it is turned as an
+        attribute `Orientation` says.
 
     **Returns:** (h, w), float32, row 0 the bottom row.
 
+    **Warns** with `ImageWarning` about what the file says of its pixels that is not obeyed: a curve or a colour
+    profile, colours, alpha, further channels and parts, pixels that are not square.
+
     **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image,
-    or values that are NaN or outside [0, 1].
+    no pixels for a part of it, or values that are NaN or outside [0, 1].
     """
     file = existing_file(path, "visibility")
     read = _for_suffix(file, _READERS)
     try:
         _check_signature(file)
-        pixels = read(file)
+        pixels, remarks = read(file)
     except FileError:
         raise
     except Exception as error:  # each format's reader raises types of its own
@@ -90,7 +92,10 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
         ) from error
     if pixels.ndim != 2 or pixels.size == 0:
         raise FileError(f"the visibility file {file} holds an array of shape {pixels.shape}; expected (h, w)")
-    return _in_unit_range(pixels, f"the visibility file {file}", FileError)
+    visibility = _in_unit_range(pixels, f"the visibility file {file}", FileError)
+    for remark in remarks:
+        warnings.warn(ImageWarning(f"the visibility file {file} {remark}"), stacklevel=2)
+    return visibility
 
 
 def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
@@ -109,51 +114,7 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
     _save(path, lambda file: write(file, unit))
 
 
-def _read_png(file: Path) -> HostArray:
-    data = file.read_bytes()
-    # The signature, and the header's length and name, come before the width and height.
-    if len(data) < 24:
-        raise ValueError("its header is cut short")
-    columns, rows = struct.unpack_from(">II", data, 16)
-    _check_size(file, rows, columns)
-    # Named explicitly: otherwise imageio tries every plugin, and its error lists those that are not installed.
-    stored = iio.imread(data, plugin="pillow")
-    scale = 1 if stored.dtype == bool else np.iinfo(stored.dtype).max
-    pixels = stored.astype(np.float32) / scale
-    if pixels.ndim == 3 and 2 <= pixels.shape[-1] <= 4:
-        # Two channels are grey and alpha; four are colour and alpha.
-        pixels = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1].mean(axis=-1)
-    return pixels[::-1]
-
-
-def _read_exr(file: Path) -> HostArray:
-    try:
-        with _silent(), OpenEXR.File(str(file), header_only=True) as exr:
-            windows = [np.array(part.header["dataWindow"], np.int64) for part in exr.parts]
-    except Exception as error:
-        raise ValueError("its header is cut short or garbled") from error
-    for low, high in windows:
-        columns, rows = (high - low + 1).tolist()
-        _check_size(file, rows, columns)
-    try:
-        with _silent(), OpenEXR.File(str(file), separate_channels=True) as exr:
-            channels = {name: np.asarray(channel.pixels, np.float32) for name, channel in exr.channels().items()}
-    except Exception as error:
-        raise ValueError("its pixels are cut short or garbled") from error
-    if "Y" in channels:
-        chosen = [channels["Y"]]
-    elif {"R", "G", "B"} <= channels.keys():
-        chosen = [channels[name] for name in "RGB"]
-    elif len(channels) == 1:
-        chosen = list(channels.values())
-    else:
-        raise FileError(
-            f"the visibility file {file} has the channels {', '.join(channels)}; expected Y, or R, G and B, or only one"
-        )
-    return np.mean(chosen, axis=0)[::-1]
-
-
-def _read_npy(file: Path) -> HostArray:
+def _read_npy(file: Path) -> Pixels:
     # Opened here, since `np.load` leaves a damaged file open.
     with file.open("rb") as stream:
         shape, _, dtype = read_header(stream, f"the visibility file {file}")
@@ -164,40 +125,7 @@ def _read_npy(file: Path) -> HostArray:
         if expected != actual:
             raise ValueError(f"it has {actual} bytes of numbers; expected the {expected} of its shape {shape}")
         stream.seek(0)
-        return np.load(stream, allow_pickle=False)
-
-
-def _check_size(file: Path, rows: int, columns: int) -> None:
-    """**Raises** `FileError` if there are no pixels, or more than `_MOST_PIXELS`."""
-    if not 0 < rows * columns <= _MOST_PIXELS:
-        raise FileError(
-            f"the visibility file {file} has {rows} x {columns} pixels; "
-            f"expected 1 to {_MOST_PIXELS:,} in total: scale it down"
-        )
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """Silences OpenEXR, which prints errors of a damaged file straight to the terminal."""
-    sys.stderr.flush()
-    errors = os.dup(2)
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-        os.dup2(nowhere.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(errors, 2)
-            os.close(errors)
-
-
-def _write_png16(file: Path, pixels: HostArray) -> None:
-    iio.imwrite(file, np.rint(pixels[::-1].astype(np.float64) * 65535).astype(np.uint16), extension=".png")
-
-
-def _write_exr(file: Path, pixels: HostArray) -> None:
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {"Y": np.ascontiguousarray(pixels[::-1])}) as exr:
-        exr.write(str(file))
+        return Pixels(np.load(stream, allow_pickle=False))
 
 
 def _write_npy(file: Path, pixels: HostArray) -> None:
@@ -206,11 +134,12 @@ def _write_npy(file: Path, pixels: HostArray) -> None:
         np.save(stream, pixels, allow_pickle=False)
 
 
-_READERS: Mapping[str, Callable[[Path], HostArray]] = {".npy": _read_npy, ".png": _read_png, ".exr": _read_exr}
+_READERS: Mapping[str, Callable[[Path], Pixels]] = {".npy": _read_npy, ".png": read_png, ".exr": read_exr}
+# Writers take float32 from 0 to 1.
 _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
     ".npy": _write_npy,
-    ".png": _write_png16,
-    ".exr": _write_exr,
+    ".png": lambda file, pixels: write_levels(file, np.rint(pixels[::-1].astype(np.float64) * 65535).astype(np.uint16)),
+    ".exr": lambda file, pixels: write_exr(file, pixels[::-1]),
 }
 
 

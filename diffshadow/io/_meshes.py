@@ -167,4 +167,4 @@ def _left_out(polygons: Polygons, tiny: int = 0) -> str:
 
 def _plural(name: str) -> str:
     first, of, rest = name.partition(" of ")
-    return f"{first}s{of}{rest}"
+    return f"{first}{'es' if first.endswith('sh') else 's'}{of}{rest}"

@@ -30,12 +30,12 @@ def read_off(data: bytes) -> Polygons:
     if rest:
         lines[body[0]] = rest
     vertex_count, face_count = _counts(lines[body[0]] if body else "")
-    if len(body) < 1 + vertex_count + face_count:
+    if len(body) != 1 + vertex_count + face_count:
         raise damaged(
-            f"its header announces {vertex_count} vertices and {face_count} faces, "
-            f"but only {len(body) - 1} lines follow"
+            f"its header announces {vertex_count} vertices and {face_count} faces, but {len(body) - 1} lines follow; "
+            "expected one for each"
         )
-    vertex_at, face_at = body[1 : 1 + vertex_count], body[1 + vertex_count :][:face_count]
+    vertex_at, face_at = body[1 : 1 + vertex_count], body[1 + vertex_count :]
     vertices = read_points(lines, vertex_at, first=0)
     # Colours may follow the corners.
     try:

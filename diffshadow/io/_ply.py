@@ -1,5 +1,6 @@
 """PLY files: https://paulbourke.net/dataformats/ply/."""
 
+import codecs
 import os
 import re
 import struct
@@ -13,7 +14,7 @@ from .._types import HostArray
 from ._atomic import atomic_path
 from ._errors import MeshError, damaged
 from ._polygons import Polygons, strip_triangles
-from ._text import decode, excerpt, is_number, listed, numbers
+from ._text import decode, excerpt, is_number, listed, parsed
 
 _TYPES = {
     "char": "i1",
@@ -40,6 +41,7 @@ _CORNERS = ("vertex_indices", "vertex_index")
 _NORMAL = ("nx", "ny", "nz")
 # Every float64 from here on is a whole number.
 _LONGEST = 2.0**53
+_DIGITS = 15
 
 
 class _Property(NamedTuple):
@@ -62,55 +64,74 @@ class _Column(NamedTuple):
     sizes: Int[HostArray, " n"]
 
 
+# Of each element, by its name.
+_Columns = Mapping[str, Mapping[str, _Column]]
+
+
+class _Header(NamedTuple):
+    """The elements of a file; `starts` are where its data may begin, the likeliest first."""
+
+    order: _Order
+    elements: list[_Element]
+    starts: list[int]
+
+
 def read_ply(data: bytes) -> Polygons:
     """Reads the faces, and the triangles of strips.
 
-    **Raises** `MeshError` if the file is damaged.
+    **Raises** `MeshError` if the file is damaged, or holds more than its header announces.
     """
-    order, elements, body = _header(data)
-    if order == "=":
-        body = _as_binary(body)
-        elements = [element._replace(properties=_in_doubles(element.properties)) for element in elements]
-    columns: dict[str, Mapping[str, _Column]] = {}
-    start = 0
-    for element in elements:
-        columns[element.name], start = _read(body, start, element)
+    if data.startswith(codecs.BOM_UTF8):
+        data = data[len(codecs.BOM_UTF8) :]
+    if not data.startswith(b"ply"):
+        data = decode(data).encode("latin-1", errors="replace")
+    header = _header(data)
+    columns, left_out = _text(data, header) if header.order == "=" else (_binary(data, header), 0)
     corners, sizes = _lists(columns, "face")
     strips = _strips(*_lists(columns, "tristrips"))
-    edges = sum(element.rows for element in elements if element.name == "edge")
+    edges = sum(element.rows for element in header.elements if element.name == "edge")
     vertex = columns.get("vertex", {})
     return Polygons(
         _vertices(vertex),
         np.concatenate([corners, strips.reshape(-1)]),
         np.concatenate([sizes, np.full(len(strips), 3)]),
-        {"edge": edges},
+        {"edge": edges, "number of no property in its header": left_out},
         _points(vertex, _NORMAL)
         if all(name in vertex and (vertex[name].sizes == 1).all() for name in _NORMAL)
         else None,
     )
 
 
-def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
-    """The byte order, the elements, and the data after the header."""
-    if not data.startswith(b"ply"):
-        data = decode(data).encode("latin-1", errors="replace")
+def _header(data: bytes) -> _Header:
+    """**Raises** `MeshError` if the header is damaged. Its lines may end in different ways."""
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
         raise damaged(f"it begins with {excerpt(data[:80].decode('latin-1'))}; expected a line that says ply")
-    newline = first[1]
-    last = re.search(newline + rb"[ \t]*end_header[ \t]*(?:" + newline + rb"|\Z)", data)
+    last = re.search(rb"[\r\n][ \t]*end_header[ \t]*(?:(\r\n|\n|\r)|\Z)", data)
     if last is None:
         raise damaged("its header has no end_header")
+    starts = [last.end()]
+    if last[1] == b"\r\n":
+        # The last byte belongs to the data if other lines end in the first alone.
+        starts.insert(0 if first[1] == b"\r" else 1, last.end() - 1)
+    order, elements = _elements(re.split(rb"\r\n|\n|\r", data[first.end() : last.start()]))
+    return _Header(order, elements, starts)
+
+
+def _elements(lines: Sequence[bytes]) -> tuple[_Order, list[_Element]]:
+    """The byte order and the elements, from the header's lines between the first and the last."""
     elements: list[_Element] = []
     order: _Order | None = None
-    # Comments may be in any encoding, and some writers omit the `comment` keyword.
-    lines = data[first.end() : last.start()].decode("latin-1").split(newline.decode())
-    for number, line in enumerate(lines, start=2):
+    for number, data in enumerate(lines, start=2):
+        # Comments may be in any encoding, and some writers omit the `comment` keyword.
+        line = data.decode("latin-1")
         try:
             match line.split():
                 case ["format", form, *_]:
                     order = _ORDERS[form]
                 case ["element", name, rows] if rows.isascii() and rows.isdigit():
+                    if any(element.name == name for element in elements):
+                        raise KeyError
                     elements.append(_Element(name, int(rows), []))
                 case ["property", "list", length, kind, name] if order is not None:
                     types = [np.dtype(_TYPES[each]).newbyteorder(order) for each in (kind, length)]
@@ -123,17 +144,86 @@ def _header(data: bytes) -> tuple[_Order, list[_Element], bytes]:
             raise damaged(f"line {number} of its header is {excerpt(line)}, which cannot be read") from None
     if order is None:
         raise damaged(f"its header has no format line; expected one of {', '.join(_ORDERS)}")
-    return order, elements, data[last.end() :]
+    return order, elements
 
 
-def _as_binary(text: bytes) -> bytes:
-    """The numbers of a text file as float64, so that text and binary files are read by the same code."""
-    words = text.split()
+def _binary(data: bytes, header: _Header) -> _Columns:
+    """The columns of each element. **Raises** `MeshError` if they do not fill the file."""
+    faults: list[MeshError] = []
+    for start in header.starts:
+        try:
+            columns, end = _read_all(data, start, header.elements)
+            # Some writers fill up the last block of bytes.
+            left = len(data[end:].strip(b"\0 \t\r\n"))
+            if not left:
+                return columns
+            faults.append(_too_long(f"{left} bytes"))
+        except MeshError as fault:
+            faults.append(fault)
+    raise faults[0]
+
+
+def _text(data: bytes, header: _Header) -> tuple[_Columns, int]:
+    """The columns of each element, and the number of words that belong to no property of the header.
+
+    **Raises** `MeshError` if there are others than numbers, or more or fewer than the header announces.
+    """
+    body = data[header.starts[0] :]
+    elements = [element._replace(properties=_in_doubles(element.properties)) for element in header.elements]
+    words = body.split()
     try:
-        return numbers(words).tobytes()
+        content = _as_binary(words)
+        columns, end = _read_all(content, 0, elements)
+        if end == len(content):
+            return columns, 0
+        fault = _too_long(f"{(len(content) - end) // np.dtype(np.float64).itemsize} numbers")
+    except MeshError as error:
+        fault = error
+    announced = _announced(body, elements)
+    if announced is None:
+        raise fault
+    return _read_all(_as_binary(announced), 0, elements)[0], len(words) - len(announced)
+
+
+def _announced(body: bytes, elements: Sequence[_Element]) -> list[bytes] | None:
+    """The words of the announced properties, if each row has a line of its own that may end with further columns.
+
+    `None` if the lines are not such rows.
+    """
+    lines = [line.split() for line in body.splitlines() if line.strip()]
+    filled = [element for element in elements if element.properties]
+    if sum(element.rows for element in filled) != len(lines):
+        return None
+    rows = [element.properties for element in filled for _ in range(element.rows)]
+    announced: list[bytes] = []
+    for line, properties in zip(lines, rows, strict=True):
+        count = 0
+        for each in properties:
+            size = line[count : count + 1]
+            if each.length is not None and not (size and size[0].isdigit() and len(size[0]) <= _DIGITS):
+                return None
+            count += 1 + (0 if each.length is None else int(size[0]))
+        if count > len(line):
+            return None
+        announced += line[:count]
+    return announced
+
+
+def _as_binary(words: Sequence[bytes]) -> bytes:
+    """The numbers of a text file as float64, so that text and binary files are read by the same code."""
+    try:
+        return parsed(words).tobytes()
     except ValueError:
         word = next(word for word in words if not is_number(word))
         raise damaged(f"it has {excerpt(word.decode('latin-1'))} below its header; expected numbers") from None
+
+
+def _read_all(data: bytes, start: int, elements: Sequence[_Element]) -> tuple[_Columns, int]:
+    """The columns of each element, and the end of the last."""
+    columns: dict[str, Mapping[str, _Column]] = {}
+    for element in elements:
+        columns[element.name], start = _read(data, start, element)
+    return columns, start
 
 
 def _in_doubles(properties: Sequence[_Property]) -> list[_Property]:
@@ -216,6 +306,10 @@ def _too_short(element: _Element) -> MeshError:
     )
 
 
+def _too_long(left: str) -> MeshError:
+    return damaged(f"{left} are left below the last row that its header announces; expected none")
+
+
 def _vertices(columns: Mapping[str, _Column]) -> Float[HostArray, "v 3"]:
     if not columns:
         return np.zeros((0, 3))
@@ -228,9 +322,7 @@ def _points(columns: Mapping[str, _Column], names: Iterable[str]) -> Float[HostA
     return np.stack([columns[name].values for name in names], axis=-1).astype(np.float64)
 
 
-def _lists(
-    columns: Mapping[str, Mapping[str, _Column]], element: str
-) -> tuple[Int[HostArray, " c"], Int[HostArray, " f"]]:
+def _lists(columns: _Columns, element: str) -> tuple[Int[HostArray, " c"], Int[HostArray, " f"]]:
     """The vertex indices listed by the rows of `element`, and the number of them in each row."""
     if not columns.get(element):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

@@ -16,6 +16,8 @@ from ._errors import MeshError
 _EXACT, _TOUCHING = 1e-9, 1e-4
 # A face is flat if its corners are this close to its plane, as a fraction of its extent.
 _FLAT = 1e-3
+# Beyond this, the vertices of instances fill gigabytes.
+_MOST_REPEATED = 1 << 25
 
 
 class Polygons(NamedTuple):
@@ -107,23 +109,32 @@ def strip_triangles(strip: Int[HostArray, " n"]) -> Int[HostArray, "t 3"]:
     return triangles
 
 
-def placed(
+def repeated(
     points: Float[HostArray, "v 3"],
     triangles: Int[HostArray, "t 3"],
     normals: Float[HostArray, "v 3"] | None,
-    to_world: Float[HostArray, "4 4"],
-) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "t 3"], Float[HostArray, "v 3"] | None]:
-    """Vertices, triangles and normals in world space; a mirror reverses the winding."""
-    linear = to_world[:3, :3]
-    vertices = points @ linear.T + to_world[:3, 3]
-    if normals is not None:
-        # By the inverse transpose, up to a factor, which also holds for a scale of 0.
-        normals = normals @ np.stack([np.cross(linear[:, i - 2], linear[:, i - 1]) for i in range(3)])
-        length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        normals = normals / np.where(length > 0, length, 1)
-    if np.linalg.det(linear) < 0:
-        return vertices, triangles[:, ::-1], None if normals is None else -normals
-    return vertices, triangles, normals
+    to_world: Float[HostArray, "n 4 4"],
+) -> tuple[Float[HostArray, "v2 3"], Int[HostArray, "t2 3"], Float[HostArray, "v2 3"] | None]:
+    """Vertices, triangles and normals in world space, once for each matrix; a mirror reverses the winding.
+
+    **Raises** `MeshError` for more triangles or vertices than memory has room for.
+    """
+    if len(to_world) * max(len(points), len(triangles)) > _MOST_REPEATED:
+        raise MeshError(
+            f"has {len(to_world):,} instances of {len(triangles):,} triangles; expected at most {_MOST_REPEATED:,} "
+            "triangles in all: leave some out"
+        )
+    linear = to_world[:, :3, :3]
+    vertices = (points @ linear.swapaxes(1, 2) + to_world[:, None, :3, 3]).reshape(-1, 3)
+    is_mirrored = np.linalg.det(linear)[:, None, None] < 0
+    wound = np.where(is_mirrored, triangles[:, ::-1], triangles)
+    faces = (wound + len(points) * np.arange(len(to_world))[:, None, None]).reshape(-1, 3)
+    if normals is None:
+        return vertices, faces, None
+    # By the inverse transpose, up to a factor, which also holds for a scale of 0.
+    turned = normals @ np.stack([np.cross(linear[:, :, i - 2], linear[:, :, i - 1]) for i in range(3)], axis=1)
+    length = np.linalg.norm(turned, axis=-1, keepdims=True)
+    return vertices, faces, (turned / np.where(length > 0, length, 1) * np.where(is_mirrored, -1, 1)).reshape(-1, 3)
 
 
 def _upright(

@@ -64,23 +64,30 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else text[:most] + "..."
 
 
-def read_points(lines: Sequence[str], at: Sequence[int], first: int) -> Float[HostArray, "n 3"]:
+def read_points(
+    lines: Sequence[str], at: Sequence[int], first: int, numbers: Sequence[int] | None = None
+) -> Float[HostArray, "n 3"]:
     """Reads three numbers, starting at word `first`, from each of the n lines with indices `at`.
+
+    **Arguments:**
+
+    - `numbers`: of each line, for errors; by default they count from 1.
 
     **Raises** `MeshError` if a line has fewer, or a word that is not a number.
     """
     words = [word for i in at for word in lines[i].split(None, first + 3)[first : first + 3]]
     try:
-        return numbers(words).reshape(len(at), 3)
+        return parsed(words).reshape(len(at), 3)
     except ValueError:
         for i in at:
             row = lines[i].split()[first : first + 3]
             if len(row) < 3 or not all(map(is_number, row)):
-                raise damaged(f"line {i + 1} is {excerpt(lines[i])}; expected three numbers") from None
+                number = i + 1 if numbers is None else numbers[i]
+                raise damaged(f"line {number} is {excerpt(lines[i])}; expected three numbers") from None
         raise
 
 
-def numbers(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, " n"]:
+def parsed(words: Sequence[str] | Sequence[bytes]) -> Float[HostArray, " n"]:
     """Parses `words`. **Raises** `ValueError` if one of them is not a number."""
     return np.fromiter(map(float, words), np.float64, len(words))
 

@@ -2830,10 +2830,10 @@ _IO = (
     ),
     _fault(
         "PNG: transparency is averaged in",
-        "io/_images.py",
-        "pixels[..., : 3 if pixels.shape[-1] >= 3 else 1].mean(axis=-1)",
-        "pixels.mean(axis=-1)",
-        "test_image_files.py",
+        "io/_png.py",
+        "return _Samples(channels[:-1], channels[-1], depth)",
+        "return _Samples(channels, channels[-1], depth)",
+        "test_image_metadata.py",
     ),
     _fault(
         "images: values above one pass",
@@ -2887,16 +2887,16 @@ _IO = (
     _fault(
         "scenes: a mirrored mesh keeps its winding",
         "io/_polygons.py",
-        "return vertices, triangles[:, ::-1], None if normals is None else -normals",
-        "return vertices, triangles, None if normals is None else -normals",
+        "np.where(is_mirrored, triangles[:, ::-1], triangles)",
+        "np.where(is_mirrored, triangles, triangles)",
         "test_scene_files.py",
         "test_odd_meshes.py",
     ),
     _fault(
         "scenes: normals turn as vertices do",
         "io/_polygons.py",
-        "normals = normals @ np.stack([np.cross(linear[:, i - 2], linear[:, i - 1]) for i in range(3)])",
-        "normals = normals @ linear.T",
+        "turned = normals @ np.stack([np.cross(linear[:, :, i - 2], linear[:, :, i - 1]) for i in range(3)], axis=1)",
+        "turned = normals @ linear.swapaxes(1, 2)",
         "test_scene_files.py",
     ),
     _fault(

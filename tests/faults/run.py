@@ -29,12 +29,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "diffshadow"
 LIBRARIES = (
     "OpenEXR",
+    "PIL.Image",
     "beartype",
     "cyclopts",
     "embreex.mesh_construction",
     "equinox",
     "hypothesis",
-    "imageio.v3",
     "jax.numpy",
     "jax.scipy.stats",
     "jaxtyping",

@@ -42,7 +42,7 @@ class Builder:
 
     def accessor(self, array: np.ndarray, **keys: Any) -> int:
         """The index of a new accessor of the array's type and size."""
-        form = "SCALAR" if array.ndim == 1 else "VEC3"
+        form = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
         self.tree["accessors"].append(
             {"componentType": CODES[array.dtype.name], "type": form, "count": len(array), **keys}
         )
@@ -57,9 +57,9 @@ class Builder:
         buffers = [{"byteLength": len(self.bytes), "uri": uri}, *self.more_buffers]
         return json.dumps({**self.tree, "buffers": buffers}).encode()
 
-    def binary(self) -> bytes:
+    def binary(self, filling: bytes = b" ") -> bytes:
         text = json.dumps({**self.tree, "buffers": [{"byteLength": len(self.bytes)}]}).encode()
-        text += b" " * (-len(text) % 4)
+        text += filling * (4 + -len(text) % 4)
         body = self.bytes + bytes(-len(self.bytes) % 4)
         chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
         # Chunks of other kinds may follow.
@@ -156,6 +156,36 @@ def draco_beside_plain(builder: Builder) -> None:
     builder.tree["meshes"][0]["primitives"].insert(0, plain)
 
 
+def instanced(builder: Builder) -> None:
+    """Two, each of half the size along x: one turned by half about z, one mirrored and moved."""
+    rotations = np.array([[0, 0, 1, 0], [0, 0, 0, 1]], np.float32)
+    attributes = {
+        "TRANSLATION": builder.add(np.array([[1, 1, 0], [2, 0, 0]], np.float32)),
+        "ROTATION": builder.add(rotations),
+        "SCALE": builder.add(np.array([[0.5, 1, 1], [-0.5, 1, 1]], np.float32)),
+    }
+    builder.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    builder.tree["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+
+
+def hidden_twin(builder: Builder) -> None:
+    builder.tree["nodes"].append({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": False}}})
+    builder.tree["scenes"][0]["nodes"].append(1)
+    builder.tree["extensionsRequired"] = ["KHR_node_visibility"]
+
+
+def with_an_extension(builder: Builder) -> None:
+    builder.tree["extensionsUsed"] = ["ACME_new_triangles", "KHR_mesh_quantization"]
+
+
+def animated(builder: Builder) -> None:
+    builder.tree["animations"] = [{}]
+
+
+def without_positions(builder: Builder) -> None:
+    builder.tree["meshes"][0]["primitives"].append({"attributes": {"COLOR_0": 0}})
+
+
 def skinned(builder: Builder) -> None:
     builder.tree["nodes"][0]["skin"] = 0
 
@@ -200,16 +230,23 @@ BUILT = {
     "compressed_with_a_copy": built(compressed_with_a_copy),
     "draco": built(draco),
     "behind_a_camera": built(behind_a_camera),
+    "instanced": built(instanced),
     "without_scenes": built(without_scenes),
     "needs_textures": built(needs_textures),
 }
 LEFT_OUT = {
     "lines": (built(with_lines), "4 points and 9 lines"),
     "skinned": (built(skinned), "1 skin"),
+    "hidden_twin": (built(hidden_twin), "1 hidden mesh"),
+    "with_an_extension": (built(with_an_extension), "1 extension ACME_new_triangles"),
+    "animated": (built(animated), "1 animation"),
+    "without_positions": (built(without_positions), "1 primitive without positions"),
 }
 FILES = {
     **{f"{name}.gltf": one(builder.text()) for name, builder in BUILT.items()},
     "list.glb": one(BUILT["list"].binary()),
+    "filled_up.glb": one(BUILT["list"].binary() + bytes(8)),
+    "text_filled_up_with_zeros.glb": one(BUILT["list"].binary(b"\0")),
     "draco_beside_plain.gltf": twice(one(built(draco_beside_plain).text())),
     **{f"{name}.gltf": one(builder.text(), said) for name, (builder, said) in LEFT_OUT.items()},
     "latin_1.gltf": one(BUILT["list"].text().replace(b'"asset"', b'"extras": "J\xfcrgen", "asset"')),
@@ -259,6 +296,24 @@ def lines_alone(builder: Builder) -> None:
     builder.primitive["mode"] = 1
 
 
+def uneven_instances(builder: Builder) -> None:
+    instanced(builder)
+    attributes = builder.tree["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]
+    attributes["SCALE"] = builder.add(np.ones((3, 3), np.float32))
+
+
+def countless_instances(builder: Builder) -> None:
+    instanced(builder)
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": builder.view(np.uint8([0])), "componentType": CODES["uint8"]},
+        "values": {"bufferView": builder.view(CORNERS[:1])},
+    }
+    zeros = builder.accessor(CORNERS, sparse=sparse)
+    builder.tree["accessors"][zeros]["count"] = 2**24
+    builder.tree["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"] = {"TRANSLATION": zeros}
+
+
 def looped(builder: Builder) -> None:
     builder.tree["nodes"] = [{"children": [1]}, {"children": [0], "mesh": 0}]
 
@@ -276,6 +331,11 @@ REFUSALS = {
     "unknown_extension": (required("ACME_new_triangles"), "requires ACME_new_triangles"),
     "lines_alone": (lines_alone, "holds 3 lines but no triangles"),
     "looped": (looped, "node 0 has two parents, or is its own ancestor"),
+    "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected as many of each"),
+    "countless_instances": (
+        countless_instances,
+        "16,777,216 instances of 2 triangles; expected at most 33,554,432",
+    ),
     "zeros": (zeros, "declares 1000000000000 zeros"),
     "old": (lambda builder: builder.tree.update(asset={"version": "1.0"}), "of glTF version '1.0'.*convert it"),
     "no_asset": (lambda builder: builder.tree.pop("asset"), "asset: Field required"),
@@ -312,5 +372,6 @@ REFUSED = {
     "array.gltf": (b"[]", "Input should be a valid dictionary"),
     "old.glb": (b"glTF" + struct.pack("<II", 1, 12), "of glTF version 1"),
     "cut.glb": (BUILT["list"].binary()[:-10], "expected"),
+    "longer.glb": (BUILT["list"].binary() + b"more", r"has \d+ bytes; expected \d+"),
     "no_json_chunk.glb": (b"glTF" + struct.pack("<II", 2, 12), "no chunk of JSON"),
 }

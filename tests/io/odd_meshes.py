@@ -172,6 +172,29 @@ def one(data: str | bytes, left_out: str | None = None) -> OddFile:
     return OddFile(data.encode() if isinstance(data, str) else data, 1.0, 1 / 3, left_out)
 
 
+def binary_ply(ends: str, last: str | None = None) -> bytes:
+    """`PLY_SQUARE` in binary, whose header's lines end with `ends`, and its last one with `last`."""
+    header, _, _ = PLY_SQUARE.replace("ascii", "binary_little_endian").replace("…", "").partition("end_header\n")
+    points = struct.pack("<12f", 0, 0, 1, 1, 0, 1, 1, 1, 1, 0, 1, 1)
+    lines = header.encode("latin-1").replace(b"\n", ends.encode())
+    return (
+        lines + b"end_header" + (ends if last is None else last).encode() + points + struct.pack("<B4i", 4, 0, 1, 2, 3)
+    )
+
+
+# Of lines that end otherwise than the first. The first byte of the data may be that of a line's end.
+PLY_ENDS = {
+    "windows_binary": binary_ply("\r\n"),
+    "old_mac_binary": binary_ply("\r"),
+    "windows_last_line": binary_ply("\n", "\r\n"),
+    "unix_last_line": binary_ply("\r\n", "\n"),
+    "old_mac_windows_last_line": binary_ply("\r", "\r\n"),
+    "spaces_behind_the_last_word": binary_ply("\n", " \n"),
+    "old_mac_data_of_line_ends": binary_ply("\r").replace(struct.pack("<f", 0), b"\n\0\0\0", 1),
+    "mixed": PLY_SQUARE.replace("\n", "\r\n", 3),
+}
+
+
 def binary_stl(name: bytes) -> bytes:
     return name.ljust(80, b" ") + struct.pack("<I12fH", 1, 0, 0, 0, 0, 0, 1, 2, 0, 1, 0, 1, 1, 0)
 
@@ -226,6 +249,13 @@ FILES = {
     "utf_16.ply": one(PLY_SQUARE.encode("utf-16")),
     "windows_ends.ply": one(PLY_SQUARE.replace("\n", "\r\n")),
     "stray_line_in_the_header.ply": one(PLY_SQUARE.replace("comment by", "made by")),
+    **{f"{name}.ply": one(data) for name, data in PLY_ENDS.items()},
+    "mark_before_binary.ply": one(b"\xef\xbb\xbf" + binary_ply("\n")),
+    "filled_up.ply": one(binary_ply("\n") + bytes(3)),
+    "columns_without_a_property.ply": one(
+        PLY_SQUARE.replace("1 1 1\n", "1 1 1 7 7\n").replace("4 0 1 2 3", "4 0 1 2 3 0 0"),
+        "4 numbers of no property in its header",
+    ),
     "strips.ply": OddFile(
         (
             f"ply\nformat ascii 1.0\nelement vertex 6\n{PLY_POINTS}element tristrips 1\n"
@@ -245,6 +275,15 @@ FILES = {
     "named_after_a_vertex.stl": one(f"solid my vertex of the endsolid\n{TRIANGLE_STL}endsolid\n"),
     "upper_case.stl": one(f"SOLID A\n{TRIANGLE_STL.upper()}ENDSOLID\n"),
     "two_solids.stl": OddFile(2 * f"solid\n{TRIANGLE_STL}endsolid\n".encode(), 2.0, 2 / 3),
+    "one_line.stl": one(" ".join(f"solid my vertex of it\n{TRIANGLE_STL}endsolid\n".split())),
+    "two_solids_on_one_line.stl": OddFile(
+        " ".join(2 * f"solid a b facet of c {TRIANGLE_STL} endsolid a endfacet ".split()).encode(), 2.0, 2 / 3
+    ),
+    "a_facet_on_a_line.stl": one("solid\n" + TRIANGLE_STL.replace("\n", " ") + "\nendsolid\n"),
+    "divided_keywords.stl": one(
+        f"solid\n{TRIANGLE_STL}endsolid\n".replace("end", "end ").replace("outer loop", "outerloop")
+    ),
+    "long_name.stl": one(f"solid\nmade by hand,\nvertical\n{TRIANGLE_STL}"),
     "binary.stl": one(binary_stl(b"made by \xfc")),
     "binary_named_solid.stl": one(binary_stl(b"solid by CAD")),
 }
@@ -278,7 +317,8 @@ REFUSED = {
     "nan.obj": (SQUARE.replace("v 1 1 1", "v 1 nan 1"), r"the first is vertex 2\)"),
     "binary.off": ("OFF BINARY\n", "is a binary OFF file, which cannot be read"),
     "four_dimensions.off": ("4OFF\n1 0 0\n0 0 0 1\n", "not three-dimensional"),
-    "few_lines.off": ("OFF\n99999999999 6 0\n0 0 0\n", "99999999999 vertices and 6 faces, but only 1 lines"),
+    "few_lines.off": ("OFF\n99999999999 6 0\n0 0 0\n", "99999999999 vertices and 6 faces, but 1 lines follow"),
+    "more_faces.off": (OFF_SQUARE + "3 0 1 2\n", "4 vertices and 1 faces, but 6 lines follow; expected one for each"),
     "no_counts.off": ("OFF\nthree\n", "followed by 'three'; expected the numbers of vertices and faces"),
     "short_face.off": (OFF_SQUARE.replace("4 0 1 2 3", "4 0 1 2"), "line 7 is '4 0 1 2'; expected a count"),
     "short.ply": (PLY_SQUARE.replace("vertex 4", "vertex 9999999999"), "ends before the last of the 9999999999 vertex"),
@@ -289,7 +329,34 @@ REFUSED = {
     "half_a_vertex.ply": (PLY_SQUARE.replace("4 0 1 2 3", "4 0 1 2 2.5"), "vertex indices that are not whole"),
     "negative_list.ply": (PLY_SQUARE.replace("4 0 1 2 3", "-4 0 1 2 3"), "a list of length -4"),
     "vertex_4.ply": (PLY_SQUARE.replace("4 0 1 2 3", "4 0 1 2 4"), "face 1 refers to vertex 4; expected 0 to 3"),
+    "one_face_too_few.ply": (
+        PLY_SQUARE + "3 0 1 2\n",
+        "4 numbers are left below the last row that its header announces; expected none",
+    ),
+    "one_face_too_few_binary.ply": (
+        binary_ply("\n") + struct.pack("<B3i", 3, 0, 1, 2),
+        r"\d+ bytes are left below the last row",
+    ),
+    "one_vertex_too_many.ply": (PLY_SQUARE.replace("vertex 4", "vertex 5"), "it ends before the last of the 1 face"),
+    "faces_twice.ply": (
+        PLY_SQUARE.replace("end_header", "element face 0\nend_header"),
+        "line 10 of its header is 'element face 0', which cannot be read",
+    ),
+    "endless_list.ply": (PLY_SQUARE.replace("4 0 1 2 3", "9" * 5000), "has a list of length inf"),
     "short.stl": (binary_stl(b"")[:100], "has 100 bytes; expected 134 for its 1 triangles, or text"),
-    "cut.stl": (f"solid a\n{TRIANGLE_STL[:60]}", "gives a vertex that no endloop follows"),
+    "cut.stl": (f"solid a\n{TRIANGLE_STL[:60]}", "line 6 is 'vert'; expected another vertex, or endloop"),
+    "cut_behind_a_line.stl": (f"solid a\n{TRIANGLE_STL[:56]}", "line 5 gives a vertex that no endloop follows"),
+    "no_endloop.stl": (
+        2 * f"solid a\n{TRIANGLE_STL}".replace("endloop\n", ""),
+        "line 7 is 'endfacet'; expected another vertex, or endloop",
+    ),
+    "misspelt.stl": (
+        f"solid a\n{TRIANGLE_STL.replace('outer', 'utter')}",
+        "line 3 is 'utter loop'; expected a keyword",
+    ),
+    "word_on_one_line.stl": (
+        " ".join(f"solid a\n{TRIANGLE_STL}".replace("vertex 2 0 1", "vertex 2 0 x").split()),
+        "line 1 is 'vertex 2 0 x'; expected three numbers",
+    ),
     "garbage.stl": ("garbage", "has 7 bytes; expected a header, or text that begins with solid"),
 }

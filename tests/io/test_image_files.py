@@ -1,5 +1,6 @@
 """Images, whole-or-nothing writes and the cache on disk."""
 
+import io
 import os
 import struct
 import tracemalloc
@@ -7,11 +8,11 @@ import warnings
 import zlib
 from pathlib import Path
 
-import imageio.v3 as iio
 import jax.numpy as jnp
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from diffshadow.io import (
     FileError,
@@ -36,6 +37,17 @@ def write_exr(path, **channels):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, channels) as exr:
         exr.write(str(path))
+
+
+def encoded(levels, suffix):
+    file = io.BytesIO()
+    Image.fromarray(levels).save(file, Image.registered_extensions()[suffix])
+    return file.getvalue()
+
+
+def levels_of(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
 
 
 # Images
@@ -65,7 +77,7 @@ def test_files_of_images_begin_with_the_top_row_and_arrays_with_the_bottom(tmp_p
     write_visibility(tmp_path / "a.png", RAMP)
     write_visibility(tmp_path / "a.npy", RAMP)
     write_visibility(tmp_path / "a.exr", RAMP)
-    assert iio.imread(tmp_path / "a.png")[-1, 0] == 0
+    assert levels_of(tmp_path / "a.png")[-1, 0] == 0
     assert np.load(tmp_path / "a.npy")[0, 0] == 0
     with OpenEXR.File(str(tmp_path / "a.exr")) as exr:
         assert exr.channels()["Y"].pixels[-1, 0] == 0
@@ -73,39 +85,10 @@ def test_files_of_images_begin_with_the_top_row_and_arrays_with_the_bottom(tmp_p
 
 def test_png_of_grey_and_colour_is_flipped_and_rounded(tmp_path):
     write_png(tmp_path / "grey.png", RAMP)
-    np.testing.assert_array_equal(iio.imread(tmp_path / "grey.png")[::-1], np.rint(RAMP * 255))
+    np.testing.assert_array_equal(levels_of(tmp_path / "grey.png")[::-1], np.rint(RAMP * 255))
     colour = np.stack([RAMP, 1 - RAMP, 0 * RAMP], axis=-1)
     write_png(tmp_path / "colour.png", jnp.asarray(colour))
-    np.testing.assert_array_equal(iio.imread(tmp_path / "colour.png")[::-1], np.rint(colour * 255))
-
-
-def test_png_of_any_kind_is_read_as_the_mean_of_its_colours(tmp_path):
-    levels = np.rint(RAMP * 255).astype(np.uint8)[::-1]
-    half = np.full_like(levels, 128)
-    for name, stored in {
-        "8": levels,
-        "alpha": np.stack([levels, half], axis=-1),
-        "colour": np.stack([levels] * 3, axis=-1),
-        "colour_alpha": np.stack([levels] * 3 + [half], axis=-1),
-    }.items():
-        iio.imwrite(tmp_path / f"{name}.png", stored)
-        np.testing.assert_allclose(read_visibility(tmp_path / f"{name}.png"), RAMP, atol=0.5 / 255 + 1e-6, err_msg=name)
-    iio.imwrite(tmp_path / "bits.png", levels > 127)
-    np.testing.assert_array_equal(read_visibility(tmp_path / "bits.png"), RAMP > 0.5)
-    red = np.stack([levels, 0 * levels, 0 * levels], axis=-1)
-    iio.imwrite(tmp_path / "red.png", red)
-    np.testing.assert_allclose(read_visibility(tmp_path / "red.png"), RAMP / 3, atol=1e-2)
-
-
-def test_exr_of_any_channels_is_read(tmp_path):
-    up = np.ascontiguousarray(RAMP[::-1])
-    write_exr(tmp_path / "rgb.exr", RGB=np.stack([up, up, 0 * up], axis=-1).astype(np.float16))
-    np.testing.assert_allclose(read_visibility(tmp_path / "rgb.exr"), RAMP * 2 / 3, atol=1e-3)
-    write_exr(tmp_path / "odd.exr", shadow=up)
-    np.testing.assert_array_equal(read_visibility(tmp_path / "odd.exr"), RAMP)
-    write_exr(tmp_path / "two.exr", first=up, second=up)
-    with pytest.raises(FileError, match=r"two\.exr has the channels first, second; expected Y, or R, G and B"):
-        read_visibility(tmp_path / "two.exr")
+    np.testing.assert_array_equal(levels_of(tmp_path / "colour.png")[::-1], np.rint(colour * 255))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -145,7 +128,7 @@ def test_files_of_another_kind_than_their_suffix_says_are_named_for_what_they_ar
         if kind in SUFFIXES:
             write_visibility(tmp_path / f"b{kind}", RAMP)
         else:
-            (tmp_path / f"b{kind}").write_bytes(iio.imwrite("<bytes>", levels, extension=kind, plugin="pillow"))
+            (tmp_path / f"b{kind}").write_bytes(encoded(levels, kind))
         path.write_bytes((tmp_path / f"b{kind}").read_bytes())
         with pytest.raises(FileError, match=rf"its suffix \(it is a {kind} file\); write it again$"):
             read_visibility(path)

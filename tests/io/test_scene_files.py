@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gltf_scene import TRIANGLE, gltf
 
-from diffshadow.io import FileError, load_mesh, read_scene, write_ply
+from diffshadow.io import FileError, MeshWarning, load_mesh, read_scene, write_ply
 from diffshadow.io.scenes._three_geometries import GEOMETRIES, build_geometry
 
 FOLDER = Path(__file__).parents[1] / "golden" / "imports"
@@ -273,6 +273,62 @@ def test_a_damaged_geometry_gets_one_message(tmp_path, name):
     assert expected in str(caught.value)
 
 
+def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
+    empty, tube = {**soup_of({}), "uuid": "e"}, {"uuid": "t", "type": "TubeGeometry"}
+    few = {"itemSize": 16, "type": "Float32Array", "array": [0] * 16}
+    odd = [
+        {**MESH, "name": "label", "geometry": "e"},
+        *({**MESH, "name": f"pipe {i}", "geometry": "t"} for i in range(6)),
+        {**MESH, "name": "lost", "geometry": "nowhere"},
+        {**MESH, "name": "posts", "type": "InstancedMesh", "count": 2, "instanceMatrix": few},
+    ]
+    scene = read_scene(stored(tmp_path, odd[0], MESH, *odd[1:], geometries=[BOX, empty, tube]))
+    assert [mesh.name for mesh in scene.meshes] == ["box"]
+    said = [remark for remark in scene.remarks if "left out" in remark]
+    assert [remark.partition(": left out, since the file ")[0] for remark in said] == [
+        "label",
+        "pipe 0, pipe 1, pipe 2, pipe 3 and 2 others",
+        "lost",
+        "posts",
+    ]
+    for remark, fault in zip(
+        said, ("has a BufferGeometry with no", "has a Tube", "is damaged: its mesh", "is damaged"), strict=True
+    ):
+        assert f"since the file {fault}" in remark
+
+
+HALF = {"itemSize": 3, "type": "Uint16Array"}
+# 0, 0.5, 1 and -0.5.
+BITS = [0, 14336, 15360, 15360, 0, 47104, 0, 15360, 0]
+
+
+def interleaved_halves():
+    words = np.array([*BITS, 0], np.uint16).view(np.uint32).tolist()
+    position = {"isInterleavedBufferAttribute": True, "itemSize": 3, "data": "i", "offset": 0, "type": ""}
+    buffers = {"interleavedBuffers": {"i": {"buffer": "b", "type": "Uint16Array", "stride": 3}}}
+    return soup_of({"position": position}, **buffers, arrayBuffers={"b": words})
+
+
+@pytest.mark.parametrize(
+    ("geometry", "attributes"),
+    [
+        (soup_of({"position": {**HALF, "array": BITS}}), "position"),
+        (soup_of({"position": {**HALF, "array": BITS}, "normal": {**HALF, "array": BITS}}), "position and normal"),
+        (interleaved_halves(), "position"),
+        (soup_of({"position": {**HALF, "array": BITS, "normalized": True}}), None),
+        # Half floats have no such bits.
+        (soup_of({"position": {**HALF, "array": [*BITS[:-1], 32000]}}), None),
+        (soup_of({"position": POSITION}), None),
+    ],
+    ids=["positions", "both", "interleaved", "normalized", "not half floats", "floats"],
+)
+def test_whole_numbers_that_may_be_half_floats_are_named_once(geometry, attributes, tmp_path):
+    scene = read_scene(stored(tmp_path, MESH, {**MESH, "name": "twin"}, geometries=[geometry]))
+    said = [remark for remark in scene.remarks if "16 bits" in remark]
+    start = f"box: its attribute {attributes} holds whole numbers of 16 bits, and is read as these"
+    assert [remark.startswith(start) for remark in said] == ([True] if attributes else [])
+
+
 def test_a_missing_geometry_is_named(tmp_path):
     with pytest.raises(FileError, match="its mesh box refers to a geometry that the file lacks"):
         read_scene(stored(tmp_path, MESH, geometries=[]))
@@ -332,6 +388,76 @@ def test_damage_of_a_gltf_scene_gets_one_message(tmp_path, name):
     with pytest.raises(FileError) as caught:
         read_scene(as_file(tmp_path, content))
     assert expected in str(caught.value)
+
+
+def named(content, name):
+    return next(node for node in content["nodes"] if node.get("name") == name)
+
+
+HIDDEN = {"KHR_node_visibility": {"visible": False}}
+
+
+def test_what_is_below_a_hidden_node_is_left_out_and_named(tmp_path):
+    content = gltf()
+    named(content, "light 0")["extensions"] |= HIDDEN
+    for extensions in (HIDDEN, {"KHR_node_visibility": {"hidden": True}}):
+        above = {"name": "above", "extensions": extensions, "children": [len(content["nodes"]) + 1]}
+        # What is below a hidden node is hidden, too.
+        ghost = {"name": "ghost", "mesh": 0, "extensions": {"KHR_node_visibility": {"visible": True}}}
+        content["nodes"] += [above, ghost]
+    content["nodes"].append({"name": "spare", "camera": 0, "extensions": HIDDEN})
+    scene = read_scene(as_file(tmp_path, content))
+    assert [mesh.name for mesh in scene.meshes] == ["triangle"]
+    assert [light.name for light in scene.lights] == ["light 1", "light 2"]
+    assert len(scene.cameras) == 1
+    said = [remark for remark in scene.remarks if "KHR_node_visibility" in remark]
+    assert said == [f"{name}: hidden by KHR_node_visibility; left out" for name in ("light 0", "ghost", "spare")]
+    with pytest.warns(MeshWarning, match="is loaded without its 2 hidden meshes"):
+        assert load_mesh(tmp_path / "scene.gltf").faces.shape[0] == 1
+
+
+def test_a_hidden_camera_serves_where_there_is_no_other(tmp_path):
+    content = gltf()
+    content["nodes"][1]["extensions"] = HIDDEN
+    scene = read_scene(as_file(tmp_path, content))
+    assert len(scene.cameras) == 1
+    assert "camera: hidden by KHR_node_visibility; taken all the same, since there is no other camera" in scene.remarks
+
+
+def test_extensions_and_animations_that_are_not_obeyed_are_named(tmp_path):
+    content = gltf()
+    content["extensionsUsed"] += [
+        "ACME_curtains",
+        "KHR_materials_clearcoat",
+        "EXT_meshopt_compression",
+        "ACME_curtains",
+    ]
+    content["animations"] = [{}, {}]
+    content["materials"][0] |= {"alphaMode": "BLEND", "extensions": {"KHR_materials_unlit": {}}}
+    scene = read_scene(as_file(tmp_path, content))
+    for remark in (
+        "1 × extension ACME_curtains: left out",
+        "2 × animation: left out",
+        "triangle: it is transparent, and opaque here; in shadow maps it is opaque in three.js, too",
+        "triangle: its material is unlit (KHR_materials_unlit) and shows no shadows; here it does",
+    ):
+        assert scene.remarks.count(remark) == 1
+    assert not any("clearcoat" in remark or "meshopt" in remark for remark in scene.remarks)
+
+
+def test_an_odd_primitive_of_gltf_is_left_out_and_named(tmp_path):
+    content = gltf()
+    content["meshes"].append({"primitives": [{"attributes": {"POSITION": 9}}, {"attributes": {"COLOR_0": 0}}]})
+    content["nodes"].append({"name": "odd", "mesh": 1})
+    scene = read_scene(as_file(tmp_path, content))
+    assert [mesh.name for mesh in scene.meshes] == ["triangle"]
+    assert (
+        "odd: left out, since the file is damaged: it refers to accessor 9, but has 2; export it again" in scene.remarks
+    )
+    assert "1 × primitive without positions: left out" in scene.remarks
+    content["nodes"][0]["mesh"] = 1
+    with pytest.raises(FileError, match=r"scene\.gltf is damaged: it refers to accessor 9, .* \(in triangle\)"):
+        read_scene(as_file(tmp_path, content))
 
 
 # --- Files' own normals ---

@@ -164,6 +164,39 @@ def test_a_scene_that_cannot_be_lit_gets_one_message(tmp_path, capsys, name):
     assert not (tmp_path / "made").exists()
 
 
+def test_a_scene_beyond_the_limits_gets_the_same_message_twice_and_leaves_nothing(tmp_path, capsys):
+    def huge(children):
+        for light in children:
+            if light["type"] == "SpotLight":
+                light["shadow"]["mapSize"] = [16384, 16384]
+
+    path = scene_file(tmp_path, huge)
+    errors = []
+    for _ in range(2):
+        with pytest.raises(SystemExit):
+            main(["import", str(path), "--output", str(tmp_path / "new" / "made")])
+        errors.append(capsys.readouterr().err)
+    assert errors[0] == errors[1]
+    assert errors[0].startswith(f"error: {path}: shadow_map.resolution.0: is 16384; expected")
+    assert "it is taken from the scene: change it there" in errors[0]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_import_that_cannot_write_leaves_nothing(tmp_path, monkeypatch):
+    def is_full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("diffshadow.io.write_ply", is_full)
+    (tmp_path / "mine.txt").write_text("")
+    for folder in (tmp_path, tmp_path / "new"):
+        with pytest.raises(FileError, match="No space left on device"):
+            import_scene(FOLDER / "room.json", console=Console(quiet=True), output=folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    (tmp_path / "meshes").write_text("")
+    with pytest.raises(FileError, match="meshes exists and is not a folder"):
+        import_scene(FOLDER / "room.json", console=Console(quiet=True), output=tmp_path)
+
+
 def test_an_edited_configuration_is_not_written_over(tmp_path):
     made = import_scene(FOLDER / "room.json", console=Console(quiet=True), output=tmp_path)
     made.write_text(made.read_text() + "# mine\n")
@@ -233,6 +266,118 @@ def test_a_scene_far_from_the_worlds_origin_is_taken_over_with_all_digits(tmp_pa
     for ours, theirs in zip(jax.tree.leaves(near), jax.tree.leaves(far), strict=True):
         at = np.asarray(far.origin) - [6e6, -8e3, 3e6] if ours.shape[-1:] == (3,) else 0
         assert min(np.abs(theirs - ours).max(), np.abs(theirs + at - ours).max()) < 2e-6 * max(np.abs(ours).max(), 1)
+
+
+def written(tmp_path, content):
+    path = tmp_path / "scene.gltf"
+    path.write_text(json.dumps(content))
+    return path
+
+
+GLTF_MISTAKES = {
+    "no light": ("light", "add a directional, spot or point light, and export the scene with its lights (KHR_lights"),
+    "no camera": ("camera", "export the scene with its cameras, or give another file that has one with --camera"),
+    "no mesh": ("mesh", "export the scene with its meshes, as triangles"),
+}
+
+
+@pytest.mark.parametrize("name", GLTF_MISTAKES)
+def test_remedies_are_those_of_the_files_format(tmp_path, name):
+    what, remedy = GLTF_MISTAKES[name]
+    content = gltf()
+    for node in content["nodes"]:
+        node.pop(what, None)
+        if what == "light":
+            node.pop("extensions", None)
+    with pytest.raises(ValueError, match=rf"the scene has no {what}.*; expected one: ") as caught:
+        import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
+    assert remedy in str(caught.value)
+    assert "toJSON" not in str(caught.value)
+
+
+BULB = {"uuid": "bulb", "type": "SphereGeometry", "radius": 0.05}
+SHINING = [
+    {"uuid": "basic", "type": "MeshBasicMaterial"},
+    {"uuid": "shining", "type": "MeshStandardMaterial", "emissive": 0xFFDD88},
+    {"uuid": "dim", "type": "MeshStandardMaterial", "emissive": 0xFFDD88, "emissiveIntensity": 0},
+]
+ROOM = {"uuid": "room", "type": "BoxGeometry", "width": 4, "height": 3, "depth": 4}
+
+
+def room(tmp_path, *meshes, **lamp):
+    """The radius of a lamp that stands in the middle of a room, and what is said of it."""
+    placed = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *lamp.pop("at", (0, 0, 0)), 1]
+    base = {"type": "Mesh", "castShadow": True, "material": "basic"}
+    small = [0.1, 0, 0, 0, 0, 0.1, 0, 0, 0, 0, 0.1, 0, 0.5, -1, 0, 1]
+    children = [
+        {"type": "PerspectiveCamera", "position": [1, 1, 1]},
+        {"type": "PointLight", "name": "lamp", "castShadow": True, "matrix": placed, **lamp},
+        {**base, "name": "room", "geometry": "room", "castShadow": False},
+        {**base, "name": "box", "geometry": "room", "matrix": small},
+        *({**base, "castShadow": False, "matrix": placed, **mesh} for mesh in meshes),
+    ]
+    content = {"object": {"type": "Scene", "children": children}, "geometries": [BULB, ROOM], "materials": SHINING}
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(content))
+    with (tmp_path / "said.txt").open("w") as file:
+        made = import_scene(path, console=Console(file=file, width=300), output=tmp_path)
+    said = next(line for line in (tmp_path / "said.txt").read_text().splitlines() if "have no size" in line)
+    return load_config(made, fitting=True).scene.light.radius, said
+
+
+@pytest.mark.parametrize("at", [(0, 0, 0), (1e-17, 0, 0), (0.2, 1, 0)])
+def test_a_lamp_in_a_room_is_seen_under_a_degree_from_its_walls(tmp_path, at):
+    radius, said = room(tmp_path, at=at)
+    # The distances of the walls' middles from the middle of the room are 1.5 to 2.
+    assert 1.5 <= radius / np.tan(np.radians(0.5)) <= 2.6
+    assert "seen under 1 degree from" in said
+
+
+@pytest.mark.parametrize("material", ["basic", "shining"])
+def test_a_lamp_is_as_large_as_its_own_mesh(tmp_path, material):
+    radius, said = room(tmp_path, {"name": "bulb", "geometry": "bulb", "material": material})
+    assert radius == pytest.approx(0.05, rel=0.02)
+    assert "its light's radius is 0.05 world units, that of its mesh bulb;" in said
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        {"material": "dim"},
+        {"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.3, 0, 0, 1]},
+        {"geometry": "room"},
+    ],
+    ids=["not shining", "elsewhere", "a room"],
+)
+def test_other_meshes_are_no_lamps(tmp_path, mesh):
+    _, said = room(tmp_path, {"name": "other", "geometry": "bulb", "material": "basic", **mesh})
+    assert "seen under 1 degree from" in said
+
+
+def test_a_shining_mesh_around_a_lamp_of_gltf_does_not_cast(tmp_path):
+    content = gltf()
+    content["materials"].append({"emissiveFactor": [1, 1, 1], "doubleSided": True})
+    content["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "material": 1}]})
+    small = {"mesh": 1, "scale": [0.01] * 3, "translation": [0, 0, 1]}
+    content["nodes"] = [{"name": "bulb", **small}, *content["nodes"]]
+    content["nodes"][1]["scale"] = [4, 4, 4]
+    with (tmp_path / "said.txt").open("w") as file:
+        console = Console(file=file, width=300)
+        made = import_scene(written(tmp_path, content), console=console, light="light 1", output=tmp_path)
+    assert (
+        "note: bulb: it is the mesh of the light light 1, and casts no shadow here"
+        in (tmp_path / "said.txt").read_text()
+    )
+    assert [mesh.casts for mesh in load_config(made).scene.meshes] == [False, True]
+
+
+def test_a_lamp_of_gltf_amid_its_scene_has_bounds(tmp_path):
+    content = gltf()
+    content["nodes"][0]["translation"] = [-0.5, 0, 0.5]
+    content["nodes"][3]["translation"] = [0, 0, 1]
+    made = import_scene(written(tmp_path, content), console=Console(quiet=True), light="light 1", output=tmp_path)
+    bounds = load_config(made, fitting=True).fit.parameters["technique.bias"]
+    assert -0.5 < bounds.lower < 0
 
 
 @pytest.mark.parametrize(("light", "kind"), [("light 0", "directional"), ("light 1", "point"), ("light 2", "spot")])

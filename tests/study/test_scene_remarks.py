@@ -1,14 +1,16 @@
 """Remarks on scenes: meshes that contribute nothing to the picture, meshes around lights, and what was left out of
 files."""
 
+import numpy as np
 import pytest
+from PIL import Image
 from rich.console import Console
 
-from diffshadow.config import parse_config
+from diffshadow.config import build_technique, parse_config
 from diffshadow.raster import draw_surface
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._scene_remarks import scene_remarks
-from diffshadow.study.runs._setup import load
+from diffshadow.study.runs._setup import draw, load
 
 SCENE = """
 scene:
@@ -82,3 +84,15 @@ def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_p
     (tmp_path / "cage.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nl 1 3\nl 2 4\n")
     (remark,) = remarks("path: cage.obj, translate: [1, 0.2, 1]", tmp_path)
     assert remark == f"the mesh file {tmp_path / 'cage.obj'} is loaded without its 2 lines"
+
+
+def test_what_a_reference_says_of_its_pixels_is_remarked_on_once(tmp_path):
+    Image.fromarray(np.full((64, 64), 255, np.uint8)).save(tmp_path / "reference.png", icc_profile=bytes(200))
+    text = (
+        SCENE.format(mesh="path: builtin:box, translate: [1, 0, 1]") + "reference: {type: image, path: reference.png}\n"
+    )
+    config = parse_config(text, folder=tmp_path)
+    with Stages(Console(quiet=True)) as stages:
+        (drawn,) = draw(config, load(config, stages), build_technique(config), stages)
+    (remark,) = drawn.remarks
+    assert remark.startswith(f"the visibility file {tmp_path / 'reference.png'} has the chunk iCCP")

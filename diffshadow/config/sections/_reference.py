@@ -36,7 +36,8 @@ class ImageReferenceConfig(Section):
     type: Literal["image"] = "image"
     path: str = Field(
         min_length=1,
-        description="a visibility image, relative to this file (in an override: to the current folder)",
+        description="a visibility image (.npy, .png or .exr, linear, 1 where lit), relative to this file (in an "
+        "override: to the current folder)",
     )
 
 

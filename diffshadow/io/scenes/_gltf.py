@@ -5,7 +5,7 @@ https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_lights
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,21 @@ from jaxtyping import Float
 from pydantic import BaseModel, ValidationError
 
 from ..._types import HostArray
-from .._errors import damaged
-from .._gltf import nodes_of, parts_of
+from .._errors import Faults, damaged
+from .._gltf import HIDDEN_MESH, nodes_of, parts_of
 from .._gltf_data import Buffers, chunks, item
-from .._gltf_schema import LIGHTS, Camera, Document, Light, Material, parse
+from .._gltf_schema import (
+    LIGHTS,
+    TRANSMISSION,
+    UNLIT,
+    VISIBILITY,
+    Camera,
+    Document,
+    Light,
+    Material,
+    Node,
+    parse,
+)
 from .._text import excerpt
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, Vector
 
@@ -36,41 +47,77 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     document = parse(text)
     remarks: list[str] = []
     left_out: Counter[str] = Counter()
+    faults = Faults()
     materials = _all(Material, document.materials, "materials")
     meshes = []
-    for part in parts_of(document, Buffers(document, binary, folder), left_out):
+    for part in parts_of(document, Buffers(document, binary, folder), left_out, faults):
         if not len(part.faces):
             continue
         number = part.primitive.material
         material = Material() if number is None else item(materials, number, "material")
-        name = part.node.name or item(document.meshes, part.node.mesh or 0, "mesh").name or "mesh"
+        name = _mesh_name(part.node, document)
         side = "double" if material.double_sided else "front"
-        meshes.append(SceneMesh(name, part.vertices, part.faces, part.normals, side))
-        if material.alpha_mode == "MASK":
-            remarks.append(f"{name}: its alpha test is left out; the whole surface casts")
-        if part.normals is None:
-            remarks.append(f"{name}: it has no normals; it gets those of its faces")
+        emits = any(material.emissive_factor) or UNLIT in material.extensions
+        meshes.append(SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits))
+        remarks += [f"{name}: {remark}" for remark in _remarks(material, has_normals=part.normals is not None)]
+    fault = faults.error()
+    if fault is not None and not meshes:
+        raise fault
+    # Named one by one below.
+    del left_out[HIDDEN_MESH]
+    remarks += faults.remarks()
     remarks += [f"{count} × {name}: left out" for name, count in left_out.items() if count]
     cameras, lights = _placed(document, remarks)
-    return SceneFile(meshes, cameras, lights, None, remarks)
+    return SceneFile(meshes, cameras, lights, None, list(dict.fromkeys(remarks)))
+
+
+def _mesh_name(node: Node, document: Document) -> str:
+    return node.name or item(document.meshes, node.mesh or 0, "mesh").name or "mesh"
+
+
+def _remarks(material: Material, has_normals: bool) -> Iterator[str]:
+    """What of a mesh is otherwise here."""
+    if material.alpha_mode == "MASK":
+        yield "its alpha test is left out; the whole surface casts"
+    transmission = material.extensions.get(TRANSMISSION)
+    if material.alpha_mode == "BLEND" or (isinstance(transmission, dict) and transmission.get("transmissionFactor")):
+        yield "it is transparent, and opaque here; in shadow maps it is opaque in three.js, too"
+    if UNLIT in material.extensions:
+        yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it does"
+    if not has_normals:
+        yield "it has no normals; it gets those of its faces"
 
 
 def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], list[SceneLight]]:
-    """The cameras and lights of the nodes."""
+    """The cameras and lights of the nodes. Adds what is hidden to `remarks`."""
     cameras, lights = _all(Camera, document.cameras, "cameras"), _lights(document)
-    seen, lit = [], []
-    for node, to_world in nodes_of(document):
+    seen: list[SceneCamera] = []
+    beside: list[SceneCamera] = []
+    lit: list[SceneLight] = []
+    for node, to_world, is_visible in nodes_of(document):
+        hidden = []
+        if node.mesh is not None and not is_visible:
+            hidden.append(_mesh_name(node, document))
         if node.camera is not None:
             camera = item(cameras, node.camera, "camera")
-            seen.append(_camera(camera, node.name or camera.name or "camera", to_world))
+            placed = _camera(camera, node.name or camera.name or "camera", to_world)
+            (seen if is_visible else beside).append(placed)
         of_node = node.extensions.get(LIGHTS)
         if isinstance(of_node, dict):
             number = of_node.get("light")
             if not isinstance(number, int) or number < 0:
                 raise damaged(f"a node refers to the light {excerpt(str(number))}")
             light = item(lights, number, "light")
-            lit.append(_light(light, node.name or light.name or light.type, to_world))
-    return seen, lit
+            placed = _light(light, node.name or light.name or light.type, to_world)
+            if is_visible:
+                lit.append(placed)
+            else:
+                hidden.append(placed.name)
+        remarks += [f"{name}: hidden by {VISIBILITY}; left out" for name in hidden]
+    # The extension hides no cameras, so that one may serve where there is no other.
+    said = "left out" if seen else "taken all the same, since there is no other camera"
+    remarks += [f"{camera.name}: hidden by {VISIBILITY}; {said}" for camera in beside]
+    return seen or beside, lit
 
 
 def _lights(document: Document) -> list[Light]:

@@ -19,6 +19,7 @@ class SceneMesh(NamedTuple):
     - `casts`, `receives`: whether it casts and receives shadows.
     - `layers`: bits of the layers it is in.
     - `colour`: diffuse, each component in [0, 1].
+    - `emits`: whether its material shines, or is drawn as if it did.
     """
 
     name: str
@@ -31,6 +32,7 @@ class SceneMesh(NamedTuple):
     receives: bool = True
     layers: int = 1
     colour: Vector = (0.8, 0.8, 0.8)
+    emits: bool = False
 
 
 class SceneCamera(NamedTuple):

@@ -57,9 +57,33 @@ def values_of(attribute: Attribute, data: GeometryData | None, name: str) -> Flo
     return rows
 
 
+def maybe_half_floats(entry: GeometryEntry) -> list[str]:
+    """The attributes of a geometry whose whole numbers may be the bits of half floats, for which files have no type."""
+    data = entry.data
+    if data is None:
+        return []
+    found = []
+    for name in ("position", "normal"):
+        attribute = data.attributes.get(name)
+        if attribute is None or attribute.normalized or _type(attribute, data) != "Uint16Array":
+            continue
+        bits = values_of(attribute, data, name).astype(np.uint16)
+        if np.isfinite(bits.view(np.float16)).all():
+            found.append(name)
+    return found
+
+
+def _type(attribute: Attribute, data: GeometryData) -> str:
+    """The name of the array that holds an attribute."""
+    if not attribute.is_interleaved_buffer_attribute:
+        return attribute.type
+    buffer = data.interleaved_buffers.get(attribute.data or "")
+    return "" if buffer is None else buffer.type
+
+
 def _stored(data: GeometryData, kind: str) -> Geometry:
     if "position" not in data.attributes:
-        raise damaged(f"a {kind} has no attribute position")
+        raise MeshError(f"has a {kind} with no attribute position; give it one, or remove its mesh from the scene")
     vertices = values_of(data.attributes["position"], data, "position")
     if vertices.shape[1] != 3:
         raise damaged(f"its attribute position has {vertices.shape[1]} numbers to a vertex; expected 3")

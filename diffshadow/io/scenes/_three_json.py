@@ -10,12 +10,12 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..._types import HostArray
-from .._errors import damaged
-from .._polygons import placed
+from .._errors import Faults, MeshError, damaged
+from .._polygons import repeated
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Side, Vector
-from ._three_buffers import geometry_of, values_of
+from ._three_buffers import geometry_of, maybe_half_floats, values_of
 from ._three_geometries import Geometry
-from ._three_schema import Document, Material, Object, ShadowCamera, parse
+from ._three_schema import Document, GeometryEntry, Material, Object, ShadowCamera, parse
 
 _MESHES = ("Mesh", "SkinnedMesh", "InstancedMesh")
 _CAMERAS = ("PerspectiveCamera", "OrthographicCamera")
@@ -119,47 +119,79 @@ def _is_moved(entry: _Placed) -> bool:
 
 
 def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> list[SceneMesh]:
-    geometries = {entry.uuid: entry for entry in document.geometries}
+    """The meshes that are drawn. Those that cannot be read are left out.
+
+    **Raises** `MeshError` if all that there are cannot be read.
+    """
+    stored = {entry.uuid: entry for entry in document.geometries}
     materials = {entry.uuid: entry for entry in document.materials}
     built: dict[str, Geometry] = {}
-    meshes = []
+    faults = Faults()
+    meshes: list[SceneMesh] = []
     for entry in drawn:
-        object = entry.object
-        if object.type not in _MESHES:
+        if entry.object.type not in _MESHES:
             continue
-        if object.geometry not in geometries:
-            raise damaged(f"its mesh {entry.name} refers to a geometry that the file lacks")
-        stored = geometries[object.geometry]
-        if object.geometry not in built:
-            built[object.geometry] = geometry_of(stored)
-        geometry = built[object.geometry]
-        _remark_geometry(entry, stored.data is not None and bool(stored.data.morph_attributes), geometry, remarks)
-        for name, faces, material in _parts(entry, geometry, materials):
+        is_new = entry.object.geometry not in built
+        try:
+            geometry = _geometry(entry, stored, built)
+            parts = [*_parts(entry, geometry, materials)]
+            placed = [_instances(entry, geometry._replace(faces=faces)) for _, faces, _ in parts]
+        except MeshError as fault:
+            faults.add(entry.name, fault)
+            continue
+        of_mesh = stored[entry.object.geometry or ""]
+        remarks += _half_floats(entry.name, of_mesh) if is_new else []
+        _remark_geometry(entry, of_mesh, geometry, remarks)
+        for (name, _, material), whole in zip(parts, placed, strict=True):
             if not material.visible:
                 remarks.append(f"{name}: its material is not visible; left out")
-                continue
-            if material.wireframe:
+            elif material.wireframe:
                 remarks.append(f"{name}: its material is a wireframe; left out")
-                continue
-            whole = _instances(entry, geometry._replace(faces=faces))
-            if not len(whole.faces):
-                continue
-            _remark_material(name, material, object, remarks)
-            meshes.append(
-                SceneMesh(
-                    name,
-                    whole.vertices,
-                    whole.faces,
-                    whole.normals,
-                    _SIDES[material.side],
-                    None if material.shadow_side is None else _SIDES[material.shadow_side],
-                    object.cast_shadow,
-                    object.receive_shadow,
-                    object.layers,
-                    _colour(material.color),
-                )
-            )
+            elif len(whole.faces):
+                _remark_material(name, material, entry.object, remarks)
+                meshes.append(_mesh(name, whole, material, entry.object))
+    fault = faults.error()
+    if fault is not None and not meshes:
+        raise fault
+    remarks += faults.remarks()
     return meshes
+
+
+def _geometry(entry: _Placed, stored: Mapping[str, GeometryEntry], built: dict[str, Geometry]) -> Geometry:
+    """The geometry of a mesh, which is kept in `built`."""
+    uuid = entry.object.geometry or ""
+    if uuid not in stored:
+        raise damaged(f"its mesh {entry.name} refers to a geometry that the file lacks")
+    if uuid not in built:
+        built[uuid] = geometry_of(stored[uuid])
+    return built[uuid]
+
+
+def _half_floats(name: str, stored: GeometryEntry) -> list[str]:
+    attributes = maybe_half_floats(stored)
+    if not attributes:
+        return []
+    return [
+        f"{name}: its attribute {' and '.join(attributes)} holds whole numbers of 16 bits, and is read as these, as "
+        "ObjectLoader does; if they are the bits of a Float16BufferAttribute, which files do not say, make it a "
+        "Float32BufferAttribute before toJSON()"
+    ]
+
+
+def _mesh(name: str, whole: Geometry, material: Material, object: Object) -> SceneMesh:
+    return SceneMesh(
+        name,
+        whole.vertices,
+        whole.faces,
+        whole.normals,
+        _SIDES[material.side],
+        None if material.shadow_side is None else _SIDES[material.shadow_side],
+        object.cast_shadow,
+        object.receive_shadow,
+        object.layers,
+        _colour(material.color),
+        material.type == "MeshBasicMaterial" or bool(material.emissive and material.emissive_intensity),
+    )
 
 
 def _parts(
@@ -191,18 +223,12 @@ def _instances(entry: _Placed, geometry: Geometry) -> Geometry:
         if values.shape[1] != 16 or len(values) < entry.object.count or not np.isfinite(values).all():
             raise damaged(f"its instanced mesh {entry.name} has no {entry.object.count} finite matrices")
         matrices = values[: entry.object.count].reshape(-1, 4, 4).swapaxes(1, 2)
-    parts = [placed(*geometry[:3], entry.to_world @ matrix) for matrix in matrices]
-    vertices, faces, normals = zip(*parts, strict=True) if parts else ((), (), ())
-    starts = len(geometry.vertices) * np.arange(len(parts))
-    return Geometry(
-        np.concatenate([np.zeros((0, 3)), *vertices]),
-        np.concatenate([np.zeros((0, 3), np.int64), *(own + start for own, start in zip(faces, starts, strict=True))]),
-        None if geometry.normals is None else np.concatenate([np.zeros((0, 3)), *normals]),
-    )
+    return Geometry(*repeated(*geometry[:3], entry.to_world @ matrices))
 
 
-def _remark_geometry(entry: _Placed, has_morphs: bool, geometry: Geometry, remarks: list[str]) -> None:
+def _remark_geometry(entry: _Placed, stored: GeometryEntry, geometry: Geometry, remarks: list[str]) -> None:
     name = entry.name
+    has_morphs = stored.data is not None and bool(stored.data.morph_attributes)
     if entry.object.type == "SkinnedMesh":
         remarks.append(f"{name}: its skin is left out; the mesh is as it was modelled")
     if has_morphs and any(entry.object.morph_target_influences):

@@ -87,6 +87,8 @@ class Material(_Part):
     type: str = "Material"
     name: str = ""
     color: Annotated[int, Field(ge=0, le=0xFFFFFF)] = 0xFFFFFF
+    emissive: Annotated[int, Field(ge=0, le=0xFFFFFF)] = 0
+    emissive_intensity: float = 1.0
     side: Annotated[int, Field(ge=0, le=2)] = 0
     shadow_side: Annotated[int, Field(ge=0, le=2)] | None = None
     visible: bool = True

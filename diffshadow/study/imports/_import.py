@@ -1,8 +1,11 @@
 """Turns a scene that another program stored into a configuration and its mesh files."""
 
+import contextlib
 import os
 import re
-from collections.abc import Sequence
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +13,9 @@ import numpy as np
 from rich.console import Console
 
 from ... import geometry, io
-from ...config import dump, load_config
+from ...config import ConfigError, Mistake, Place, dump, parse_config
 from ..pages import _table as table
+from ._lamp import mesh_of
 from ._settings import Chosen, ShadowType, Technique, choose, settings_of
 
 _MESHES = "meshes"
@@ -56,7 +60,8 @@ def import_scene(
     if camera is not None and Path(camera).is_file():
         scene, camera = scene._replace(cameras=io.read_scene(camera).cameras), None
     chosen = choose(scene, camera, light, remarks)
-    io.check_writable(folder)
+    if scene.engine is None:
+        chosen = _with_lamp(chosen, remarks)
     files = _file_names(chosen)
     # Far from the world's origin, files keep the shape of meshes, and the configuration their places.
     origins = [geometry.origin_of(mesh.vertices) for mesh in chosen.meshes]
@@ -66,16 +71,62 @@ def import_scene(
         remarks.append("glTF has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
         remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
-    (folder / _MESHES).mkdir(parents=True, exist_ok=True)
-    for mesh, of, origin in zip(chosen.meshes, files, origins, strict=True):
-        io.write_ply(folder / of, mesh.vertices - np.asarray(origin), mesh.faces, mesh.normals)
     text = _text({"name": name, **settings}, file.name)
-    with io.atomic_path(written) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    # A scene may lie beyond the limits of configurations.
-    load_config(written, fitting=True)
+    _check(text, file, folder)
+    near = [
+        mesh._replace(vertices=mesh.vertices - np.asarray(origin))
+        for mesh, origin in zip(chosen.meshes, origins, strict=True)
+    ]
+    _write(folder, written.name, text, dict(zip(files, near, strict=True)))
     _say(console, chosen, remarks)
     return written
+
+
+def _with_lamp(chosen: Chosen, remarks: list[str]) -> Chosen:
+    """`chosen`, whose light's own mesh does not cast, where the file has no settings of shadows."""
+    mesh = None if chosen.light.type == "directional" else mesh_of(chosen.meshes, np.asarray(chosen.light.position))
+    if mesh is None:
+        return chosen
+    remarks.append(f"{mesh.name}: it is the mesh of the light {chosen.light.name}, and casts no shadow here")
+    return chosen._replace(meshes=[each._replace(casts=False) if each is mesh else each for each in chosen.meshes])
+
+
+def _check(text: str, file: Path, folder: Path) -> None:
+    """**Raises** `ConfigError` if the scene lies beyond the limits of configurations. Nothing is written before."""
+    try:
+        parse_config(text, folder=folder, fitting=True, files=False)
+    except ConfigError as error:
+        said = "it is taken from the scene: change it there"
+        raise ConfigError(
+            [Mistake(Place(str(file)), each.key, f"{each.message} ({said})") for each in error.mistakes]
+        ) from error
+
+
+def _write(folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh]) -> None:
+    """Writes the configuration and its meshes, or nothing.
+
+    **Raises** `FileError` if that is not possible.
+    """
+    io.check_writable(folder / _MESHES)
+    made = [level for level in (folder / _MESHES, folder, *folder.parents) if not level.exists()]
+    draft = folder / f".{name}-{secrets.token_hex(6)}"
+    try:
+        (draft / _MESHES).mkdir(parents=True)
+        for of, mesh in meshes.items():
+            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals)
+        (draft / name).write_text(text, encoding="utf-8")
+        (folder / _MESHES).mkdir(exist_ok=True)
+        # The configuration comes last, since it says that all is there.
+        for each in (*meshes, name):
+            os.replace(draft / each, folder / each)
+    except OSError as error:
+        raise io.FileError(f"cannot write to {folder.absolute()}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+        if not (folder / name).exists():
+            for level in made:
+                with contextlib.suppress(OSError):
+                    level.rmdir()
 
 
 def _file_names(chosen: Chosen) -> list[str]:

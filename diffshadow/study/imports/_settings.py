@@ -1,26 +1,44 @@
 """The configuration of a scene that another program stored."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from ... import geometry, io
+from ._lamp import HALF_ANGLE, distance_lit, lamp_size
 
 Technique = Literal["three.js", "shadow_map"]
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 
 # Pixels of the longer side of the image.
 _PIXELS = 512
-# Half the angle at which receivers see the light: engines' lights have no size, and traced penumbrae need one.
-_HALF_ANGLE = 0.5
 # Bounds of a fit, as fractions of the diagonal of the scene's box: of a bias' shift, and of a normal bias.
 _SHIFT, _OFFSET = 0.04, 0.0125
 _RADIUS = 6.0
 # More than single precision has.
 _DIGITS = 9
 _OTHER = {"front": "back", "back": "front", "double": "double"}
+
+
+class _Remedies(NamedTuple):
+    """What makes a scene's file have what it lacks."""
+
+    camera: str
+    light: str
+    mesh: str
+
+
+_THREE_JS = _Remedies(
+    "add it to the scene before scene.toJSON(), or give the camera's own file with --camera",
+    "set light.castShadow = true before scene.toJSON()",
+    "set mesh.castShadow = true before scene.toJSON()",
+)
+_GLTF = _Remedies(
+    "export the scene with its cameras, or give another file that has one with --camera",
+    "add a directional, spot or point light, and export the scene with its lights (KHR_lights_punctual)",
+    "export the scene with its meshes, as triangles",
+)
 
 
 class Chosen(NamedTuple):
@@ -37,40 +55,33 @@ def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: 
 
     **Raises** `ValueError` if there is no such camera or light, or no mesh.
     """
-    seen = _named("camera", scene.cameras, camera, remarks)
+    remedies = _GLTF if scene.engine is None else _THREE_JS
+    seen = _named("camera", scene.cameras, camera, remarks, remedies.camera)
     lit = [each for each in scene.lights if each.layers & seen.layers]
     casting = [each for each in lit if each.casts]
     if not casting and light is None:
         found = f"{len(lit)} without castShadow" if lit else "no directional, spot or point light that its camera sees"
-        raise ValueError(
-            f"the scene has no light that casts shadows ({found}); expected one: set light.castShadow = true before "
-            "scene.toJSON(), or name a light with --light"
-        )
+        named = ", or name a light with --light" if lit else ""
+        raise ValueError(f"the scene has no light that casts shadows ({found}); expected one: {remedies.light}{named}")
     remarks += [f"{each.name}: castShadow = false; left out" for each in lit if not each.casts and each.name != light]
-    shining = _named("light", lit if light is not None else casting, light, remarks)
+    shining = _named("light", lit if light is not None else casting, light, remarks, remedies.light)
     meshes = [mesh for mesh in scene.meshes if mesh.layers & seen.layers]
     unseen = [mesh.name for mesh in scene.meshes if not mesh.layers & seen.layers]
     remarks += [f"{name}: not in the camera's layers; left out" for name in unseen]
     if not any(mesh.casts for mesh in meshes):
         found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
-        raise ValueError(
-            f"the scene has no mesh that casts shadows ({found}); expected one: set mesh.castShadow = true before "
-            "scene.toJSON()"
-        )
+        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {remedies.mesh}")
     return Chosen(meshes, seen, shining)
 
 
 def _named[T: (io.SceneCamera, io.SceneLight)](
-    what: str, entries: Sequence[T], name: str | None, remarks: list[str]
+    what: str, entries: Sequence[T], name: str | None, remarks: list[str], remedy: str
 ) -> T:
-    """The entry of this name, by default the first."""
+    """The entry of this name, by default the first. `remedy` is for a scene that has none."""
     names = ", ".join(dict.fromkeys(each.name for each in entries))
     if name is None:
         if not entries:
-            raise ValueError(
-                f"the scene has no {what}; expected one: add it to the scene before it is saved"
-                + (", or give the camera's own file with --camera" if what == "camera" else "")
-            )
+            raise ValueError(f"the scene has no {what}; expected one: {remedy}")
         remarks += [f"{each.name}: another {what}; left out, or take it with --{what}" for each in entries[1:]]
         return entries[0]
     found = [each for each in entries if each.name == name]
@@ -102,11 +113,12 @@ def settings_of(
     low, high = points.min(axis=0), points.max(axis=0)
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))
     shadow = light.shadow if engine else None
+    distance = distance_lit(meshes, np.asarray(light.position))
     settings: dict[str, Any] = {
         "scene": {
             "meshes": [_mesh(*each) for each in zip(meshes, files, origins, strict=True)],
             "camera": _camera(camera, middle, diagonal, remarks),
-            "light": _light(light, shadow, middle, diagonal, remarks),
+            "light": _light(chosen, shadow, middle, diagonal, remarks),
         }
     }
     if shadow is not None:
@@ -114,7 +126,7 @@ def settings_of(
     if technique == "three.js":
         settings["technique"] = _three_js(meshes, shadow, shadow_type)
         given = settings["technique"]
-        fitted = _bounds(light, given, _depth_slope(light, shadow, middle), diagonal)
+        fitted = _bounds(light, given, _depth_slope(light, shadow, distance, diagonal), diagonal)
         if shadow_type == "BasicShadowMap":
             del fitted["technique.radius"]
         settings["fit"] = {"parameters": fitted}
@@ -170,29 +182,29 @@ def _camera(camera: io.SceneCamera, middle: Any, diagonal: float, remarks: list[
 
 
 def _light(
-    light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any, diagonal: float, remarks: list[str]
+    chosen: Chosen, shadow: io.SceneShadow | None, middle: Any, diagonal: float, remarks: list[str]
 ) -> dict[str, Any]:
-    position = np.asarray(light.position)
+    light, position = chosen.light, np.asarray(chosen.light.position)
     settings: dict[str, Any] = {"type": light.type}
     if light.type == "directional":
-        settings |= {"direction": _rounded(light.direction), "angular_radius": _HALF_ANGLE}
-        size = f"its light's angular_radius is {_HALF_ANGLE:g} degrees"
+        settings |= {"direction": _rounded(light.direction), "angular_radius": HALF_ANGLE}
+        size = f"its light's angular_radius is {HALF_ANGLE:g} degrees"
         if shadow is not None:
             sides = dict(zip(("left", "right", "top", "bottom"), _rounded(shadow.window), strict=True))
             near, far = _rounded([shadow.near, shadow.far])
             settings["shadow_camera"] = {"position": _place(position, diagonal), **sides, "near": near, "far": far}
     else:
         settings["position"] = _place(position, diagonal)
-        # A whole degree of light at the middle of the scene, as of a directional one.
-        radius = _rounded([math.tan(math.radians(_HALF_ANGLE)) * float(np.linalg.norm(middle - position))], 2)[0]
+        size, taken_from = lamp_size(chosen.meshes, position)
+        radius = _rounded([size], 2)[0]
         if light.type == "spot":
             settings |= _cone(light, shadow, position, middle, diagonal, remarks)
         settings["radius"] = radius
-        size = f"its light's radius is {radius:g} world units"
+        size = f"its light's radius is {radius:g} world units, {taken_from}"
         if shadow is not None:
             settings["near"], settings["far"] = _rounded([shadow.near, shadow.far])
     remarks.append(
-        f"{light.name}: engines' lights have no size; {size}, which makes the penumbrae that radius is fitted to"
+        f"{light.name}: engines' lights have no size; {size}; it makes the penumbrae that radius is fitted to"
     )
     return settings
 
@@ -238,15 +250,18 @@ def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, sha
     return settings | ({"blur_samples": shadow.blur_samples} if shadow_type == "VSMShadowMap" else {})
 
 
-def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, middle: Any) -> float:
-    """Window depth per world unit at the middle of the scene. Where the map is fitted to the scene, as if it were
-    twice as deep as the light is far."""
-    reach = float(np.linalg.norm(middle - np.asarray(light.position)))
-    near, far = (0.5 * reach, 1.5 * reach) if shadow is None else (shadow.near, shadow.far)
-    if light.type == "directional":
-        return 1 / (far - near) if shadow is not None else 1 / max(reach, 1e-3)
-    distance = min(max(reach, near), far)
-    return far * near / ((far - near) * distance**2)
+def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, distance: float, diagonal: float) -> float:
+    """Window depth per world unit at `distance`, the median of what the light lights. A map that is fitted to the scene
+    is as deep as the scene, or from half this distance to one and a half times it."""
+    is_directional = light.type == "directional"
+    fitted = (0, diagonal) if is_directional else (0.5 * distance, 1.5 * distance)
+    near, far = fitted if shadow is None else (shadow.near, shadow.far)
+    if not far > near:
+        # No configuration has these, which its check says.
+        return 0.0
+    if is_directional:
+        return 1 / (far - near)
+    return far * near / ((far - near) * min(max(distance, near), far) ** 2)
 
 
 def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:

@@ -31,5 +31,5 @@ def check(config: Config, *, console: Console) -> int:
         if fits:
             build_fit(config, scene)
         seen = see(config, scene, technique, stages)
-    table.print_lines(console, [*remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
+    table.print_lines(console, [*remarks, *seen.remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
     return scene.mesh.faces.shape[0]

@@ -1,7 +1,9 @@
 """The first steps of fits and renders: drawing the scene from camera and lights, and finding the reference."""
 
+import contextlib
 import dataclasses
 import warnings
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,6 +60,7 @@ class SeenScene(NamedTuple):
     - `lit`: the scene with each light alone; `states`: the technique's state for each.
     - `covered`: (h, w), for each light, the pixels that the technique covers.
     - `image`: (h, w), the reference, if it is read from a file.
+    - `remarks`: on that file.
     """
 
     keys: list[tuple[str | int, ...]]
@@ -66,6 +69,7 @@ class SeenScene(NamedTuple):
     states: list[Any]
     covered: list[Bool[HostArray, "h w"]]
     image: Float32[HostArray, "h w"] | None
+    remarks: tuple[str, ...] = ()
 
 
 class Loaded(NamedTuple):
@@ -80,7 +84,9 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
 
     **Raises** `ConfigError` if the image does not match the camera, or no pixel counts.
     """
-    image = _image(config)
+    remarks: list[str] = []
+    with _warnings_to(remarks):
+        image = _image(config)
     # Only to raise its errors early; images are shaded last.
     build_shading(config)
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
@@ -97,7 +103,7 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     for key, each, pixels in zip(keys, lit, covered, strict=True):
         if not pixels.any():
             raise _error(config, key, blind_light(config, each, surface))
-    return SeenScene(keys, lit, surface, states, covered, image)
+    return SeenScene(keys, lit, surface, states, covered, image, tuple(remarks))
 
 
 def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> list[Drawn]:
@@ -110,8 +116,9 @@ def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, st
         truths = [_reference(config, each, seen.image, stages) for each in seen.lit]
     if not any((pixels & truth.mask).any() for pixels, truth in zip(seen.covered, truths, strict=True)):
         raise _error(config, ("scene", "camera"), "sees a surface at no pixel's centre; expected some; move it nearer")
+    remarks = (*loaded.remarks, *seen.remarks)
     return [
-        Drawn(".".join(map(str, key)), each, state, seen.surface, truth, pixels & truth.mask, loaded.remarks)
+        Drawn(".".join(map(str, key)), each, state, seen.surface, truth, pixels & truth.mask, remarks)
         for key, each, state, truth, pixels in zip(seen.keys, seen.lit, seen.states, truths, seen.covered, strict=True)
     ]
 
@@ -130,17 +137,24 @@ def _prepared(
 
 
 def load(config: Config, stages: Stages) -> Loaded:
-    """The scene of `config`. Each `io.MeshWarning` becomes a remark."""
-    messages: list[str] = []
-    with stages.stage("loading"), warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", io.MeshWarning)
+    """The scene of `config`. Each `io.FileWarning` becomes a remark."""
+    remarks: list[str] = []
+    with stages.stage("loading"), _warnings_to(remarks):
         scene = build_scene(config)
+    return Loaded(scene, tuple(remarks))
+
+
+@contextlib.contextmanager
+def _warnings_to(remarks: list[str]) -> Iterator[None]:
+    """Adds each `io.FileWarning` to `remarks`. Other warnings are passed on."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", io.FileWarning)
+        yield
     for each in caught:
-        if issubclass(each.category, io.MeshWarning):
-            messages.append(str(each.message))
+        if issubclass(each.category, io.FileWarning):
+            remarks.append(str(each.message))
         else:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-    return Loaded(scene, tuple(messages))
 
 
 def visibility_of(

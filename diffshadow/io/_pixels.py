@@ -1,0 +1,70 @@
+"""What the readers of image files share: limits, orientations, and the mean of colours."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from .._types import HostArray
+from ._errors import FileError
+
+# 8192 squared: far more pixels than any image that is compared, in a few hundred megabytes.
+MOST_PIXELS = 1 << 26
+# Colours of a grey image may differ by this much through lossy compression.
+_GREY = 1 / 64
+
+
+class Pixels(NamedTuple):
+    """The pixels of an image file.
+
+    - `values`: row 0 is the bottom row.
+    - `remarks`: what the file says of its pixels that is not obeyed, each phrased to follow the file's name.
+    """
+
+    values: HostArray
+    remarks: list[str] = []  # noqa: RUF012
+
+
+def check_size(file: Path, rows: int, columns: int) -> None:
+    """**Raises** `FileError` if there are no pixels, or more than `MOST_PIXELS`."""
+    if not 0 < rows * columns <= MOST_PIXELS:
+        raise FileError(
+            f"the visibility file {file} has {rows} x {columns} pixels; "
+            f"expected 1 to {MOST_PIXELS:,} in total: scale it down"
+        )
+
+
+def upright(rows: Shaped[HostArray, "h w"], orientation: int) -> Shaped[HostArray, "h2 w2"]:
+    """Turns an image whose row 0 is the top row as Exif's tag Orientation says (Exif 2.32, section 4.6.4)."""
+    match orientation:
+        case 2:
+            return rows[:, ::-1]
+        case 3:
+            return rows[::-1, ::-1]
+        case 4:
+            return rows[::-1]
+        case 5:
+            return rows.T
+        case 6:
+            return rows.T[:, ::-1]
+        case 7:
+            return rows.T[::-1, ::-1]
+        case 8:
+            return rows.T[::-1]
+    return rows
+
+
+def mean_colour(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[str]) -> Float32[HostArray, "h w"]:
+    """The mean of one channel or several. Adds to `remarks` if they differ."""
+    if len(channels) == 1:
+        return np.asarray(channels[0], np.float32)
+    stacked = np.stack(channels).astype(np.float32)
+    apart = float(np.ptp(stacked, axis=0).max())
+    if apart > _GREY:
+        remarks.append(
+            f"is in colour: its channels differ by up to {apart:.2g}; their mean is read, whatever its primaries are: "
+            "write the visibility alone, in grey"
+        )
+    return stacked.mean(axis=0)
