@@ -1,5 +1,6 @@
 """The configuration of a scene that another program stored."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
