@@ -123,7 +123,7 @@ def test_a_lights_range_replaces_far_and_zoom_narrows(tmp_path):
         for kind in ("Directional", "Spot", "Point")
     )
     wide = {**EYE, "zoom": 2, "fov": 90}
-    flat = {"type": "OrthographicCamera", "left": -1, "right": 3, "top": 1, "bottom": -1, "zoom": 2}
+    flat = {"type": "OrthographicCamera", "left": -1, "right": 3, "top": 2, "bottom": -1, "zoom": 2}
     scene = read_scene(stored(tmp_path, MESH, sun, spot, lamp, wide, flat))
     sun, spot, lamp = (light.shadow for light in scene.lights)
     assert (sun.far, spot.far, lamp.far) == (9, 7, 7)
@@ -131,7 +131,8 @@ def test_a_lights_range_replaces_far_and_zoom_narrows(tmp_path):
     assert math.tan(math.radians(spot.half_angle)) == pytest.approx(math.tan(0.4) / 2)
     assert spot.aspect == pytest.approx(6)
     assert math.tan(math.radians(scene.cameras[0].fov_y) / 2) == pytest.approx(0.5)
-    assert (scene.cameras[1].height, scene.cameras[1].aspect, scene.cameras[1].eye) == (1, 2, (1, 0, 0))
+    flat = scene.cameras[1]
+    assert (flat.height, flat.aspect, flat.eye) == (1.5, pytest.approx(4 / 3), (1, 0.5, 0))
 
 
 def test_every_kind_of_thing_that_is_left_out_is_named(tmp_path):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +33,7 @@ from diffshadow.reference import (
     trace_visibility_exact,
 )
 from diffshadow.reference._sampling import LightSampler
+from diffshadow.reference._visibility import Job
 
 
 def flat(vertices, faces):
@@ -369,6 +371,13 @@ def test_stratified_samples_are_one_in_each_cell_anywhere_in_it(samples, columns
     within = np.stack([square[..., 0] * columns % 1, square[..., 1] * rows % 1])
     assert (within.min(axis=(1, 2)) < 0.02).all()
     assert (within.max(axis=(1, 2)) > 0.98).all()
+
+
+@pytest.mark.parametrize("samples", [2, 3, 5, 8])
+def test_standard_error_of_independent_rays_is_that_of_their_mean(samples):
+    lit = np.random.default_rng(0).random((100_000, samples)) < 0.3
+    error = Job._standard_error(SimpleNamespace(lamp=SimpleNamespace(has_size=True)), lit)
+    np.testing.assert_allclose(np.mean(error**2), 0.3 * 0.7 / samples, rtol=0.02)
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "stratified"])
