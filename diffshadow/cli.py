@@ -120,7 +120,7 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
 def validate(config: Path, /, *overrides: str) -> None:
     """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes no files.
 
-    Finds every mistake that a render or a fit would report before it traces rays.
+    Finds every mistake that a render or a fit would report before it traces its reference.
 
     Example: `diffshadow validate configs/quickstart.yaml filter.type=random_disk`
 
