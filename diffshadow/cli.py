@@ -120,7 +120,7 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
 def validate(config: Path, /, *overrides: str) -> None:
     """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes no files.
 
-    Finds every mistake that a render or a fit would report before it traces rays.
+    Finds every mistake that a render or a fit would report before it traces its reference.
 
     Example: `diffshadow validate configs/quickstart.yaml filter.type=random_disk`
 
@@ -400,7 +400,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        with _repeated_interrupts():
+        with _reported_interrupts(), _repeated_interrupts():
             app(
                 sys.argv[1:] if arguments is None else list(arguments),
                 exit_on_error=False,
@@ -428,11 +428,25 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 @contextlib.contextmanager
+def _reported_interrupts() -> Iterator[None]:
+    """Raises `KeyboardInterrupt` for the error that JAX makes of one in a callback, whose text alone names it."""
+    try:
+        yield
+    except RuntimeError as error:
+        if KeyboardInterrupt.__name__ in str(error):
+            raise KeyboardInterrupt from error
+        raise
+
+
+@contextlib.contextmanager
 def _repeated_interrupts() -> Iterator[None]:
     """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
 
     Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
     message. Native code that calls Python, such as Pydantic's, may drop it silently.
+
+    A shell starts the background jobs of a script with Ctrl-C ignored. So it stays, as in other programs: SIGTERM ends
+    them.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield
@@ -456,11 +470,6 @@ def _repeated_interrupts() -> Iterator[None]:
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
     try:
         yield
-    except RuntimeError as error:
-        # JAX reports an interrupt within a callback as an error of its own, whose text alone names it.
-        if KeyboardInterrupt.__name__ in str(error):
-            raise KeyboardInterrupt from error
-        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():

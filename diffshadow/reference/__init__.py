@@ -2,6 +2,7 @@
 
 from ._cache_key import cache_key as cache_key
 from ._contribution import hides_light as hides_light
+from ._contribution import is_lit as is_lit
 from ._exact import trace_visibility_exact as trace_visibility_exact
 from ._reference import Reference as Reference
 from ._sampling import Sampler as Sampler

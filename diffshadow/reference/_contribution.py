@@ -1,4 +1,7 @@
-"""Whether a part of a scene contributes to an image's shadows."""
+"""Whether a light, or a part of a scene, contributes to an image's shadows."""
+
+from collections.abc import Iterator
+from typing import Any
 
 from jaxtyping import Bool
 
@@ -25,15 +28,45 @@ def hides_light(scene: Scene, faces: Bool[HostArray, " f"], blockers: Blockers =
     faces = faces & blocking_faces(scene, blockers)
     if not faces.any():
         return False
-    for index, light in enumerate(scene.lights):
-        sampling = sampling_of(light, _SAMPLES, "sobol", 0)
-        job = Job(EmbreeTracer, scene.lit_by(index), sampling)
+    for index in range(len(scene.lights)):
+        job = _job(scene.lit_by(index), blockers)
         part = EmbreeTracer(job.triangles.only(faces))
-        step = max(1, BATCH // sampling.samples)
-        for first in range(0, job.size, step):
-            count = min(step, job.size - first)
-            seen, hits = job.hits(first, count)
-            _, hidden = job.shadowed(hits, sampling.points(first, count, seen), part)
+        for _, hits, samples in _batches(job):
+            _, hidden = job.shadowed(hits, samples, part)
             if hidden.any():
                 return True
     return False
+
+
+def is_lit(scene: Scene, pixels: Bool[HostArray, "h w"], blockers: Blockers = "casters") -> bool:
+    """Whether a light reaches a surface seen through the centre of one of `pixels`; arguments as for `hides_light`.
+
+    For a light with a size, 16 points are tried per pixel. It takes little time if a light does.
+
+    **Arguments:**
+
+    - `pixels`: (h, w), true for the pixels to test, row 0 at the bottom.
+    """
+    tested = pixels.reshape(-1)
+    for index in range(len(scene.lights)):
+        job = _job(scene.lit_by(index), blockers)
+        for pixel, hits, samples in _batches(job):
+            above, hidden = job.shadowed(hits, samples, job.occluders)
+            if (above & ~hidden)[tested[pixel]].any():
+                return True
+    return False
+
+
+def _job(scene: Scene, blockers: Blockers) -> Job:
+    return Job(EmbreeTracer, scene, sampling_of(scene.light, _SAMPLES, "sobol", 0), blockers)
+
+
+def _batches(job: Job) -> Iterator[tuple[Any, Any, Any]]:
+    """For each batch of pixels, the indices of those that hit a surface, the hits, and points of the light."""
+    assert job.sampling is not None
+    step = max(1, BATCH // job.sampling.samples)
+    for first in range(0, job.size, step):
+        count = min(step, job.size - first)
+        seen, hits = job.hits(first, count)
+        if len(seen):
+            yield first + seen, hits, job.sampling.points(first, count, seen)

@@ -2733,8 +2733,8 @@ _REFERENCE = (
     _fault(
         "part that hides light: the first light alone",
         "reference/_contribution.py",
-        "enumerate(scene.lights)",
-        "enumerate(scene.lights[:1])",
+        "return False\n    for index in range(len(scene.lights)):",
+        "return False\n    for index in range(1):",
         "test_reference.py",
     ),
 )

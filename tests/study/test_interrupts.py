@@ -167,6 +167,28 @@ def test_interrupt_is_not_repeated_while_the_first_is_heeded():
     assert ended
 
 
+def test_interrupts_that_are_ignored_stay_so():
+    """A shell starts the background jobs of a script like this."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with _repeated_interrupts(), deferred_interrupts() as interrupted:
+        signal.raise_signal(signal.SIGINT)
+        interrupted()
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+
+def test_an_error_that_jax_makes_of_an_interrupt_is_told_where_interrupts_are_ignored_too(monkeypatch, capsys):
+    def stopped(*args, **options):
+        raise RuntimeError("INTERNAL: CpuCallback error: KeyboardInterrupt")
+
+    monkeypatch.setattr("diffshadow.cli.load_sweep", stopped)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with pytest.raises(SystemExit) as caught:
+        main(["sweep", "s.yaml"])
+    assert caught.value.code == 130
+    assert capsys.readouterr() == ("", "error: interrupted\n")
+
+
 def test_main_tells_of_an_interrupt(monkeypatch, capsys):
     monkeypatch.setattr("diffshadow.cli.load_sweep", lambda *args, **options: signal.raise_signal(signal.SIGINT))
     with pytest.raises(SystemExit) as caught:

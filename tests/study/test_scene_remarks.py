@@ -6,8 +6,9 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from diffshadow.config import build_technique, parse_config
+from diffshadow.config import build_scene, build_technique, parse_config
 from diffshadow.raster import draw_surface
+from diffshadow.study.runs._framing import dark_scene
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._scene_remarks import scene_remarks
 from diffshadow.study.runs._setup import draw, load
@@ -78,6 +79,65 @@ def test_a_mesh_that_hides_a_light_from_all_is_named_with_the_key(tmp_path):
     assert remarks(room, tmp_path, LAMP) == []
     hall = "path: builtin:box, options: {size: [6, 6, 6]}, translate: [0, -0.1, 0]"
     assert remarks(hall, tmp_path, LAMP, "scene.camera.eye=[0, 3, 9]", "scene.camera.near=7.2") == []
+
+
+LARGE = "path: builtin:sphere, options: {radius: 3}, translate: [0, -1, -2]"
+
+
+def test_a_mesh_that_is_mostly_out_of_the_picture_is_named_with_a_size(tmp_path):
+    (remark,) = [each for each in remarks(LARGE, tmp_path) if "in the picture" in each]
+    assert remark.startswith("scene.meshes.2 (builtin:sphere) is 6 × 6 × 6 world units large, with ")
+    assert "set scene.meshes.2.size, to 3 for example, or move the camera at [0.0, 3.0, 5.0]" in remark
+    # A ground is, too.
+    assert not any(
+        "in the picture" in each
+        for each in remarks("path: builtin:plane, options: {size: 90}, translate: [0, 0.01, 0]", tmp_path)
+    )
+
+
+CARD = "path: builtin:plane, options: {size: 1}, translate: [1, 0.5, 1]"
+
+
+def darkness(folder, *overrides, mesh=CARD):
+    config = parse_config(SCENE.format(mesh=mesh), overrides, folder=folder)
+    scene = build_scene(config)
+    surface = draw_surface(scene.mesh, scene.camera)
+    lit = [scene.lit_by(i) for i in range(len(scene.lights))]
+    return dark_scene(config, lit, surface, [np.asarray(surface.mask)] * len(lit))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "overrides", "cause"),
+    [
+        (
+            "path: builtin:box, options: {size: [9, 6, 12]}, translate: [0, -0.1, 0]",
+            ["scene.camera.near=0.01"],
+            "scene.meshes.2 (builtin:box) is 9 × 6 × 12 world units large, around the camera, with ",
+        ),
+        (LARGE, ["scene.light.azimuth=180", "scene.light.elevation=0"], "is 6 × 6 × 6 world units large, with "),
+        (
+            BULB,
+            [LAMP],
+            "scene.light is inside scene.meshes.2 (builtin:sphere), which hides it from all that the camera",
+        ),
+        (CARD, ["scene.light.elevation=-60"], "all of it is turned away from the light, or in shadow; expected"),
+    ],
+    ids=["inside", "dark side", "bulb", "from below"],
+)
+def test_a_scene_that_no_light_reaches_has_nothing_to_compare(mesh, overrides, cause, tmp_path):
+    said = darkness(tmp_path, *overrides, mesh=mesh)
+    assert said is not None
+    assert said.startswith("no light reaches what the camera sees, so that there is nothing to compare: ")
+    assert cause in said
+
+
+def test_a_scene_that_one_of_its_lights_reaches_can_be_compared(tmp_path):
+    assert darkness(tmp_path) is None
+    below, above = "{type: directional, elevation: -60}", "{type: directional, elevation: 60}"
+    assert darkness(tmp_path, f"scene.lights=[{below}, {above}]", "scene.light=null") is None
+    said = darkness(tmp_path, f"scene.lights=[{below}, {below}]", "scene.light=null")
+    assert said is not None
+    assert said.startswith("none of its lights reaches what the camera sees")
 
 
 def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):

@@ -228,6 +228,22 @@ def test_a_scene_a_million_of_its_sizes_away_has_the_same_figures(finished):
     assert load_config(folder / "config.yaml").scene.meshes[1].translate == (by, by, by)
 
 
+def test_a_fit_with_nothing_to_compare_is_refused_before_its_reference_is_traced(monkeypatch):
+    monkeypatch.setattr("diffshadow.reference.trace_visibility", lambda *args, **options: pytest.fail("traced"))
+    io.write_visibility("dark.png", np.zeros((64, 64)))
+    for overrides, key in (
+        (["scene.light.elevation=-60"], "scene: no light reaches what the camera sees, so that there is nothing"),
+        (["reference={type: image, path: dark.png}"], "reference.path: is dark in all pixels that count"),
+    ):
+        for refuse in (
+            lambda config: study.run_fit(config, console=console()[0]),
+            lambda c: study.check(c, console=console()[0]),
+        ):
+            with pytest.raises(ConfigError, match=key):
+                refuse(tiny(*overrides))
+    assert leftovers(Path(), "dark.png") == []
+
+
 def test_fit_writes_every_file_and_nothing_else(finished):
     folder, _, home = finished
     assert folder == home / "runs" / "tiny"

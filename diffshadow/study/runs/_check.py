@@ -1,4 +1,4 @@
-"""Checks of a run that trace no rays."""
+"""Checks of a run that trace few rays."""
 
 from rich.console import Console
 
@@ -8,11 +8,11 @@ from ..pages import _table as table
 from ._progress import Stages
 from ._render import SUFFIX
 from ._scene_remarks import scene_remarks
-from ._setup import load, see
+from ._setup import check_comparable, load, see
 
 
 def check(config: Config, *, console: Console) -> int:
-    """Checks `config`: does everything that a render or a fit does before it traces rays.
+    """Checks `config`: does everything that a render or a fit does before it traces its reference.
 
     A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written.
 
@@ -31,5 +31,8 @@ def check(config: Config, *, console: Console) -> int:
         if fits:
             build_fit(config, scene)
         seen = see(config, scene, technique, stages)
+        # Of several views, some may be dark.
+        if fits and config.fit.views is None:
+            check_comparable(config, seen, stages)
     table.print_lines(console, [*remarks, *seen.remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
     return scene.mesh.faces.shape[0]

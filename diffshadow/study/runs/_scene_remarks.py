@@ -1,28 +1,25 @@
-"""Remarks on a run's scene: meshes that contribute nothing to the image, and meshes around lights."""
+"""Remarks on a run's scene: meshes that contribute nothing to the image or leave it, and meshes around lights."""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Int
 
 from ... import reference
-from ..._types import HostArray
-from ...config import Config, TracedReferenceConfig
+from ...config import Config
 from ...geometry import AbstractCamera, Mesh, Scene
 from ...raster import Surface
-from ._sight import is_inside, size_of
+from ._framing import blockers_of, framing_remarks, lights_inside
+from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.
 _ANOTHER_UNIT = 100.0
 # Rounding error of twice a triangle's area, as a fraction of the mesh's extent squared.
 _NO_AREA = 1e-6
-# How many of the points that the camera sees are tried, to tell a lamp's own mesh from a room.
-_TRIED = 16
 
 
 def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[str]:
-    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image, and for
-    each mesh around a light that hides all of it.
+    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image, for one
+    that is mostly outside of it, and for each mesh around a light that hides all of it.
 
     **Arguments:**
 
@@ -33,35 +30,15 @@ def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Ite
     number = np.repeat(np.arange(len(meshes)), [mesh.faces.shape[0] for mesh in meshes])
     face, mask = np.asarray(surface.face), np.asarray(surface.mask)
     visible = set(number[face[mask]].tolist())
-    blockers = config.reference.blockers if isinstance(config.reference, TracedReferenceConfig) else "casters"
+    blockers = blockers_of(config)
     for i, section in enumerate(config.scene.meshes):
         if i not in visible and not any(reference.hides_light(each, number == i, blockers) for each in lit):
             others = [mesh for k, mesh in enumerate(meshes) if k != i]
             cause = _cause(meshes[i], others, lit[0].camera, is_sized=section.size is not None)
             yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the image: {cause}"
-    for key, scene in zip(config.scene.each_light, lit, strict=True):
-        for i, section in enumerate(config.scene.meshes):
-            if (section.casts or blockers == "all") and _hides_all(scene, i, surface, number):
-                light, mesh = ".".join(map(str, ("scene", *key))), f"scene.meshes.{i}"
-                mend = f"set {mesh}.casts to false" if section.casts else "set reference.blockers to casters"
-                yield (
-                    f"{light} is inside {mesh} ({section.path}), which hides it from all that the camera sees: if that "
-                    f"is the lamp's own mesh, {mend}; otherwise move the light out of it"
-                )
-
-
-def _hides_all(scene: Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:
-    """Whether the scene's only light is inside a mesh, and what the camera sees is not.
-
-    **Arguments:** `number`: (f,), the index of each face's mesh.
-    """
-    mesh, place = scene.meshes[index], getattr(scene.light, "position", None)
-    if place is None or not is_inside(mesh, np.asarray(place, np.float64)):
-        return False
-    others = np.asarray(surface.mask) & (number[np.asarray(surface.face)] != index)
-    seen = np.asarray(surface.position, np.float64)[others]
-    tried = [np.asarray(scene.camera.eye, np.float64), *seen[:: max(len(seen) // _TRIED, 1)]]
-    return not any(is_inside(mesh, point) for point in tried)
+    yield from framing_remarks(config, lit[0], surface)
+    for cause, mend in lights_inside(config, lit, surface):
+        yield f"{cause}: {mend}"
 
 
 def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:

@@ -20,6 +20,7 @@ from ...config import (
     build_scene,
     build_shading,
 )
+from ._framing import dark_scene
 from ._progress import Stages
 from ._sight import blind_camera, blind_light
 
@@ -106,12 +107,37 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     return SeenScene(keys, lit, surface, states, covered, image, tuple(remarks))
 
 
-def draw(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> list[Drawn]:
+def check_comparable(config: Config, seen: SeenScene, stages: Stages) -> None:
+    """**Raises** `ConfigError` if the reference would be dark in all pixels that count, so that there is nothing to fit
+    to. It traces only as many rays as it takes to find one that is not blocked."""
+    if seen.image is not None:
+        if not any(seen.image[counted].any() for counted in seen.covered):
+            what = (
+                "is dark in all pixels that count, so that there is nothing to compare; expected light and shadow; "
+                "check the image, or whether it is inverted"
+            )
+            raise _error(config, ("reference", "path"), what)
+        return
+    with stages.stage("looking for light"):
+        dark = dark_scene(config, seen.lit, seen.surface, seen.covered)
+    if dark is not None:
+        raise _error(config, ("scene",), dark)
+
+
+def draw(
+    config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages, *, comparing: bool = False
+) -> list[Drawn]:
     """Draws the scene and finds its reference, for each light. Most errors are raised before rays are traced.
+
+    **Arguments:**
+
+    - `comparing`: whether a scene without light is a mistake.
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
     seen = see(config, loaded.scene, technique, stages)
+    if comparing:
+        check_comparable(config, seen, stages)
     with stages.stage("tracing reference"):
         truths = [_reference(config, each, seen.image, stages) for each in seen.lit]
     if not any((pixels & truth.mask).any() for pixels, truth in zip(seen.covered, truths, strict=True)):

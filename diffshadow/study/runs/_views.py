@@ -5,7 +5,7 @@ import itertools
 from typing import NamedTuple
 
 from ... import shadow
-from ...config import Config, ConfigError, build_technique
+from ...config import Config, ConfigError, Mistake, build_technique
 from ._progress import Stages
 from ._scene_remarks import scene_remarks
 from ._setup import Drawn, Loaded, draw, load
@@ -77,8 +77,12 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
-    own = lambda: [DrawnView("", config, draw(config, loaded, technique, stages))]
+    own = lambda: [DrawnView("", config, draw(config, loaded, technique, stages, comparing=True))]
     fitted = [_drawn(view.name, view.config, stages) for view in config.views] or own()
+    if not any(each.reference.visibility[each.mask].any() for view in fitted for each in view.drawn):
+        what = "are dark in all pixels that count, so that there is nothing to compare; expected some in light"
+        path = ("fit", "views")
+        raise ConfigError([Mistake(config.origin.place(path), ".".join(path), f"{what}; change their lights")])
     return Views(fitted, [_drawn(view.name, view.config, stages) for view in config.validation])
 
 

@@ -20,6 +20,7 @@ def deferred_interrupts() -> Iterator[Callable[[], None]]:
 
     Otherwise Python raises `KeyboardInterrupt` between any two instructions of the main thread, including those of
     libraries, which then stop half-way. The second Ctrl-C also kills the child processes; the third interrupts at once.
+    Where Ctrl-C is ignored, as in background jobs of scripts, it stays so.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield lambda: None

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -135,13 +134,13 @@ def test_code_of_a_far_light_has_its_place_in_the_world():
     light, origin = SpotLight((0.1, 2.25, 0), (0, -1, 0.5), 30, 0.5, 5), (600000.0, 0.0, -3e6)
     near, far = (engine_code(ThreeJs(), light, (1.0, 2.0), at) for at in ((0.0, 0.0, 0.0), origin))
     assert "light.position.set(600000.1, 2.25, -3000000);" in far
-    assert re.search(r"light.target.position.set\(600000.1, 1.35557[0-9]*, -2999999.55278[0-9]*\);", far)
+    assert "light.target.position.set(600000.1, 1.25, -2999999.5);" in far
     assert [line for line in near.splitlines() if "position" not in line] == [
         line for line in far.splitlines() if "position" not in line
     ]
     code = engine_code(BabylonJs(resolution=(64, 64)), light, (1.0, 2.0), origin)
     assert "light.position = new BABYLON.Vector3(600000.1, 2.25, -3000000);" in code
-    assert "light.direction = new BABYLON.Vector3(0, -0.894427" in code
+    assert "light.direction = new BABYLON.Vector3(0, -1, 0.5);" in code
 
 
 def test_babylons_window_is_the_mirror_image():

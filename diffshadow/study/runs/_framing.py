@@ -1,0 +1,162 @@
+"""Meshes that leave the picture, and scenes whose picture has nothing to compare."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from ... import geometry, reference
+from ..._misc import as_float
+from ..._types import HostArray
+from ...config import Config, TracedReferenceConfig
+from ...raster import Surface
+from ._sight import is_inside
+
+# A mesh with less than this part of its surface in the picture is mostly outside.
+_MOSTLY = 0.5
+# Only a mesh that fills this part of what is seen is meant to be in the picture,
+_MAIN = 0.25
+# and none that is flatter than this, as a ground or a wall is: its shortest side as a part of its longest.
+_FLAT = 0.2
+# The part of the picture's shorter side that a mesh of the suggested size takes.
+_SUITABLE = 0.75
+# How many of the points that the camera sees are tried, to tell a lamp's own mesh from a room.
+_TRIED = 16
+
+
+class Framed(NamedTuple):
+    """A mesh that leaves the picture.
+
+    - `name`: its key and path; `number`: among the meshes.
+    - `share`: the part of its surface that lies in the picture.
+    - `is_around`: whether the camera is inside its bounding box.
+    """
+
+    name: str
+    number: int
+    share: float
+    is_around: bool
+
+    def words(self, scene: geometry.Scene) -> tuple[str, str]:
+        """What leaves the picture, and how to mend it."""
+        mesh, camera = scene.meshes[self.number], scene.camera
+        low, high = np.asarray(mesh.bounds, np.float64)
+        extent = " × ".join(f"{side:.3g}" for side in high - low)
+        around = ", around the camera" if self.is_around else ""
+        where = f"{self.name} is {extent} world units large{around}, with {self.share:.0%} of it in the picture"
+        eye = [float(f"{x:.4g}") + at for x, at in zip(np.asarray(camera.eye), scene.origin, strict=True)]
+        mend = f"set scene.meshes.{self.number}.size, to {_suitable(camera):g} for example"
+        return where, f"{mend}, or move the camera at {eye}"
+
+
+def framing_remarks(config: Config, scene: geometry.Scene, surface: Surface) -> Iterator[str]:
+    """A sentence if a mesh that the picture is of is mostly outside of it."""
+    framed = _framed(config, scene, surface)
+    # In a room, most is outside.
+    if framed and not framed.is_around and not _is_room(scene, framed.number, surface, _numbers(scene)):
+        where, mend = framed.words(scene)
+        yield f"{where}: {mend}"
+
+
+def dark_scene(
+    config: Config, lit: Sequence[geometry.Scene], surface: Surface, pixels: Sequence[Bool[HostArray, "h w"]]
+) -> str | None:
+    """The error message for a scene of which no light reaches anything that counts; `None` if one does.
+
+    **Arguments:**
+
+    - `lit`: the scene with each light alone; `pixels`: (h, w), for each of them, the pixels that count.
+    """
+    mask, blockers = np.asarray(surface.mask), blockers_of(config)
+    if any(reference.is_lit(each, mask & counted, blockers) for each, counted in zip(lit, pixels, strict=True)):
+        return None
+    hidden = next(lights_inside(config, lit, surface), None)
+    framed = _framed(config, lit[0], surface)
+    if hidden is not None:
+        cause, mend = hidden
+    elif framed is not None:
+        cause, mend = framed.words(lit[0])
+    else:
+        cause, mend = "all of it is turned away from the light, or in shadow", "move the light, or the camera"
+    lights = "no light" if len(lit) == 1 else "none of its lights"
+    return (
+        f"{lights} reaches what the camera sees, so that there is nothing to compare: {cause}; expected surfaces in "
+        f"light and in shadow; {mend}"
+    )
+
+
+def lights_inside(config: Config, lit: Sequence[geometry.Scene], surface: Surface) -> Iterator[tuple[str, str]]:
+    """For each mesh that hides the light inside it from all that the camera sees: which it is, and how to mend it."""
+    number = _numbers(lit[0])
+    for key, scene in zip(config.scene.each_light, lit, strict=True):
+        for i, section in enumerate(config.scene.meshes):
+            if (section.casts or blockers_of(config) == "all") and _hides_all(scene, i, surface, number):
+                light, mesh = ".".join(map(str, ("scene", *key))), f"scene.meshes.{i}"
+                mend = f"set {mesh}.casts to false" if section.casts else "set reference.blockers to casters"
+                yield (
+                    f"{light} is inside {mesh} ({section.path}), which hides it from all that the camera sees",
+                    f"if that is the lamp's own mesh, {mend}; otherwise move the light out of it",
+                )
+
+
+def blockers_of(config: Config) -> reference.Blockers:
+    """What blocks rays of the reference."""
+    return config.reference.blockers if isinstance(config.reference, TracedReferenceConfig) else "casters"
+
+
+def _hides_all(scene: geometry.Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:
+    """Whether the scene's only light is inside a mesh, and what the camera sees is not.
+
+    **Arguments:** `number`: (f,), the index of each face's mesh.
+    """
+    mesh, place = scene.meshes[index], getattr(scene.light, "position", None)
+    if place is None or not is_inside(mesh, np.asarray(place, np.float64)):
+        return False
+    return not _is_room(scene, index, surface, number)
+
+
+def _is_room(scene: geometry.Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:
+    """Whether the camera is inside a mesh, or some of the other meshes that it sees."""
+    others = np.asarray(surface.mask) & (number[np.asarray(surface.face)] != index)
+    seen = np.asarray(surface.position, np.float64)[others]
+    tried = [np.asarray(scene.camera.eye, np.float64), *seen[:: max(len(seen) // _TRIED, 1)]]
+    return any(is_inside(scene.meshes[index], point) for point in tried)
+
+
+def _framed(config: Config, scene: geometry.Scene, surface: Surface) -> Framed | None:
+    """The mesh that fills most of the picture, if most of it is outside and it is no ground or wall."""
+    seen = _numbers(scene)[np.asarray(surface.face)[np.asarray(surface.mask)]]
+    counts = np.bincount(seen, minlength=len(scene.meshes))
+    index = int(counts.argmax())
+    mesh = scene.meshes[index]
+    low, high = np.asarray(mesh.bounds, np.float64)
+    share = _share(mesh, scene.camera)
+    if counts[index] < _MAIN * len(seen) or (high - low).min() < _FLAT * (high - low).max() or share >= _MOSTLY:
+        return None
+    eye = np.asarray(scene.camera.eye, np.float64)
+    name = f"scene.meshes.{index} ({config.scene.meshes[index].path})"
+    return Framed(name, index, share, bool(((low <= eye) & (eye <= high)).all()))
+
+
+def _share(mesh: geometry.Mesh, camera: geometry.AbstractCamera) -> float:
+    """The part of the mesh's surface that lies in the picture, in front of or behind other meshes."""
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    matrix = np.asarray(camera.view().matrix, np.float64)
+    clip = corners.mean(axis=1) @ matrix[:, :3].T + matrix[:, 3]
+    inside = (np.abs(clip[:, :2]) <= clip[:, 3:]).all(axis=1)
+    return float(areas[inside].sum() / max(areas.sum(), np.finfo(np.float64).tiny))
+
+
+def _suitable(camera: geometry.AbstractCamera) -> float:
+    """The size of a mesh at the camera's target that fits into the picture, to one digit."""
+    distance = np.linalg.norm(np.asarray(camera.target, np.float64) - np.asarray(camera.eye, np.float64))
+    sides = np.asarray(camera.view().texel_extent(as_float(distance), (1, 1)), np.float64)
+    return float(f"{_SUITABLE * sides.min():.1g}")
+
+
+def _numbers(scene: geometry.Scene) -> Int[HostArray, " f"]:
+    """The index of each face's mesh."""
+    return np.repeat(np.arange(len(scene.meshes)), [mesh.faces.shape[0] for mesh in scene.meshes])
