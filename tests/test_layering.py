@@ -18,7 +18,10 @@ COMMON = {"_types", "_misc", "_checks"}
 # Folders and files within a subpackage, each of which imports only those to its left. Files that are not listed come
 # before all of them.
 FOLDERS = {
-    "fit": ("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_front", "_fit", "_train"),
+    "fit": (
+        *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_front", "_bounds"),
+        *("_fit", "_train"),
+    ),
     "config": ("sections", "whole", "reading", "building"),
     "study": ("files", "pages", "imports", "runs", "sweeps", "advice", "_report"),
 }

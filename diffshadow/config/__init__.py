@@ -67,6 +67,7 @@ from .sections._fit import FitConfig as FitConfig
 from .sections._fit import FitParameterConfig as FitParameterConfig
 from .sections._fit import SolverConfig as SolverConfig
 from .sections._fitted import fit_paths as fit_paths
+from .sections._fitted import is_limit as is_limit
 from .sections._lights import DirectionalLightConfig as DirectionalLightConfig
 from .sections._lights import LightConfig as LightConfig
 from .sections._lights import LightOrbit as LightOrbit

@@ -3,6 +3,7 @@
 from ._anneal import Anneal as Anneal
 from ._arrangement import Arrangement as Arrangement
 from ._arrangement import MeshPose as MeshPose
+from ._bounds import AtBound as AtBound
 from ._fit import FitResult as FitResult
 from ._fit import fit as fit
 from ._front import FrontPoint as FrontPoint

@@ -11,6 +11,7 @@ from .._misc import as_float
 from ..shadow import FittableTechnique
 from ._anneal import Anneal, check_anneal
 from ._arrangement import Arrangement
+from ._bounds import AtBound, at_bounds
 from ._front import FEWEST, FrontPoint, front_of
 from ._history import Step
 from ._loss import Loss
@@ -44,6 +45,8 @@ class FitResult(NamedTuple):
     - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
     - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
     - `front`: of false shadow against false light, if it was asked for.
+    - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
+    - `errors`: the roots of the loss under the hard compare, at the start and at the best values.
     - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
@@ -64,6 +67,8 @@ class FitResult(NamedTuple):
     profiles: list[Profile] = []  # noqa: RUF012
     best: dict[str, float] = {}  # noqa: RUF012
     front: list[FrontPoint] = []  # noqa: RUF012
+    at_bounds: list[AtBound] = []  # noqa: RUF012
+    errors: tuple[float, float] = (0.0, 0.0)
 
     @property
     def steps(self) -> int:
@@ -184,6 +189,8 @@ def fit(
         profiles=profiles,
         best=dict(zip(run.names, least, strict=True)),
         front=points,
+        at_bounds=at_bounds(run, parameters, values),
+        errors=(path.losses[0] ** 0.5, run.error(least)),
     )
     return _with_offsets(result, offsets) if any(offsets) else result
 

@@ -1,16 +1,34 @@
 """What is given up: the front of false shadow against false light."""
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from .._misc import as_float
+from .._types import HostArray
 from ._run import Run, Values
+from ._search import search
+from ._starts import starts_within
 
-# The ratio of the factors of false shadow and false light at the two ends of a front, and its inverse.
+# The ratio of the factors of false shadow and false light at one end of a front; at the other end, its inverse.
 _MOST_RATIO = 256.0
 FEWEST = 3
 """The fewest points of a front."""
+# Settings over all of the bounds that are tried first, for each parameter. The corners are tried as well, if they are
+# of no more than so many parameters.
+_SPREAD, _MOST_CORNERS = 32, 4
+# The search about the best setting of each end: evaluations for each parameter, and the part of the bounds.
+_EVALUATIONS, _PART = 15, 0.25
+# Fits that look for another setting between two neighbours, for each point of the front.
+_FITS = 3
+# Settings are the same if neither error differs by more than this fraction of it.
+_SAME = 5e-3
+
+Sides = tuple[float, float]
+"""The roots of the losses of false shadow and false light."""
 
 
 class FrontPoint(NamedTuple):
@@ -19,51 +37,177 @@ class FrontPoint(NamedTuple):
     - `values`: of the parameters, (p,).
     - `false_shadow`, `false_light`: roots of the losses of the pixels that are too dark, and of those too light. For a
         mean over the pixels, the sum of their squares is the loss.
-    - `ratio`: the weight of false shadow divided by the weight of false light. This setting minimizes the weighted sum.
+    - `ratio`: the weight of false shadow divided by the weight of false light. Of all settings that were found, this
+        one has the least weighted sum of the squares.
+    - `rmse`: over all pixels that count, whatever the loss of the fit.
     - `is_knee`: whether it is farthest from the line between the ends of the front, both errors in units of what they
-        range over: beyond it one error grows much for little of the other.
+        range over: beyond it one error grows much for little of the other. Its RMSE may be far from the least.
     """
 
     values: Values
     false_shadow: float
     false_light: float
     ratio: float
+    rmse: float
     is_knee: bool = False
 
 
 def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
-    """The front through `best`, from the least false shadow to the least false light.
+    """The front, from the setting with the least sum where false shadow weighs 256 times as much as false light to the
+    one where it weighs a 256th, with the setting of the least loss between them.
 
-    Weighted sums of the two errors are made least, from neighbour to neighbour, away from `best` and back. The hard
-    compare then decides which of all settings found is best for each sum.
+    Settings over all of the bounds are tried first. Each end is then searched from `best` and from the best of these,
+    by gradient and by a search under the hard compare. Between neighbours, the weighted sum that is equal for both is
+    made least, from both sides, which finds a setting below the line between them if there is one (the noninferior set
+    estimation of Cohon, Church & Sheer 1979). Only the hard compare judges.
+
+    **Returns** at most `count` settings. There are fewer if no more were found whose errors differ.
     """
-    ratios = _MOST_RATIO ** np.linspace(1, -1, count)
-    middle, found = int(np.argmin(abs(np.log(ratios)))), {best: run.sides(best)}
-    at = [best] * count
-
-    def along(path: list[int]) -> None:
-        for here, there in itertools.pairwise(path):
-            at[there] = run.refitted(at[here], (), ratio=float(ratios[there]))
-            found.setdefault(at[there], run.sides(at[there]))
-
-    for end in (0, count - 1):
-        step = 1 if end else -1
-        outward = list(range(middle, end + step, step))
-        along(outward)
-        along(outward[::-1])
-    points = []
-    for ratio in ratios.tolist():
-        total = lambda sides, ratio=ratio: ratio**0.5 * sides[0] ** 2 + ratio**-0.5 * sides[1] ** 2
-        values = min(found, key=lambda values: total(found[values]))
-        points.append(FrontPoint(values, *found[values], ratio))
-    # Several sums may have the same least.
-    points = list({point.values: point for point in points}.values())
-    knee = _knee([(point.false_shadow, point.false_light) for point in points])
+    found = _Found(run)
+    found.add(best)
+    found.spread()
+    for ratio in (_MOST_RATIO, 1 / _MOST_RATIO):
+        found.end(ratio, best)
+    found.between(count)
+    points = [point._replace(rmse=run.rmse(point.values)) for point in _chosen(found.hull(), count)]
+    knee = _knee(points)
     return [point._replace(is_knee=i == knee) for i, point in enumerate(points)]
 
 
-def _knee(errors: list[tuple[float, float]]) -> int:
-    at = np.asarray(errors)
-    scaled = (at - at.min(axis=0)) / np.maximum(np.ptp(at, axis=0), 1e-12)
-    # The ends lie at (0, 1) and (1, 0).
-    return int(np.argmin(scaled.sum(axis=1)))
+class _Found:
+    """The settings that were found, and their errors.
+
+    - `settled`: those that a fit has ended at, or began at in vain.
+    """
+
+    def __init__(self, run: Run):
+        self.run = run
+        self.sides: dict[Values, Sides] = {}
+        self.settled: set[Values] = set()
+
+    def add(self, values: Values) -> Sides:
+        """The errors of `values`, which are evaluated unless they are known."""
+        if values not in self.sides:
+            self.sides[values] = self.run.sides(values)
+        return self.sides[values]
+
+    def best(self, ratio: float) -> Values:
+        """The setting with the least weighted sum."""
+        return min(self.sides, key=lambda values: _sum(self.sides[values], ratio))
+
+    def refit(self, values: Values, ratio: float) -> None:
+        """Fits a weighted sum from `values`."""
+        end = self.run.refitted(values, (), ratio=ratio)
+        self.add(end)
+        self.settled |= {values, end}
+
+    def spread(self) -> None:
+        """Tries settings over all of the bounds, and their corners."""
+        parameters = self.run.parameters
+        ends = [np.asarray(end) for end in (parameters.lower, parameters.upper)]
+        tried = np.asarray(starts_within(parameters, parameters.lower, _SPREAD * len(ends[0]), seed=0))
+        if len(ends[0]) <= _MOST_CORNERS:
+            tried = np.concatenate([tried, list(itertools.product(*np.transpose(ends)))])
+        for values in tried.tolist():
+            self.add(tuple(values))
+
+    def end(self, ratio: float, best: Values) -> None:
+        """Searches an end of the front, from `best` and from the best setting so far."""
+        for start in dict.fromkeys((best, self.best(ratio))):
+            self.refit(start, ratio)
+        lower, upper = (np.asarray(end, np.float64) for end in (self.run.parameters.lower, self.run.parameters.upper))
+        error = lambda values: _sum(self.add(tuple(as_float(values).tolist())), ratio)
+        search(error, np.asarray(self.best(ratio)), lower, upper, _EVALUATIONS * len(lower), _PART)
+        self.refit(self.best(ratio), ratio)
+
+    def between(self, count: int) -> None:
+        """Looks for settings between neighbours, the furthest apart first, until there are `count` that are settled."""
+        tried: set[tuple[Values, Values]] = set()
+        for _ in range(_FITS * count):
+            hull = self.hull()
+            points = _chosen(hull, count)
+            rough = [point for point in points if point.values not in self.settled]
+            gaps = [
+                (gap, a, b)
+                for gap, (a, b) in zip(_gaps(hull), itertools.pairwise(hull), strict=True)
+                if (a.values, b.values) not in tried and not _are_same(a, b)
+            ]
+            if rough:
+                self.refit(rough[0].values, rough[0].ratio)
+            elif gaps and len(points) < count:
+                _, a, b = max(gaps, key=lambda each: each[0])
+                tried.add((a.values, b.values))
+                for start in (a, b):
+                    self.refit(start.values, _equal(a, b))
+            else:
+                break
+
+    def hull(self) -> list[FrontPoint]:
+        """The settings that have the least weighted sum for some ratio, from the least false shadow on."""
+        first, last = (self.best(ratio) for ratio in (_MOST_RATIO, 1 / _MOST_RATIO))
+        (least, most), (most_light, least_light) = zip(self.sides[first], self.sides[last], strict=True)
+        inside = [
+            values
+            for values, (shadow, light) in self.sides.items()
+            if least < shadow < most and least_light < light < most_light
+        ]
+        points: list[FrontPoint] = []
+        for values in dict.fromkeys((first, *sorted(inside, key=self.sides.__getitem__), last)):
+            point = FrontPoint(values, *self.sides[values], 1.0, 0.0)
+            # Without those that lie on or above the line between their neighbours.
+            while len(points) > 1 and _equal(points[-2], points[-1]) <= _equal(points[-1], point):
+                points.pop()
+            points.append(point)
+        if len(points) == 1:
+            return points
+        ratios = [_MOST_RATIO, *(_equal(a, b) for a, b in itertools.pairwise(points)), 1 / _MOST_RATIO]
+        middle = [(a * b) ** 0.5 for a, b in itertools.pairwise(ratios)]
+        middle[0], middle[-1] = ratios[0], ratios[-1]
+        return [point._replace(ratio=ratio) for point, ratio in zip(points, middle, strict=True)]
+
+
+def _sum(sides: Sides, ratio: float) -> float:
+    """The weighted sum of the squares of false shadow and false light."""
+    return ratio**0.5 * sides[0] ** 2 + ratio**-0.5 * sides[1] ** 2
+
+
+def _equal(a: FrontPoint, b: FrontPoint) -> float:
+    """The ratio for which both have the same weighted sum."""
+    return (a.false_light**2 - b.false_light**2) / max(b.false_shadow**2 - a.false_shadow**2, 1e-30)
+
+
+def _are_same(a: FrontPoint, b: FrontPoint) -> bool:
+    pairs = ((a.false_shadow, b.false_shadow), (a.false_light, b.false_light))
+    return all(abs(one - other) <= _SAME * max(one, other) for one, other in pairs)
+
+
+def _scaled(points: Sequence[FrontPoint]) -> Float[HostArray, "n 2"]:
+    """The errors, each in units of what it ranges over. The ends lie at (0, 1) and (1, 0)."""
+    at = np.asarray([(point.false_shadow, point.false_light) for point in points])
+    return (at - at.min(axis=0)) / np.maximum(np.ptp(at, axis=0), 1e-12)
+
+
+def _gaps(points: Sequence[FrontPoint]) -> list[float]:
+    """How far neighbours are apart."""
+    return np.linalg.norm(np.diff(_scaled(points), axis=0), axis=1).tolist()
+
+
+def _chosen(points: Sequence[FrontPoint], count: int) -> list[FrontPoint]:
+    """At most `count` of the points that differ: the least loss, the ends, and what is furthest from all of these."""
+    at, least = _scaled(points), min(points, key=lambda point: _sum((point.false_shadow, point.false_light), 1.0))
+    chosen: list[int] = []
+    for i in (points.index(least), 0, len(points) - 1):
+        if not any(_are_same(points[i], points[k]) for k in chosen):
+            chosen.append(i)
+    while len(chosen) < count:
+        others = [i for i in range(len(points)) if not any(_are_same(points[i], points[k]) for k in chosen)]
+        if not others:
+            break
+        away = np.linalg.norm(at[others][:, None] - at[chosen], axis=-1).min(axis=1)
+        chosen.append(others[int(np.argmax(away))])
+    return [points[i] for i in sorted(chosen)]
+
+
+def _knee(points: Sequence[FrontPoint]) -> int | None:
+    """The index of the knee; none unless there is a point between the ends."""
+    return int(np.argmin(_scaled(points).sum(axis=1))) if len(points) >= FEWEST else None

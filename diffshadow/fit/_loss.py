@@ -78,11 +78,6 @@ class Loss(eqx.Module):
         root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
         return Loss(self.over, self.fraction, dark * root, light / root, self.power)
 
-    def sides(self) -> tuple["Loss", "Loss"]:
-        """Its parts: of false shadow alone, and of false light alone."""
-        dark, light = (self.false_shadow, 0.0), (0.0, self.false_light)
-        return Loss(self.over, self.fraction, *dark, self.power), Loss(self.over, self.fraction, *light, self.power)
-
     def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """A difference of visibilities, times the square root of the factor of its sign."""
         factor = jnp.where(difference > 0, self.false_light, self.false_shadow)

@@ -265,10 +265,19 @@ class Run:
             return np.inf
 
     def sides(self, values: Values) -> tuple[float, float]:
-        """The roots of the judge's losses at `values`: of false shadow, and of false light."""
-        judge = self.judged_at(as_float(values))
-        dark, light = (float(judge.with_loss(loss).losses(judge.subject).whole) ** 0.5 for loss in judge.loss.sides())
+        """The roots of the judge's losses at `values`: of false shadow, and of false light. They are infinite for a
+        layout that does not suit the scene."""
+        try:
+            judge = self.judged_at(as_float(values))
+        except ValueError:
+            return np.inf, np.inf
+        dark, light = (float(loss) ** 0.5 for loss in judge.sides(judge.subject))
         return dark, light
+
+    def rmse(self, values: Values) -> float:
+        """The root mean square error over all pixels under the hard compare, whatever the loss."""
+        judge = self.judged_at(as_float(values)).with_loss(Loss())
+        return float(judge.losses(judge.subject).whole) ** 0.5
 
     def _arguments(
         self,

@@ -3482,10 +3482,10 @@ _STUDY = (
     ),
     _fault(
         "remarks: a value on its bound is not told",
-        "study/runs/_remarks.py",
-        "if abs(value - bound) <= reach:",
+        "fit/_bounds.py",
+        "if abs(value - bound) <= _ON_BOUND * span:",
         "if abs(value - bound) < 0:",
-        "test_study.py",
+        "test_sureness.py",
     ),
     _fault(
         "cached reference: how it is traced is no part of the key",

@@ -1,11 +1,15 @@
 """How sure a fit is: intervals, preferences and the front, on errors in closed form and on a scene."""
 
+import itertools
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import problem, technique
 
-from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, fit
+from diffshadow.fit import Anneal, AtBound, Loss, Parameter, Parameters, Solver, fit
+from diffshadow.fit._bounds import at_bounds
 from diffshadow.fit._front import front_of
 from diffshadow.fit._profile import Profiler
 from diffshadow.fit._run import Run
@@ -126,38 +130,104 @@ def test_preferences_go_as_far_as_the_error_allows():
     assert most_b.error <= (1 + within) * LEAST
 
 
+def test_values_on_a_bound_say_whether_the_error_still_falls_there():
+    # Beyond 2.5, a is better. So is b with this a, and with the best one it is best on its bound.
+    narrow = [Parameter("a", 1.0, 0.0, 2.5), Parameter("b", 1.0, -4.0, BEST[1])]
+    a, b = at_bounds(Bowl(), narrow, (2.4999, BEST[1] - 1e-4))
+    assert a == AtBound("a", "upper", 2.5, True)
+    assert b[:3] == ("b", "upper", BEST[1])
+    assert b.falls
+    assert at_bounds(Bowl(), [narrow[0], BOUNDS[1]], (2.4, BEST[1])) == []
+    flat = [Parameter("a", 3.0, BEST[0], 10.0), Parameter("b", 1.0, BEST[1], 4.0)]
+    assert [(each.side, each.falls) for each in at_bounds(Bowl(), flat, BEST)] == [("lower", False), ("lower", False)]
+    assert [each.falls for each in at_bounds(Basin(), [Parameter("a", 0.0, -0.5, 0.5)], (0.5,))] == [False]
+
+
 class Trade(Run):
     """False shadow (1 - x)² and false light x², between which a fit chooses x by their weights."""
 
     def __init__(self):
-        pass
+        self.parameters, self.tried = Parameters.of([Parameter("x", 0.5, 0.0, 1.0)]), {}
+
+    def errors(self, x):
+        return 1 - x, x
 
     def sides(self, values):
-        return 1 - values[0], values[0]
+        self.tried[values] = self.errors(*values)
+        return self.tried[values]
+
+    def rmse(self, values):
+        return float(np.hypot(*self.tried[values]))
 
     def refitted(self, values, kept, *, ratio=1.0, least_gain=0.0):
         # √r (1 - x)² + x² / √r is least here.
         return (ratio / (1 + ratio),)
 
 
+class Stuck(Trade):
+    """Fits end where they begin, and false shadow falls once more at the upper bound, where no slope leads."""
+
+    def errors(self, x):
+        return (0.5 - 0.3 * x if x < 0.97 else 0.01), 0.1 + x**2
+
+    def refitted(self, values, kept, *, ratio=1.0, least_gain=0.0):
+        return values
+
+
+def weighted(sides, ratio):
+    return ratio**0.5 * sides[0] ** 2 + ratio**-0.5 * sides[1] ** 2
+
+
 def test_a_front_is_what_weighted_sums_make_least():
-    front = front_of(Trade(), (0.5,), 9)
+    trade = Trade()
+    front = front_of(trade, (0.5,), 9)
     assert len(front) == 9
     shadow, light = ([getattr(point, side) for point in front] for side in ("false_shadow", "false_light"))
     assert shadow == sorted(shadow)
     assert light == sorted(light, reverse=True)
     for point in front:
-        assert point.values[0] == pytest.approx(point.ratio / (1 + point.ratio))
+        # Of all that was tried, none has a smaller sum.
+        sides = point.false_shadow, point.false_light
+        least = min(weighted(each, point.ratio) for each in trade.tried.values())
+        assert weighted(sides, point.ratio) == pytest.approx(least)
+        assert point.rmse == pytest.approx(np.hypot(*sides))
+    assert [front[0].ratio, front[-1].ratio] == pytest.approx([256, 1 / 256])
+    for ratio in (256, 16, 1, 1 / 16, 1 / 256):
+        least = weighted(trade.errors(ratio / (1 + ratio)), ratio)
+        assert min(weighted((p.false_shadow, p.false_light), ratio) for p in front) <= 1.1 * least
     assert sum(point.is_knee for point in front) == 1
-    # All lie on a line in these errors, and the first of them is taken.
-    assert front[0].ratio == pytest.approx(256)
+
+
+def test_ends_of_a_front_are_found_where_no_slope_leads():
+    stuck, grid = Stuck(), np.linspace(0, 1, 101)
+    front = front_of(stuck, (0.3,), 5)
+    for ratio in (256, 1 / 256):
+        least = min(weighted(stuck.errors(x), ratio) for x in grid)
+        assert min(weighted((p.false_shadow, p.false_light), ratio) for p in front) <= 1.02 * least
+    assert front[0].values[0] >= 0.97
+
+
+def test_a_front_has_no_settings_twice_and_a_knee_only_between_ends():
+    class Flat(Trade):
+        def errors(self, x):
+            return 0.2, 0.1 + 1e-4 * x
+
+    class Two(Trade):
+        def errors(self, x):
+            return (0.1, 0.3) if x > 0.5 else (0.3, 0.1)
+
+    assert len(front_of(Flat(), (0.5,), 9)) == 1
+    front = front_of(Two(), (0.5,), 9)
+    assert [(point.false_shadow, point.false_light) for point in front] == [(0.1, 0.3), (0.3, 0.1)]
+    assert not any(point.is_knee for point in front)
 
 
 @pytest.fixture(scope="module")
 def found():
-    """A fit with everything, and its problem: the reference has less acne than any bias below 0.8 texels leaves."""
+    """A fit with everything, and its problem: the reference is the mean of two settings, which none is equal to."""
     disk = lambda radius, bias: technique(RandomDisk(radius, stratified((2, 2))), bias)
-    known = problem(disk(2.0, 1.6), target=disk(3.2, 0.8))
+    known, other = (problem(disk(2.0, 1.6), target=disk(*target)) for target in ((3.2, 0.8), (1.0, 3.0)))
+    known = eqx.tree_at(lambda p: p.reference, known, (known.reference + other.reference) / 2)
     parameters = [Parameter("bias.constant", 1.6, 0.0, 6.0), Parameter("filter.radius", 2.0, 0.0, 8.0)]
     settings = {"solver": Solver("levenberg_marquardt", 60, 1e-4, 1e-7), "anneal": Anneal(1.0, 0.1, 3)}
     prefer = [("bias.constant", "lower"), ("filter.radius", "lower")]
@@ -181,6 +251,7 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
     for point in result.front:
         subject = whole.put(names, jnp.asarray(point.values)).hard()
         both = point.false_shadow**2 + point.false_light**2
+        assert both == pytest.approx(point.rmse**2, rel=1e-5)
         assert both == pytest.approx(float(subject.mean_square_error(subject.subject)), rel=1e-4)
     shadow, light = ([getattr(point, side) for point in result.front] for side in ("false_shadow", "false_light"))
     assert shadow == sorted(shadow)
@@ -190,6 +261,13 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
     assert bias == sorted(bias, reverse=True)
     assert bias[0] > bias[-1] + 0.1
     assert shadow[0] < 0.7 * shadow[-1]
+    # No coarse grid over the bounds does better at the ends.
+    grid = itertools.product(np.linspace(0, 6, 7).tolist(), np.linspace(0, 8, 9).tolist())
+    errors = [whole.put(names, jnp.asarray(values)).hard() for values in grid]
+    errors = [tuple(float(side) ** 0.5 for side in each.sides(each.subject)) for each in errors]
+    for ratio in (256, 1 / 256):
+        least = min(weighted(each, ratio) for each in errors)
+        assert min(weighted(each, ratio) for each in zip(shadow, light, strict=True)) <= 1.02 * least
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import html
 import importlib.util
 import io as text_io
 import json
@@ -329,7 +330,7 @@ def test_flip_counts_what_any_light_counts_and_is_none_without_its_package(monke
 def test_printed_table_reads_without_colour(finished):
     _, said, _ = finished
     assert "\x1b" not in said
-    (radius,) = (line for line in said.splitlines() if "filter.radius" in line and "warning" not in line)
+    (radius,) = (line for line in said.splitlines() if line.startswith("│ filter.radius"))
     assert "texels" in radius
     for words in ("RMSE", "false shadow (acne)", "false light (leaks, Peter-panning)", "noise is", "hard compare"):
         assert words in said
@@ -475,6 +476,33 @@ def test_fit_to_a_reference_image_matches_the_traced_one(finished, tiny_figures,
     assert "was given, not traced" in said
 
 
+def test_the_verdict_comes_first_everywhere(finished, tiny_figures, tmp_path):
+    """Of a fit that improves, and of one to a reference that is upside down."""
+    folder, said, _ = finished
+    read = lambda folder: html.unescape((folder / "report.html").read_text())
+    result, page = result_of(folder), read(folder)
+    sentence = result["verdict"]["sentence"]
+    assert result["verdict"]["kind"] == "fitted"
+    assert next(iter(result)) == "schema_version"
+    assert list(result)[1] == "verdict"
+    assert said.startswith(sentence)
+    assert f'<p class="summary">{sentence[:1].upper()}{sentence[1:]}.</p>' in page
+    with np.load(folder / "arrays.npz") as arrays:
+        io.write_visibility(tmp_path / "truth.npy", arrays["reference"][::-1])
+    made, said = run("reference={type: image, path: truth.npy}")
+    found, page = result_of(made)["verdict"], read(made)
+    assert found["kind"] == "unexplained"
+    assert found["remedies"][0].startswith("flip the reference upside down: rays")
+    assert said.startswith(f"warning: {found['sentence']}\nwarning: {found['remedies'][0]}")
+    assert result_of(made)["warnings"] == []
+    assert f'<p class="summary warning">{found["sentence"][:1].upper()}{found["sentence"][1:]}. Flip the' in page
+    with np.load(made / "arrays.npz") as arrays:
+        assert arrays["reference"][arrays["mask"]].std() == pytest.approx(found["constant_rmse"], rel=1e-4)
+    # Whoever compares it is told, too.
+    to, _ = console()
+    assert found["sentence"] in study.compare([folder, made], tmp_path / "both.html", console=to).read_text()
+
+
 @pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
 def test_flat_gradient_is_told_with_its_cause(really, tiny_figures, monkeypatch):
     def flat(problems, *arguments, **settings):
@@ -490,33 +518,6 @@ def test_flat_gradient_is_told_with_its_cause(really, tiny_figures, monkeypatch)
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
     assert "warning: filter.radius was not fitted: its gradient is zero throughout, since nearest look-ups" in said
     assert "filter.radius was not fitted" in (folder / "report.html").read_text()
-
-
-def outcome(result: str = "successful") -> fit.Outcome:
-    return fit.Outcome(0.1, 3, result, 1e-9, 0.01, (9.9999,))
-
-
-@pytest.mark.parametrize(
-    ("value", "chosen", "ended", "said"),
-    [
-        (9.9999, 0, "successful", "ended on its upper bound, 10 texels"),
-        (0.0001, 0, "successful", "ended on its lower bound, 0 texels"),
-        (5.0, -1, "successful", "no phase ended better than the start"),
-        (5.0, 0, "max_steps reached", "max_steps reached: raise fit.solver.max_steps"),
-    ],
-)
-def test_remarks_name_what_makes_a_fit_less_than_it_looks(value, chosen, ended, said):
-    from diffshadow.study.runs._remarks import remarks
-
-    parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
-    technique = None
-    result = fit.FitResult(
-        technique, {"bias.constant": 5.0}, {"bias.constant": value}, [outcome(ended)], chosen, [], [], 0.0, 0.0
-    )
-    (remark,) = remarks(tiny(), [parameter], result)
-    assert said in remark
-    fine = result._replace(fitted={"bias.constant": 5.0}, phases=[outcome()], chosen=0)
-    assert remarks(tiny(), [parameter], fine) == []
 
 
 FIRST = "(blur 24 pixels)"
@@ -546,21 +547,13 @@ def test_first_phase_that_was_cut_short_is_reported_where_it_matters(last, losse
     cut, whole = ended(24.0, "max_steps reached"), ended(3.0, last)
     found = fit.FitResult(None, {"bias.constant": 5.0}, {"bias.constant": 5.0}, [cut, whole], 1, history, [], 0.0, 0.0)
     parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
-    earlier = [remark for remark in remarks(tiny(), [parameter], found) if "earlier phase" in remark]
+    plan = types.SimpleNamespace(parameters=[parameter], front=0)
+    earlier = [remark for remark in remarks(tiny(), plan, found) if "earlier phase" in remark]
     assert len(earlier) == bool(said)
     assert all(part in remark for remark in earlier for part in said)
     # Where the result comes from none of the phases, or from the first one itself, there is nothing to say.
     for chosen in (-1, 0):
-        assert not any("earlier phase" in each for each in remarks(tiny(), [parameter], found._replace(chosen=chosen)))
-
-
-def test_result_that_is_the_start_is_of_no_phase():
-    from diffshadow.study.runs._remarks import remarks
-
-    values = {"bias.constant": 5.0}
-    found = fit.FitResult(None, values, values, [ended(3.0, "max_steps reached")], -1, [], [], 0.0, 0.0)
-    (remark,) = remarks(tiny(), [fit.Parameter("bias.constant", 5.0, 0.0, 10.0)], found)
-    assert "the start is the result" in remark
+        assert not any("earlier phase" in each for each in remarks(tiny(), plan, found._replace(chosen=chosen)))
 
 
 def test_render_writes_its_images_beside_the_fit_s():

@@ -77,6 +77,16 @@ def start_of(data: Any, name: str) -> Any:
     return value if index is None else value[index]
 
 
+def is_limit(data: Any, name: str, bound: float) -> bool:
+    """Whether the number `name` cannot lie beyond `bound`, or has no sense there.
+
+    That is a limit of its key, or 0 of a number of the technique: no bias, no radius.
+    """
+    pose = pose_of(data, name)
+    limits = _limits_of(data, name) if pose is None else pose.limits
+    return bound in (limits.low, limits.high) or (pose is None and bound == 0)
+
+
 def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
     """Faults of the entries of `parameters`, the section `fit.parameters`, whose names exist in no configuration."""
     everywhere = {f"{h}.{key}" for h, sections in _HOLDERS.items() for s in sections for key in _fitted_keys(s)}

@@ -100,6 +100,13 @@ class Joint(eqx.Module):
         of_compared, whole = _weighed(self.loss, [compared, errors], self.shares)
         return Losses(of_compared, whole, errors, any_of(overflows))
 
+    def sides(self, subject: Any) -> tuple[Scalar, Scalar]:
+        """The losses of what is too dark alone, and of what is too light alone."""
+        differences = self.differences(subject)
+        errors = [squares(each) for each in _by_sign(differences)]
+        dark, light = _weighed(self.loss, errors, self.shares)
+        return dark, light
+
     def mean_square_error(self, subject: Any) -> Scalar:
         """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
         count."""
@@ -215,6 +222,12 @@ def _shares(counts: list[Array]) -> Float[Array, " v"]:
 def _weighed(loss: Loss, errors: list[Errors], shares: Errors) -> list[Scalar]:
     """The loss of each of several `errors` (v,)."""
     return [jnp.sum(loss.weights(each, shares) * each) for each in errors]
+
+
+@eqx.filter_jit
+def _by_sign(images: Images) -> tuple[Images, Images]:
+    """The negative and the positive part of each image."""
+    return tuple(jnp.minimum(each, 0) for each in images), tuple(jnp.maximum(each, 0) for each in images)
 
 
 @eqx.filter_jit

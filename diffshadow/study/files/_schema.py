@@ -187,12 +187,21 @@ class _Profile(_Part):
 
 
 class _FrontPoint(_Part):
-    """A setting, its roots of the mean square of what is too dark and too light."""
+    """A setting, its roots of the mean square of what is too dark and too light, and of all errors."""
 
     values: Numbers
     false_shadow: Annotated[float, Field(ge=0)]
     false_light: Annotated[float, Field(ge=0)]
+    rmse: Fraction | None = None
     is_knee: bool
+
+
+class _Verdict(_Part):
+    """What a fit comes to, and what to try."""
+
+    kind: str
+    sentence: str = Field(min_length=1)
+    remedies: list[str] = []
 
 
 class _Run(_Part):
@@ -212,6 +221,7 @@ class _Render(_Run):
 
 class _Fit(_Run):
     kind: Literal["fit"]
+    verdict: _Verdict | None = None
     metrics: _FitMetrics
     initial: Numbers
     fitted: Numbers = Field(min_length=1)

@@ -10,7 +10,7 @@ from rich.console import Console
 from ... import io
 from ..._checks import text_within
 from ..files._stored import StoredRun, read_run
-from ._table import ERRORS, UNITS, number, print_comparison
+from ._table import ERRORS, UNEXPLAINED, UNITS, number, print_comparison
 
 # A run's name and folder do not count as differences.
 _NOT_COMPARED = ("name", "output")
@@ -95,6 +95,13 @@ def _errors(runs: Sequence[StoredRun]) -> list[Line]:
     return lines
 
 
+def _warnings(run: StoredRun) -> list[str]:
+    """The remarks on a run; first, that a fit does not explain its references."""
+    found = run.result.get("verdict")
+    unexplained = [found["sentence"]] if found and found["kind"] == UNEXPLAINED else []
+    return [*unexplained, *(run.result.get("warnings") or [])]
+
+
 def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]]) -> None:
     # Imported here, since they load Matplotlib.
     from .. import style
@@ -115,9 +122,7 @@ def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: 
         folders=[str(run.folder) for run in runs],
         # Results come first.
         parts_of_table=dict(reversed(parts.items())),
-        warnings=[
-            f"{label}: {warning}" for label, run in _named(labels, runs) for warning in run.result.get("warnings") or []
-        ],
+        warnings=[f"{label}: {warning}" for label, run in _named(labels, runs) for warning in _warnings(run)],
         slides=pictures[-2:],
         groups=groups,
         scale=difference_scale(limit, extend == "both"),

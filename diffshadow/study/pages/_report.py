@@ -8,14 +8,12 @@ import numpy as np
 
 from ..._checks import text_within
 from ..files._stored import REPORT, LightImages, StoredRun
-from ._table import ERRORS, LIGHT_ERRORS, UNITS, interval_text, noise_text, number, within_text
+from ._table import ERRORS, LIGHT_ERRORS, UNEXPLAINED, UNITS, interval_text, knee_text, noise_text, number, within_text
 
 # Figures in the folder that the page draws itself.
 _SHOWN = ("profiles", "front", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
 # Techniques whose name alone does not say what is drawn.
 _FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
-# If this many parameters precede the last one, the summary counts them instead of naming them.
-_MANY = 3
 _HEADINGS = {
     "paths": "How lights and meshes moved",
     "landscape": "Error landscape",
@@ -39,7 +37,8 @@ def write_report(run: StoredRun) -> Path:
         run.folder / REPORT,
         "report.html.j2",
         run=run,
-        summary=_fit_summary(result) if is_fit else _render_summary(run),
+        summary=_fit_summary(result) if is_fit else [_render_summary(run)],
+        is_explained=not is_fit or (result.get("verdict") or {}).get("kind") != UNEXPLAINED,
         states=[title for title, _ in run.errors] if is_fit else ["error"],
         fitted=_fitted(result) if is_fit else [],
         errors=_errors(run),
@@ -57,6 +56,7 @@ def write_report(run: StoredRun) -> Path:
         widths=list(map(within_text, figures.widths(result))) if is_fit else [],
         profiles=style.inline_svg(figures.profiles(result), "profiles") if is_fit and result.get("profiles") else "",
         front=_front(result) if is_fit else [],
+        knee=knee_text([(point.get("rmse"), point["is_knee"]) for point in result.get("front", ())]),
         front_chart=style.inline_svg(figures.front(result), "front") if is_fit and result.get("front") else "",
         curves=_curves(run) if is_fit else [],
         is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
@@ -70,19 +70,13 @@ def write_report(run: StoredRun) -> Path:
     return run.folder / REPORT
 
 
-def _fit_summary(result: Mapping[str, Any]) -> str:
-    """The result of the fit in one sentence."""
+def _fit_summary(result: Mapping[str, Any]) -> list[str]:
+    """The verdict on the fit, sentence by sentence; of an older run that has none, the errors."""
+    found = result.get("verdict")
+    if found:
+        return [f"{text[:1].upper()}{text[1:]}." for text in (found["sentence"], *found.get("remedies", ()))]
     before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
-    *most, last = result["fitted"]
-    names = f"{', '.join(most)} and {last}" if most else last
-    if len(most) >= _MANY:
-        names = f"{len(most) + 1} parameters"
-    if result["solver"]["chosen_phase"] < 0:
-        return f"Fitting {names} found nothing better than the start, whose error is {number('rmse', before)} RMSE."
-    return (
-        f"Fitting {names} reduced the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE, "
-        f"by a factor of {before / max(after, 1e-12):.1f}, in {result['solver']['steps']} steps."
-    )
+    return [f"The fit changed the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE."]
 
 
 def _render_summary(run: StoredRun) -> str:
@@ -123,7 +117,7 @@ def _front(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The settings of the front of false shadow against false light."""
     return [
         {
-            "errors": [f"{point[name]:.4f}" for name in ("false_shadow", "false_light")],
+            "errors": [number("rmse", point.get(name)) for name in ("false_shadow", "false_light", "rmse")],
             "numbers": [f"{value:.4g}" for value in point["values"].values()],
             "is_knee": point["is_knee"],
         }

@@ -35,6 +35,11 @@ UNITS = {
 }
 """The units of errors."""
 
+# Errors below this, in visibility, are rounding.
+_LEAST_ERROR = 1e-5
+UNEXPLAINED = "unexplained"
+"""The kind of the verdict on a fit that does not explain its references."""
+
 
 def number(name: str, value: float | None) -> str:
     """The error `name` as text; a dash if there is none."""
@@ -89,12 +94,28 @@ def print_profiles(console: Console, profiles: Sequence[Profile], fitted: Mappin
 
 
 def print_front(console: Console, names: Sequence[str], front: Sequence[FrontPoint]) -> None:
-    """Prints the front of false shadow against false light."""
-    table = Table("false shadow", "false light", *map(escape, names), "", title_justify="left")
+    """Prints the front of false shadow against false light, and what its knee costs."""
+    table = Table("false shadow", "false light", "RMSE", *map(escape, names), "", title_justify="left")
     for point in front:
-        errors = f"{point.false_shadow:.4f}", f"{point.false_light:.4f}"
+        errors = (f"{error:.4f}" for error in (point.false_shadow, point.false_light, point.rmse))
         table.add_row(*errors, *(f"{value:.4g}" for value in point.values), "knee" if point.is_knee else "")
     console.print(table)
+    print_lines(console, knee_text([(point.rmse, point.is_knee) for point in front]))
+
+
+def knee_text(front: Sequence[tuple[float | None, bool]]) -> list[str]:
+    """What the knee of a front costs in RMSE, in a sentence; none without a knee, or for a front without RMSEs.
+
+    **Arguments:** `front`: the RMSE of each point, and whether it is the knee.
+    """
+    errors = [rmse for rmse, _ in front if rmse is not None]
+    at_knee = [rmse for rmse, is_knee in front if is_knee and rmse is not None]
+    if not at_knee:
+        return []
+    (knee,), least = at_knee, min(errors)
+    more = knee / max(least, _LEAST_ERROR) - 1
+    cost = f"{more:.1%} more than the least of the front, {least:.4f}" if knee > least else "the least of the front"
+    return [f"at the knee, the RMSE is {knee:.4f}, {cost}"]
 
 
 def within_text(within: float) -> str:

@@ -18,12 +18,14 @@ from ..pages import _table as table
 from . import _pose as poses
 from . import _record as record
 from ._engine import CODE, code_of
+from ._explained import fitted_images, unexplained
 from ._layout_remarks import layout_remarks
 from ._progress import Stages
 from ._reference_remarks import reference_remarks
 from ._remarks import remarks
 from ._setup import Drawn, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
+from ._verdict import Verdict, verdict
 from ._views import DrawnView, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
@@ -36,6 +38,7 @@ class FittedRun(NamedTuple):
 
     - `views`: all that the fit sees, and what it is validated on.
     - `seen`: the scenes before and after the fit, which may move lights and meshes; `drawn` is the truth.
+    - `verdict`: what the fit comes to.
     """
 
     config: Config
@@ -49,6 +52,7 @@ class FittedRun(NamedTuple):
     errors_after: list[dict[str, float]]
     remarks: list[str]
     seen: tuple[list[Drawn], list[Drawn]]
+    verdict: Verdict
 
     @property
     def mapped(self) -> list[Drawn]:
@@ -101,6 +105,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
         fitted = fit_technique(config, stages)
         with stages.stage("writing"):
             measured = write_fit(folder, fitted, stages.seconds)
+    said = fitted.verdict
+    table.print_lines(console, [said.sentence, *said.remedies], warn=said.kind == table.UNEXPLAINED)
     table.print_fit(
         console,
         config.name,
@@ -187,13 +193,17 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
             )
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
+        left = unexplained(fitted_images(views, drawn, after, seen[1], result))
+    of_seen = lambda errors: record.combined(errors[: views.seen], drawn[: views.seen])
+    said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
     messages = [
         *views.remarks,
         *layout_remarks(technique, drawn),
         *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
-        *remarks(config, plan.parameters, result),
+        *remarks(config, plan, result, said.kind),
     ]
-    return FittedRun(config, plan, views, drawn, result, before, after, errors_before, errors_after, messages, seen)
+    errors = errors_before, errors_after
+    return FittedRun(config, plan, views, drawn, result, before, after, *errors, messages, seen, said)
 
 
 def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
@@ -318,6 +328,7 @@ def _result(folder: Path, fitted: FittedRun, shaded: list[Pictures], seconds: di
         {**phase._asdict(), "values": dict(zip(result.fitted, phase.values, strict=True))} for phase in result.phases
     ]
     return {
+        "verdict": fitted.verdict._asdict(),
         "name": config.name,
         "kind": "fit",
         "initial": result.initial,

@@ -3,37 +3,42 @@
 from collections.abc import Iterator, Sequence
 
 from ..._checks import text_within
-from ...config import Config
+from ...config import Config, FitPlan, is_limit
 from ...fit import FitResult, Outcome, Parameter
+from ..pages._table import UNEXPLAINED
 from ._pose import pose_remarks
+from ._verdict import BEST_ALREADY, Kind
 
 _CUT_SHORT = "max_steps reached"
 # Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
 # every step, as pixels switch between lit and shadowed.
 _STILL_FALLING = 0.25
+# Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
+_NEARLY_DONE = 0.01
 # An interval longer than this part of the distance between the bounds says that a value hardly matters.
 _FLAT = 0.5
-# A value is on a bound if it is within this fraction of the bounds' distance from it.
-_ON_BOUND = 1e-3
 
 
-def remarks(config: Config, parameters: Sequence[Parameter], result: FitResult) -> list[str]:
-    """A sentence for each reason not to rely on the fit."""
+def remarks(config: Config, plan: FitPlan, result: FitResult, kind: Kind = "fitted") -> list[str]:
+    """A sentence for each reason not to rely on the fit.
+
+    **Arguments:**
+
+    - `kind`: of the verdict. Where the references are not explained, it does not matter where the values ended or
+        why; nor where the start was the best.
+    """
     if result.arrangement is None:
         sentences = [_flat(config, name) for name in result.flat]
     else:
         sentences = list(pose_remarks(config, result))
-    if result.chosen < 0:
-        sentences.append(
-            "no phase ended better than the start under the hard compare, so the start is the result: try other "
-            "initial values, or a smaller fit.anneal.start"
-        )
+    if kind == UNEXPLAINED:
+        return sentences
+    sentences += [*_undecided(plan.parameters, result), *_few_points(plan, result)]
+    if kind == BEST_ALREADY:
+        return sentences
     # A preferred value lies on purpose where it does.
     preferred = bool(result.best) and result.fitted != result.best
-    for p in parameters:
-        if p.name not in result.flat and not preferred:
-            sentences += _on_bound(p, result.fitted[p.name])
-    return [*sentences, *_undecided(parameters, result), *_unconverged(result)]
+    return [*sentences, *([] if preferred else _on_bounds(config, plan.parameters, result)), *_unconverged(result)]
 
 
 def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
@@ -49,33 +54,54 @@ def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[s
             )
 
 
+def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
+    """A sentence for a front of fewer points than asked for."""
+    count = len(result.front)
+    if count < plan.front:
+        yield (
+            f"fit.front is {plan.front}, and the front has {count} point{'' if count == 1 else 's'}: no other settings "
+            "were found whose errors differ from theirs and whose weighted sum is the least for some weights"
+        )
+
+
 def _unconverged(result: FitResult) -> Iterator[str]:
-    """A sentence for each phase that led to the result and ended before the solver converged."""
+    """A sentence for each phase that led to the result and ended while its error still fell."""
     if result.chosen < 0:
         return
-    last = result.phases[result.chosen]
+    last, is_done = result.phases[result.chosen], True
     if last.result != "successful":
-        mend = ": raise fit.solver.max_steps" if last.result == _CUT_SHORT else ""
-        yield f"the solver did not converge in the phase that gave the result ({_named(last)}): {last.result}{mend}"
+        fall = _late_fall(result, result.chosen)
+        # Losses of poses change a little at every step.
+        least = _NEARLY_DONE if result.arrangement is None else _STILL_FALLING
+        is_done = last.result == _CUT_SHORT and fall is not None and fall[0] <= least
+        if not is_done:
+            still = "" if fall is None or last.result != _CUT_SHORT else f", while its error fell {_by(*fall)}"
+            mend = ": raise fit.solver.max_steps" if last.result == _CUT_SHORT else ""
+            in_phase = f"the solver did not converge in the phase that gave the result ({_named(last)})"
+            yield f"{in_phase}: {last.result}{still}{mend}"
     for number, phase in enumerate(result.phases[: result.chosen]):
         if phase.result != _CUT_SHORT:
             continue
-        decrease, steps = _late_fall(result, number)
+        fall = _late_fall(result, number)
         before = f"an earlier phase ({_named(phase)}), where the one that gave the result began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
-        if decrease > _STILL_FALLING:
-            fall = f"by {decrease:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
-            yield f"{before} while its error still fell, {fall}: raise fit.solver.max_steps"
-        elif last.result != "successful":
+        if fall is not None and fall[0] > _STILL_FALLING:
+            yield f"{before} while its error still fell, {_by(*fall)}: raise fit.solver.max_steps"
+        elif not is_done:
             yield f"{before}, too"
 
 
-def _late_fall(result: FitResult, phase: int) -> tuple[float, int]:
-    """The relative decrease of a phase's loss in the last quarter of its steps, and the number of these steps."""
+def _by(decrease: float, steps: int) -> str:
+    return f"by {decrease:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
+
+
+def _late_fall(result: FitResult, phase: int) -> tuple[float, int] | None:
+    """The relative decrease of a phase's loss in the last quarter of its steps, and the number of these steps; none for
+    fewer than two steps."""
     # Only the best of several starts continues to the end.
     losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
     if len(losses) < 2:
-        return 0.0, len(losses)
+        return None
     late = max(len(losses) // 4, 1)
     # By minima, since the solver rejects some steps.
     early, least = min(losses[:-late]), min(losses)
@@ -95,12 +121,11 @@ def _flat(config: Config, name: str) -> str:
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
-def _on_bound(parameter: Parameter, value: float) -> list[str]:
-    reach = _ON_BOUND * (parameter.upper - parameter.lower)
-    for name, bound in (("lower", parameter.lower), ("upper", parameter.upper)):
-        if abs(value - bound) <= reach:
-            # These numbers cannot be less than 0.
-            mend = "" if bound == 0 and name == "lower" else ": the best value may lie beyond it, so widen the bounds"
-            text = text_within(bound, parameter.lower, parameter.upper, 6)
-            return [f"{parameter.name} ended on its {name} bound, {text} {parameter.unit}{mend}"]
-    return []
+def _on_bounds(config: Config, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+    """A sentence for each value on a bound beyond which the error may fall further."""
+    named = {parameter.name: parameter for parameter in parameters}
+    for name, side, bound, falls in result.at_bounds:
+        if falls and name not in result.flat and not is_limit(config, name, bound):
+            lower, upper, unit = named[name].lower, named[name].upper, named[name].unit
+            where = f"{name} ended on its {side} bound, {text_within(bound, lower, upper, 6)} {unit}".rstrip()
+            yield f"{where}, where the error still falls: the best value may lie beyond it, so widen the bounds"

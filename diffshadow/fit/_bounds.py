@@ -1,0 +1,43 @@
+"""Values that ended on a bound, and whether the error still falls there."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ._parameters import Parameter
+from ._profile import Bound
+from ._run import Run, Values
+
+# A value is on a bound if it is within this part of the bounds' distance from it.
+_ON_BOUND = 1e-3
+# The slope at a bound is that of a parabola through the losses there and at one and two of these parts further inside.
+_STEP = 0.02
+# The loss falls if the slope lowers it by more than this fraction over a step: noise and rounding lower it by less.
+_FALLS = 4e-3
+
+
+class AtBound(NamedTuple):
+    """A value that ended on a bound.
+
+    - `name`: of the parameter; `side`: of its bounds; `value`: of the bound.
+    - `falls`: whether the error under the hard compare still falls there, so that wider bounds may lower it.
+    """
+
+    name: str
+    side: Bound
+    value: float
+    falls: bool
+
+
+def at_bounds(run: Run, parameters: Sequence[Parameter], values: Values) -> list[AtBound]:
+    """The parameters that `values` has on a bound. The error is evaluated there and further inside for each of them."""
+    found = []
+    for i, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
+        span = parameter.upper - parameter.lower
+        sides: list[tuple[Bound, float, float]] = [("lower", parameter.lower, span), ("upper", parameter.upper, -span)]
+        for side, bound, inwards in sides:
+            if abs(value - bound) <= _ON_BOUND * span:
+                steps = (bound + step * _STEP * inwards for step in range(3))
+                here, near, far = (run.error((*values[:i], at, *values[i + 1 :])) ** 2 for at in steps)
+                slope = (4 * near - far - 3 * here) / 2
+                found.append(AtBound(parameter.name, side, bound, slope > _FALLS * here))
+    return found

@@ -1,0 +1,213 @@
+"""Whether a fit explains its references, and what would explain them if it does not."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ... import fit, reference
+from ..._types import HostArray
+from ...geometry import Scene
+from ._setup import Drawn
+from ._views import Views
+
+# Above this part of a reference's variance, rays decide whether what a fit leaves is an error of the technique.
+_DOUBTFUL = 0.1
+# An image of this scene from this light differs from rays by noise and by pixels at outlines. Beyond these, rays leave
+# no more than this part of its variance. A sun that is 6 degrees off, another mesh or a flipped file leave more.
+_MUCH = 0.2
+# Pixels differ by how they are sampled. The mean square difference between rays at their centres and all over them,
+# times this, is added to what rays may leave: two images at points half a pixel apart differ by twice as much.
+_SAMPLED = 2.0
+# A changed reference is the answer if it leaves no more than this part of what the reference leaves as it is.
+_FAR_BETTER = 0.5
+# The camera rays along each side of a pixel.
+_SUPERSAMPLING = 4
+# Of many views, only the worst are traced.
+_MOST_TRACED = 8
+
+Image = Float[HostArray, "h w"]
+Mask = Bool[HostArray, "h w"]
+
+
+class Change(NamedTuple):
+    """How a reference has to be changed to show what rays see.
+
+    - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
+    - `is_inverted`: whether light and shadow are exchanged.
+    - `low`, `high`: the reference's values where rays see shadow and light.
+    - `rmse`: of the turned and inverted reference against rays.
+    - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
+    """
+
+    turn: str
+    is_inverted: bool
+    low: float
+    high: float
+    rmse: float
+    left: float
+
+
+class Unexplained(NamedTuple):
+    """What a fit leaves of its references.
+
+    - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
+    - `keys`: of the lights or views whose references are not of this scene in its fitted state; there may be none.
+    - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
+    - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
+    """
+
+    rmse: float
+    constant: float
+    keys: list[str] = []  # noqa: RUF012
+    by_rays: float | None = None
+    given: bool = False
+    change: Change | None = None
+
+
+class Fitted(NamedTuple):
+    """A fitted image, and what it was fitted to.
+
+    - `drawn`: the scene and its reference; `image`: (h, w), after the fit.
+    - `scene`: the scene as it was fitted; none if nothing in it was.
+    - `given`: whether the reference was given as a file, rather than traced.
+    - `cone`: (h, w), the fraction of the light that its cone lets through, with which a fit of lights compares.
+    """
+
+    drawn: Drawn
+    image: Image
+    scene: Scene | None
+    given: bool
+    cone: Image | float = 1.0
+
+
+def unexplained(images: Sequence[Fitted]) -> Unexplained | None:
+    """What the fit leaves unexplained; none if it explains its references.
+
+    A fit fails if a constant image in place of each of its own has no larger error. It also fails if it leaves much of
+    a reference's variance, and so do rays in the fitted scene: then the reference is no picture of it.
+    """
+    counted = [each for each in images if each.drawn.pixels]
+    pixels = np.asarray([each.drawn.pixels for each in counted], np.float64)
+    left = np.asarray([_mean_square(each.image, *_truth(each.drawn)) for each in counted])
+    variance = np.asarray([_variance(*_truth(each.drawn)) for each in counted])
+    total, constant = (float(np.average(each, weights=pixels)) for each in (left, variance))
+    doubtful = [i for i in np.argsort(-left * pixels, kind="stable") if left[i] > _DOUBTFUL * variance[i] > 0]
+    alien = list(_alien([counted[i] for i in doubtful[:_MOST_TRACED]]))
+    if not alien and not total >= constant > 0:
+        return None
+    found = Unexplained(math.sqrt(total), math.sqrt(constant), [each.drawn.key for each, *_ in alien])
+    if not alien:
+        return found
+    worst, seen, by_rays = alien[0]
+    change = None
+    if worst.given:
+        # A fit may have moved the scene away from where the reference shows it.
+        configured = [] if worst.scene is None else _traced(worst.drawn.scene)
+        change = best_change([*seen, *configured], *_truth(worst.drawn))
+    return found._replace(by_rays=by_rays, given=worst.given, change=change)
+
+
+def best_change(seen: Sequence[Image], truth: Image, mask: Mask) -> Change | None:
+    """The change after which a reference is a picture of the scene; none if no flip or inversion makes it one.
+
+    **Arguments:** `seen`: (h, w), what rays see, of the scene in one or several states.
+    """
+    changes = [
+        _compared(image, turned, kept & mask, words)
+        for image in seen
+        for words, turned, kept in zip(_TURNS, _turned(truth), _turned(mask), strict=True)
+        if (kept & mask).any()
+    ]
+    as_it_is = min((each for each in changes if not each.turn), key=lambda each: each.left)
+    best = min(changes, key=lambda each: each.left)
+    if not best.turn or best.left > _FAR_BETTER * as_it_is.left:
+        best = as_it_is
+    return best if best.left <= _MUCH else None
+
+
+_TURNS = (
+    "",
+    "flip the reference upside down",
+    "mirror the reference left to right",
+    "turn the reference by 180 degrees",
+)
+
+
+def _turned(image: Any) -> tuple[Any, ...]:
+    """`image` after each of `_TURNS`."""
+    return image, image[::-1], image[:, ::-1], image[::-1, ::-1]
+
+
+def _compared(image: Image, truth: Image, mask: Mask, words: str) -> Change:
+    """How well `truth`, which was turned as `words` say, agrees with what rays see."""
+    ours, theirs = image[mask].astype(np.float64), truth[mask].astype(np.float64)
+    if not ours.std() or not theirs.std():
+        return Change(words, False, 0.0, 1.0, 1.0, 1.0)
+    slope, low = np.polyfit(ours, theirs, 1)
+    correlation = float(np.corrcoef(ours, theirs)[0, 1])
+    upright = 1 - theirs if slope < 0 else theirs
+    rmse = float(np.sqrt(np.mean((ours - upright) ** 2)))
+    return Change(words, slope < 0, float(low), float(low + slope), rmse, 1 - correlation**2)
+
+
+def _alien(images: Sequence[Fitted]) -> Iterator[tuple[Fitted, Sequence[Image], float]]:
+    """Of the images whose references may be no pictures of the scene, those that are none, what rays see, and its
+    error."""
+    for each in images:
+        if not each.given and each.scene is None:
+            # Rays are the reference.
+            continue
+        truth, mask = _truth(each.drawn)
+        seen = smooth, sharp = _traced(each.scene or each.drawn.scene)
+        # A given reference may be of the light without its cone.
+        left = min(_mean_square(image * cone, truth, mask) for image in seen for cone in (1.0, each.cone))
+        if left > _MUCH * _variance(truth, mask) + _SAMPLED * _mean_square(smooth, sharp, mask):
+            yield each, seen, math.sqrt(left)
+
+
+def _traced(scene: Scene) -> tuple[Image, Image]:
+    """What rays see all over the pixels, and at their centres."""
+    trace = lambda side: reference.trace_visibility(scene, _SUPERSAMPLING**2, supersampling=side).visibility
+    return trace(_SUPERSAMPLING), trace(1)
+
+
+def _truth(drawn: Drawn) -> tuple[Image, Mask]:
+    return np.asarray(drawn.reference.visibility), drawn.mask
+
+
+def _mean_square(image: Image, truth: Image, mask: Mask) -> float:
+    return float(np.mean((image[mask].astype(np.float64) - truth[mask]) ** 2))
+
+
+def _variance(truth: Image, mask: Mask) -> float:
+    """The mean square error of the best constant image."""
+    return float(np.var(truth[mask].astype(np.float64)))
+
+
+def fitted_images(
+    views: Views, drawn: Sequence[Drawn], after: Sequence[Image], seen: Sequence[Drawn], result: fit.FitResult
+) -> list[Fitted]:
+    """The images that a fit has seen.
+
+    **Arguments:** of all views and lights, their references, their images after the fit, and the scene that the fit
+    left.
+    """
+    found = []
+    for i, (each, image, left) in enumerate(zip(drawn[: views.seen], after, seen, strict=False)):
+        given = views.all[views.of(i)].config.reference.type == "image"
+        one = Fitted(each, image, None, given)
+        if result.arrangement is not None:
+            scene = _arranged(result.arrangement, each.scene, i)
+            one = one._replace(scene=scene, cone=np.asarray(fit.cone_fraction(scene.light, left.surface)))
+        found.append(one)
+    return found
+
+
+def _arranged(arrangement: fit.Arrangement, scene: Scene, light: int) -> Scene:
+    """The scene with one of its lights, and the meshes, where `arrangement` puts them."""
+    meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
+    return dataclasses.replace(scene, meshes=meshes, lights=scene.light.at(arrangement.lights[light]))

@@ -1,0 +1,162 @@
+"""What a fit comes to, in words: the first thing that its console, its report and its `result.json` say."""
+
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ...config import Config, FitPlan
+from ...fit import FitResult
+from ..pages._table import UNEXPLAINED
+from ._explained import Change, Unexplained
+
+BEST_ALREADY = "best already"
+Kind = Literal["unexplained", "best already", "nothing fitted", "fitted"]
+
+# If this many parameters precede the last one, a sentence counts them instead of naming them.
+_MANY = 3
+# How many starts are advised where there is one.
+_STARTS, _MOST_STARTS = 8, 1024
+# Shadows and light of a reference that is as it should be differ from 0 and 1 by no more than this.
+_NEARLY = 0.05
+# Up to this factor, what a fit gains is said in percent.
+_MUCH_BETTER = 1.5
+
+
+class Verdict(NamedTuple):
+    """What a fit comes to.
+
+    - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
+        result, `"nothing fitted"` if no parameter has a slope, and otherwise `"fitted"`.
+    - `sentence`: that in words, without a full stop.
+    - `remedies`: what to try, a sentence each.
+    - `constant_rmse`: the least RMSE of constant images, if the references are not explained.
+    """
+
+    kind: Kind
+    sentence: str
+    remedies: list[str] = []  # noqa: RUF012
+    constant_rmse: float | None = None
+
+
+def verdict(
+    config: Config,
+    plan: FitPlan,
+    result: FitResult,
+    before: float,
+    after: float,
+    found: Unexplained | None,
+) -> Verdict:
+    """The verdict of a fit.
+
+    **Arguments:**
+
+    - `before`, `after`: the RMSE before and after the fit.
+    - `found`: what the fit leaves unexplained.
+    """
+    if found is not None:
+        return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
+    names = _listed(list(result.fitted))
+    if set(result.flat) == set(result.fitted):
+        return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
+    if _was_best(plan, result):
+        return Verdict(BEST_ALREADY, _best_already(plan, result, before, after))
+    if after >= before:
+        # Of another loss, or by preference.
+        return Verdict(
+            "fitted",
+            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {result.steps} steps; the fit's own "
+            f"loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
+        )
+    factor = before / max(after, 1e-12)
+    by = f"a factor of {factor:.1f}" if factor >= _MUCH_BETTER else f"{100 * (1 - 1 / factor):.1f} %"
+    return Verdict(
+        "fitted",
+        f"fitting {names} reduced the shadow's error from {before:.4f} to {after:.4f} RMSE, by {by}, in {result.steps} "
+        "steps",
+    )
+
+
+def _was_best(plan: FitPlan, result: FitResult) -> bool:
+    """Whether the error at the start is the best within the tolerance."""
+    # Of several starts, the one that led to the result may not be the configured one.
+    starts = [p.initial for p in plan.parameters]
+    is_own = np.allclose(starts, list(result.initial.values()), rtol=1e-5, atol=0)
+    before, best = result.errors
+    return is_own and before <= (1 + plan.tolerance) * best
+
+
+def _best_already(plan: FitPlan, result: FitResult, before: float, after: float) -> str:
+    best = "your settings are already the best"
+    if result.fitted == result.initial:
+        return f"{best}: no values that the fit tried have a smaller error than their RMSE of {before:.4f}"
+    by = "the values that fit.prefer chose" if plan.prefer else "the fitted values"
+    return f"{best} within {100 * plan.tolerance:.3g} %: their RMSE is {before:.4f}, and {by} have {after:.4f}"
+
+
+def _unexplained(found: Unexplained) -> str:
+    says = f"the fit does not explain its image{'s' if len(found.keys) > 1 else ''}"
+    if found.rmse >= found.constant:
+        return (
+            f"{says}: its RMSE is {found.rmse:.4f}, and a constant image in place of the fitted one would have "
+            f"{found.constant:.4f}"
+        )
+    which = "its reference" if len(found.keys) == 1 else f"the reference of {found.keys[0]}"
+    return f"{says}: rays in the fitted scene differ from {which} by {found.by_rays:.4f} RMSE"
+
+
+def _remedies(config: Config, plan: FitPlan, found: Unexplained) -> Iterator[str]:
+    if len(found.keys) > 1:
+        yield f"this concerns {_listed(found.keys, 'views')}"
+    if found.change is not None and (steps := list(_mended(found, found.change))):
+        yield from steps
+        return
+    lights = [name for name in config.fit.parameters if name.startswith("scene.light")]
+    more = f"fit.multistart={_STARTS if plan.starts == 1 else min(4 * plan.starts, _MOST_STARTS)}"
+    if plan.arrangement is not None:
+        yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
+    if found.keys and found.given:
+        what = "check that it was made with this camera, this light and these meshes"
+        yield f"the reference does not fit if it is flipped or inverted either: {what}"
+        if not lights and (pose := _pose_of_light(config)):
+            yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
+    if not found.keys and plan.arrangement is None:
+        yield f"try more starts, {more}, other initial values, or a larger shadow_map.resolution"
+
+
+def _mended(found: Unexplained, change: Change) -> Iterator[str]:
+    """What makes the reference a picture of the scene."""
+    steps = [change.turn] if change.turn else []
+    if change.is_inverted:
+        steps.append(f"invert {'it' if steps else 'the reference'}")
+    if steps:
+        yield (
+            f"{' and '.join(steps)}: rays in this scene then differ from it by {change.rmse:.4f} RMSE instead of "
+            f"{found.by_rays:.4f}"
+        )
+    low, high = sorted((change.low, change.high))
+    if low > _NEARLY or high < 1 - _NEARLY:
+        yield (
+            f"stretch the reference's values: they are about {low:.2f} in shadow and {high:.2f} in light, and "
+            "visibility is 0 in shadow and 1 in light"
+        )
+
+
+def _pose_of_light(config: Config) -> str | None:
+    """The numbers of the configuration's light that say where it stands."""
+    of_type = {
+        "directional": ("azimuth", "elevation"),
+        "spot": ("position.x", "position.y", "position.z"),
+        "point": ("position.x", "position.y", "position.z"),
+    }
+    for key, light in config.scene.each_light.items():
+        if light.type in of_type:
+            return _listed([".".join(map(str, ("scene", *key, name))) for name in of_type[light.type]])
+    return None
+
+
+def _listed(names: Sequence[str], what: str = "parameters") -> str:
+    *most, last = names
+    if len(most) >= _MANY:
+        return f"{len(names)} {what}"
+    return f"{', '.join(most)} and {last}" if most else last

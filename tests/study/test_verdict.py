@@ -1,0 +1,264 @@
+"""Verdicts on fits: references that are no pictures of the scene, starts that are the best, and what to try."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scenes import floor_and_card, side_camera, sun
+
+from diffshadow import fit, reference
+from diffshadow.config import parse_config
+from diffshadow.geometry import Scene
+from diffshadow.study.pages._table import knee_text
+from diffshadow.study.runs._explained import Fitted, unexplained
+from diffshadow.study.runs._remarks import remarks
+from diffshadow.study.runs._setup import Drawn
+from diffshadow.study.runs._verdict import verdict
+
+SLANTED = np.array([0.5, -1.0, -0.3])
+
+
+def scene(direction=SLANTED):
+    mesh = floor_and_card()
+    return Scene(mesh, side_camera((32, 32)), sun(mesh, direction))
+
+
+SCENE = scene()
+TRUE = reference.trace_visibility(SCENE, supersampling=4)
+TURNS = {
+    "flip the reference upside down": lambda image: image[::-1],
+    "mirror the reference left to right": lambda image: image[:, ::-1],
+    "turn the reference by 180 degrees": lambda image: image[::-1, ::-1],
+}
+
+
+def fitted(truth, image=None, *, given=True, to=None, key="scene.light"):
+    """A fit to the reference `truth` that ended at `image`, or as rays see it, and moved the scene `to`."""
+    of = dataclasses.replace(TRUE, visibility=np.asarray(truth, np.float32))
+    drawn = Drawn(key, SCENE, None, None, of, TRUE.mask)
+    return Fitted(drawn, TRUE.visibility if image is None else image, to, given)
+
+
+@pytest.mark.parametrize(("words", "inverted"), list(zip(TURNS, [False, True, False], strict=True)))
+def test_the_turn_that_makes_a_reference_a_picture_of_the_scene_is_found(words, inverted):
+    truth = TURNS[words](1 - TRUE.visibility if inverted else TRUE.visibility)
+    found = unexplained([fitted(truth)])
+    assert found.keys == ["scene.light"]
+    assert found.rmse == pytest.approx(np.sqrt(np.mean((TRUE.visibility - truth)[TRUE.mask] ** 2)), rel=1e-5)
+    assert found.constant == pytest.approx(truth[TRUE.mask].std(), rel=1e-5)
+    assert (found.change.turn, found.change.is_inverted) == (words, inverted)
+    assert found.change.rmse < 0.3 * found.by_rays
+
+
+def test_an_inverted_or_pale_reference_needs_no_turn():
+    inverted = unexplained([fitted(1 - TRUE.visibility)]).change
+    assert (inverted.turn, inverted.is_inverted) == ("", True)
+    pale = unexplained([fitted(0.5 + 0.3 * TRUE.visibility)]).change
+    assert (pale.turn, pale.is_inverted) == ("", False)
+    assert (pale.low, pale.high) == pytest.approx((0.5, 0.8), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        TRUE.visibility,
+        # Sampled at the pixels' centres.
+        reference.trace_visibility(SCENE).visibility,
+        # A sun that is a degree off.
+        reference.trace_visibility(scene(SLANTED + np.array([0.02, 0, 0]))).visibility,
+    ],
+    ids=["same", "sharp", "near"],
+)
+def test_a_reference_of_the_scene_is_explained_however_coarse_the_fit_is(truth):
+    # Visibility is smeared over several pixels, and some acne is left.
+    coarse = np.clip(np.apply_along_axis(np.convolve, 1, TRUE.visibility, np.full(5, 0.2), "same"), 0, 1)
+    coarse[::7] *= 0.6
+    assert unexplained([fitted(truth, coarse)]) is None
+
+
+def test_another_sun_or_another_scene_is_not_explained_and_no_turn_is_advised():
+    for direction in ([-0.8, -1.0, 0.5], [0.25, -1.0, -0.3]):
+        found = unexplained([fitted(reference.trace_visibility(scene(direction), supersampling=4).visibility)])
+        assert found.keys == ["scene.light"]
+        assert found.change is None
+    # The second of two views alone.
+    both = [fitted(TRUE.visibility, key="here"), fitted(1 - TRUE.visibility, key="there")]
+    assert unexplained(both).keys == ["there"]
+
+
+def test_of_a_traced_reference_rays_say_whether_the_light_was_found():
+    away = scene([-0.5, -1.0, 0.6])
+    lost = reference.trace_visibility(away).visibility
+    found = unexplained([fitted(TRUE.visibility, lost, given=False, to=away)])
+    assert found.keys == ["scene.light"]
+    assert found.change is None
+    assert unexplained([fitted(TRUE.visibility, lost, given=False, to=SCENE)]).keys == []
+
+
+def test_a_technique_fails_only_where_a_constant_image_is_as_good():
+    half = 0.4 + 0.6 * TRUE.visibility
+    assert unexplained([fitted(TRUE.visibility, half, given=False)]) is None
+    found = unexplained([fitted(TRUE.visibility, np.zeros_like(TRUE.visibility), given=False)])
+    assert found.keys == []
+    assert found.rmse > found.constant
+
+
+# In words.
+
+BASE = "scene: {meshes: [{path: builtin:box}], camera: {eye: [0, 0, 5]}}\n"
+NAMES = ("bias.constant", "filter.radius")
+
+
+def outcome(result="successful"):
+    return fit.Outcome(0.1, 3, result, 1e-9, 0.01, (9.9999,))
+
+
+def plan(**changes):
+    parameters = [fit.Parameter(name, 2.0, 0.0, 10.0) for name in NAMES]
+    settings = {"arrangement": None, "starts": 1, "tolerance": 0.01, "prefer": (), "front": 0}
+    return SimpleNamespace(parameters=parameters, **{**settings, **changes})
+
+
+def result(errors=(0.2, 0.1), initial=2.0, values=5.0, **changes):
+    at = lambda value: dict.fromkeys(NAMES, value)
+    found = fit.FitResult(None, at(initial), at(values), [outcome()], 0, [], [], 0.0, 0.0)
+    return found._replace(errors=errors, **changes)
+
+
+def test_a_start_that_is_the_best_is_no_failure():
+    config = parse_config(BASE)
+    on_bound = {"at_bounds": [fit.AtBound("bias.constant", "upper", 10.0, True)]}
+    cut_short = {"phases": [outcome("max_steps reached")]}
+    same = result((0.1, 0.1), values=2.0, chosen=-1, **cut_short)
+    near = result((0.1004, 0.1), **cut_short, **on_bound)
+    for found, said in ((same, "no values that the fit tried"), (near, "within 1 %: their RMSE is 0.1004, and the")):
+        of = verdict(config, plan(), found, 0.1004, 0.1, None)
+        assert of.kind == "best already"
+        assert of.sentence.startswith("your settings are already the best")
+        assert said in of.sentence
+        assert remarks(config, plan(), found, of.kind) == []
+    preferred = verdict(config, plan(prefer=(("bias.constant", "lower"),)), near, 0.1, 0.1005, None)
+    assert "the values that fit.prefer chose have 0.1005" in preferred.sentence
+    # Of several starts, another one may have led to the result.
+    assert verdict(config, plan(), result((0.1, 0.1), initial=3.0), 0.2, 0.1, None).kind == "fitted"
+    assert verdict(config, plan(), result((0.102, 0.1)), 0.102, 0.1, None).kind == "fitted"
+
+
+def test_a_fit_without_any_slope_is_not_called_the_best():
+    found = result((0.1, 0.1), values=2.0, chosen=-1, flat=list(NAMES))
+    of = verdict(parse_config(BASE), plan(), found, 0.1, 0.1, None)
+    assert of.kind == "nothing fitted"
+    assert "does not change with bias.constant and filter.radius" in of.sentence
+
+
+def test_a_fit_says_by_how_much_the_error_fell():
+    config = parse_config(BASE)
+    of = verdict(config, plan(), result(), 0.2, 0.1, None)
+    assert of.sentence.endswith("from 0.2000 to 0.1000 RMSE, by a factor of 2.0, in 3 steps")
+    of = verdict(config, plan(), result(), 0.1, 0.096, None)
+    assert of.sentence.endswith("from 0.1000 to 0.0960 RMSE, by 4.0 %, in 3 steps")
+    # Of another loss than the RMSE, which may rise.
+    of = verdict(config, plan(), result(), 0.1, 0.11, None)
+    assert "changed the RMSE from 0.1000 to 0.1100 in 3 steps; the fit's own loss fell from 0.04 to 0.01" in of.sentence
+
+
+def test_an_unexplained_reference_comes_first_and_silences_what_means_nothing():
+    config = parse_config(f"{BASE}reference: {{type: image, path: r.png}}", files=False)
+    found = unexplained([fitted(TRUE.visibility[::-1])])
+    on_bound = [fit.AtBound("filter.radius", "upper", 10.0, True)]
+    fallen = result(at_bounds=on_bound, phases=[outcome("max_steps reached")])
+    of = verdict(config, plan(), fallen, 0.5, 0.45, found)
+    assert of.kind == "unexplained"
+    assert of.sentence.startswith("the fit does not explain its image: ")
+    assert of.remedies[0].startswith("flip the reference upside down: rays in this scene then differ from it by 0.0000")
+    assert remarks(config, plan(), fallen, of.kind) == []
+
+
+@pytest.mark.parametrize(
+    ("truth", "moves", "starts", "said"),
+    [
+        (1 - TRUE.visibility[::-1], False, 1, ["flip the reference upside down and invert it: rays"]),
+        (0.5 + 0.3 * TRUE.visibility, False, 1, ["stretch the reference's values: they are about 0.50 in shadow and"]),
+        (None, False, 1, ["the reference does not fit if it is flipped", "add scene.light.azimuth and scene.light.el"]),
+        (None, True, 1, ["try more starts, fit.multistart=8,", "the reference does not", "if the light is unknown"]),
+        (None, True, 512, ["try more starts, fit.multistart=1024,", "the reference does not", "if the light"]),
+    ],
+)
+def test_remedies_suit_what_is_wrong(truth, moves, starts, said):
+    truth = reference.trace_visibility(scene([-0.8, -1.0, 0.5])).visibility if truth is None else truth
+    found = unexplained([fitted(truth)])
+    of = verdict(parse_config(BASE), plan(arrangement=moves or None, starts=starts), result(), 0.5, 0.45, found)
+    assert len(of.remedies) == len(said)
+    for remedy, start in zip(of.remedies, said, strict=True):
+        assert start in remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "bound", "falls", "said"),
+    [
+        ("bias.constant", "upper", 10.0, True, "where the error still falls: the best value may lie beyond it"),
+        ("bias.constant", "upper", 10.0, False, None),
+        ("bias.constant", "lower", 0.5, True, "so widen the bounds"),
+        # No bias, no radius, or a limit of the key.
+        ("bias.constant", "lower", 0.0, True, None),
+        ("filter.radius", "lower", 0.0, True, None),
+        ("bias.terms.one", "upper", 0.0, True, None),
+        ("scene.light.azimuth", "upper", 0.0, True, "so widen the bounds"),
+        ("scene.light.angular_radius", "lower", 0.0, True, None),
+    ],
+)
+def test_wider_bounds_are_advised_only_where_the_error_falls_beyond_a_bound_that_is_no_limit(
+    name, side, bound, falls, said
+):
+    config = parse_config(BASE.replace("}}", "}, light: {angular_radius: 1}}") + "bias: {terms: {one: 0}}")
+    parameter = fit.Parameter(name, 0.0, -20.0, 20.0)
+    found = result(at_bounds=[fit.AtBound(name, side, bound, falls)])
+    told = remarks(config, SimpleNamespace(parameters=[parameter], front=0), found)
+    assert len(told) == (said is not None)
+    assert all(said in each for each in told)
+
+
+@pytest.mark.parametrize(
+    ("losses", "moves", "is_said"),
+    [
+        # By a twentieth and by a thousandth in the last quarter of its steps.
+        ([1, 0.5, 0.3, 0.2, 0.15, 0.12, 0.1, 0.095], False, True),
+        ([1, 0.5, 0.3, 0.2, 0.12, 0.1002, 0.1001, 0.1001], False, False),
+        # Losses of poses change at every step.
+        ([1, 0.5, 0.3, 0.2, 0.15, 0.12, 0.1, 0.095], True, False),
+        ([1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.2], True, True),
+    ],
+)
+def test_more_steps_are_advised_only_where_the_error_still_fell(losses, moves, is_said):
+    history = [fit.Step(0, i, 0.0, loss, (5.0, 5.0)) for i, loss in enumerate(losses)]
+    found = result(phases=[outcome("max_steps reached")], history=history, arrangement=moves or None)
+    told = remarks(parse_config(BASE), plan(), found)
+    assert len(told) == is_said
+    assert all("did not converge" in each and "raise fit.solver.max_steps" in each for each in told)
+
+
+def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
+    points = [fit.FrontPoint((5.0, 5.0), 0.1, 0.1, 1.0, 0.14)] * 3
+    assert remarks(parse_config(BASE), plan(front=3), result(front=points)) == []
+    (said,) = remarks(parse_config(BASE), plan(front=9), result(front=points))
+    assert said.startswith("fit.front is 9, and the front has 3 points: no other settings")
+
+
+@pytest.mark.parametrize(
+    ("errors", "knee", "said"),
+    [
+        ([0.2, 0.12, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1200, 20.0% more than the least of the front, 0.1000"]),
+        ([0.2, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1000, the least of the front"]),
+        ([0.2, 0.1], None, []),
+        ([None, None, None], 1, []),
+    ],
+)
+def test_what_the_knee_of_a_front_costs_is_said(errors, knee, said):
+    assert knee_text([(error, i == knee) for i, error in enumerate(errors)]) == said
+
+
+def test_a_solver_that_failed_is_reported_whatever_its_history():
+    found = result(phases=[outcome("the loss is not finite near the solution")])
+    (said,) = remarks(parse_config(BASE), plan(), found)
+    assert said.endswith("the loss is not finite near the solution")
