@@ -31,5 +31,6 @@ def check(config: Config, *, console: Console) -> int:
         if fits:
             build_fit(config, scene)
         seen = see(config, scene, technique, stages)
-    table.print_lines(console, [*remarks, *seen.remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
+    of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
+    table.print_lines(console, [*remarks, *seen.remarks, *of_scene], warn=True)
     return scene.mesh.faces.shape[0]

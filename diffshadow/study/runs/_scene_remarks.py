@@ -8,6 +8,8 @@ from ... import reference
 from ...config import Config
 from ...geometry import AbstractCamera, Mesh, Scene
 from ...raster import Surface
+from ...shadow import AbstractTechnique
+from ._side_remarks import side_remarks
 from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.
@@ -16,8 +18,11 @@ _ANOTHER_UNIT = 100.0
 _NO_AREA = 1e-6
 
 
-def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[str]:
-    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image.
+def scene_remarks(
+    config: Config, technique: AbstractTechnique, lit: Sequence[Scene], surface: Surface
+) -> Iterator[str]:
+    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image, and for
+    each open mesh that loses its shadow by the technique's choice of sides.
 
     **Arguments:**
 
@@ -33,6 +38,7 @@ def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Ite
             others = [mesh for k, mesh in enumerate(meshes) if k != i]
             cause = _cause(meshes[i], others, lit[0].camera, is_sized=section.size is not None)
             yield f"scene.meshes.{i} ({section.path}) covers no pixel and casts no shadow into the image: {cause}"
+    yield from side_remarks(config, technique, lit)
 
 
 def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:
