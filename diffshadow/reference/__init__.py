@@ -1,6 +1,7 @@
 """Ray-traced reference visibility, independent of the rasterizer."""
 
 from ._cache_key import cache_key as cache_key
+from ._contribution import hidden_pixels as hidden_pixels
 from ._contribution import hides_light as hides_light
 from ._contribution import is_lit as is_lit
 from ._exact import trace_visibility_exact as trace_visibility_exact

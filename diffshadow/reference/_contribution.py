@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from jaxtyping import Bool
 
 from .._types import HostArray
 from ..geometry import Scene
 from ._embree import EmbreeTracer
-from ._visibility import BATCH, Blockers, Job, blocking_faces, sampling_of
+from ._visibility import BATCH, Blockers, Centre, Job, blocking_faces, sampling_of
 
 # Shadow rays per pixel to a light that has a size.
 _SAMPLES = 16
@@ -70,3 +71,24 @@ def _batches(job: Job) -> Iterator[tuple[Any, Any, Any]]:
         seen, hits = job.hits(first, count)
         if len(seen):
             yield first + seen, hits, job.sampling.points(first, count, seen)
+
+
+def hidden_pixels(scene: Scene, faces: Bool[HostArray, " f"]) -> Bool[HostArray, "h w"]:
+    """Pixels whose surface is turned to the centre of the scene's only light, and from which any of `faces` hides it.
+
+    **Arguments:**
+
+    - `scene`: concrete, not traced by JAX, with one light.
+    - `faces`: (f,), true for the faces of the scene's mesh to test.
+
+    **Returns:** (h, w), row 0 the bottom row.
+    """
+    job = Job(EmbreeTracer, scene, None)
+    hidden = np.zeros(job.size, bool)
+    if faces.any():
+        part = EmbreeTracer(job.triangles.only(faces))
+        for first in range(0, job.size, BATCH):
+            count = min(BATCH, job.size - first)
+            seen, hits = job.hits(first, count)
+            hidden[first + seen] = job.shadowed(hits, Centre().points(first, count, seen), part)[1][:, 0]
+    return hidden.reshape(job.rays.height, job.rays.width)

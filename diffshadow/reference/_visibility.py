@@ -142,8 +142,8 @@ def _averaged(fine: Reference, centres: Reference, supersampling: int) -> Refere
     )
 
 
-class _Centre:
-    """The one sample point of a light without size."""
+class Centre:
+    """The one sample point of a light without size: its centre."""
 
     samples = 1
 
@@ -151,13 +151,13 @@ class _Centre:
         return np.zeros((len(chosen), 1, 2), dtype=np.float32)
 
 
-Sampling = LightSampler | _Centre
+Sampling = LightSampler | Centre
 """Chooses the points of a light that shadow rays are aimed at."""
 
 
 def sampling_of(light: AbstractLight, samples: int, sampler: str, seed: int) -> Sampling:
     """`samples` points per pixel, or only the centre for a light without size."""
-    return LightSampler(light.domain, samples, sampler, seed) if light.has_size else _Centre()
+    return LightSampler(light.domain, samples, sampler, seed) if light.has_size else Centre()
 
 
 class Job:

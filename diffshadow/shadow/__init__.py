@@ -23,6 +23,7 @@ from ._receiver import receiver as receiver
 from ._shadow_mapping import ShadowMapping as ShadowMapping
 from ._technique import AbstractTechnique as AbstractTechnique
 from ._technique import FittableTechnique as FittableTechnique
+from ._technique import Side as Side
 from ._volumes import ShadowVolumes as ShadowVolumes
 from ._volumes import Volumes as Volumes
 from ._volumes import VolumeScene as VolumeScene

@@ -1,5 +1,7 @@
 """Shadow mapping: from a map and a surface to visibility."""
 
+from collections.abc import Mapping
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,19 +12,21 @@ from .._checks import check_instance
 from .._misc import in_unit_range
 from .._types import Mask, Visibility
 from ..geometry import AbstractCamera, Edges, Scene
-from ..raster import Surface, draw_surface
+from ..raster import Cull, Surface, draw_surface
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
 from ._lookup import Lookup, look_up, within_frustum
 from ._map import MapSettings, ShadowMap
 from ._receiver import receiver
-from ._technique import AbstractTechnique
+from ._technique import AbstractTechnique, Side, of_casters
 from .biases import AbstractBias
 from .filters import AbstractFilter
 from .layouts import AbstractLayout, SingleMap
 
 # A texel position so far outside the map that no filter reaches it.
 _NOWHERE = -1e6
+# Which faces are left by `MapSettings.cull`.
+_LEFT: Mapping[Cull, Side] = {"none": "double", "back": "front", "front": "back"}
 
 
 class ShadowMapping(AbstractTechnique):
@@ -88,6 +92,9 @@ class ShadowMapping(AbstractTechnique):
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
         """Pixels whose surface lies within the light's frustum, (h, w): those that the map covers."""
         return _covered(self.layout, self.bias, state, surface)
+
+    def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
+        return of_casters(_LEFT[self.map.cull], scene)
 
     def lays_out(self, name: str) -> bool:
         """Whether the number at the dotted path `name` lays out the map."""

@@ -1,7 +1,7 @@
 """Techniques: algorithms that find which surfaces a light reaches."""
 
 import abc
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 
@@ -9,6 +9,9 @@ from .._types import Mask, Visibility
 from ..geometry import Scene
 from ..raster import Surface
 from ._compare import AbstractCompare
+
+Side = Literal["front", "back", "double"]
+"""Faces of a mesh: those whose corners run anticlockwise seen from the camera or the light, the others, or both."""
 
 
 class AbstractTechnique(eqx.Module):
@@ -44,6 +47,15 @@ class AbstractTechnique(eqx.Module):
     @abc.abstractmethod
     def covered(self, state: Any, surface: Surface) -> Mask:
         """Pixels that the technique covers, (h, w). The others have no surface, or one outside the technique's maps."""
+
+    def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
+        """Which faces of each mesh cast shadows, as the light sees them; none of a mesh that does not cast."""
+        return of_casters("double", scene)
+
+
+def of_casters(side: Side, scene: Scene) -> tuple[Side | None, ...]:
+    """`side` for each mesh that casts, and none for the others."""
+    return tuple(side if casts else None for casts in scene.casts or (True,) * len(scene.meshes))
 
 
 @runtime_checkable

@@ -27,6 +27,7 @@ from diffshadow.reference import (
     Reference,
     cache_key,
     concentric_disk,
+    hidden_pixels,
     hides_light,
     reference_from_image,
     trace_visibility,
@@ -727,6 +728,21 @@ def test_a_part_that_does_not_cast_hides_no_light():
     assert not hides_light(scene, bulb)
     assert hides_light(scene, bulb, "all")
     assert hides_light(scene, ~bulb)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.2])
+def test_hidden_pixels_are_the_dark_ones_on_what_is_turned_to_the_lights_centre(radius):
+    camera = OrthographicCamera((1, 2, 3), (0, 0, 0), (0, 1, 0), height=3.0, near=0.1, far=9.0, resolution=(24, 32))
+    card = quad((0, 0.6, 0), (0.4, 0, 0), (0, 0.3, 0.2))
+    scene = Scene(together([floor(half=1.0), card]), camera, PointLight((0.5, 2, 1.0), 0.1, 20.0, radius=radius))
+    hard = trace_visibility(Scene(scene.meshes, camera, PointLight((0.5, 2, 1.0), 0.1, 20.0)))
+    towards = np.array([0.5, 2, 1.0]) - hard.position
+    turned = hard.mask & ((hard.normal * towards).sum(axis=-1) > 0)
+    expected = turned & (hard.visibility == 0)
+    assert 0 < expected.sum() < turned.sum()
+    np.testing.assert_array_equal(hidden_pixels(scene, half_of(scene, 1)), expected)
+    assert not hidden_pixels(scene, half_of(scene, 0)).any()
+    assert not hidden_pixels(scene, np.zeros(4, bool)).any()
 
 
 def test_a_part_hides_light_behind_another_part_and_of_any_of_several_lights():

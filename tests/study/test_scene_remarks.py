@@ -12,6 +12,7 @@ from diffshadow.study.runs._framing import dark_scene
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._scene_remarks import scene_remarks
 from diffshadow.study.runs._setup import draw, load
+from diffshadow.study.runs._side_remarks import side_remarks
 
 SCENE = """
 scene:
@@ -29,7 +30,8 @@ def remarks(mesh, folder, *overrides):
     config = parse_config(SCENE.format(mesh=mesh), overrides, folder=folder)
     with Stages(Console(quiet=True)) as stages:
         scene, messages = load(config, stages)
-    return [*messages, *scene_remarks(config, [scene], draw_surface(scene.mesh, scene.camera))]
+    surface = draw_surface(scene.mesh, scene.camera)
+    return [*messages, *scene_remarks(config, build_technique(config), [scene], surface)]
 
 
 @pytest.mark.parametrize(
@@ -144,6 +146,79 @@ def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_p
     (tmp_path / "cage.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nl 1 3\nl 2 4\n")
     (remark,) = remarks("path: cage.obj, translate: [1, 0.2, 1]", tmp_path)
     assert remark == f"the mesh file {tmp_path / 'cage.obj'} is loaded without its 2 lines"
+
+
+# Upright, with their fronts to the camera and the light: a card of two triangles, and half a pipe that is open behind.
+CARD = "v -0.5 0 0\nv 0.5 0 0\nv 0.5 1 0\nv -0.5 1 0\nf 1 2 3 4\n"
+PIPE = "v -0.5 0 0\nv 0 0 0.5\nv 0.5 0 0\nv -0.5 1 0\nv 0 1 0.5\nv 0.5 1 0\nf 1 2 5 4\nf 2 3 6 5\n"
+SIDES = """
+scene:
+  meshes:
+    - {{path: builtin:plane, options: {{size: 4}}}}
+    - {{path: {mesh}}}
+    - {{path: builtin:box, size: 0.2, translate: [1.5, 0, 0]}}
+  camera: {{eye: [-4, 3, 1], target: [0, 0, 0], resolution: [64, 64]}}
+  light: {light}
+{technique}
+"""
+SUN, LAMP = "{type: directional, azimuth: 0, elevation: 45}", "{type: point, position: [0, 2, 2]}"
+FROM_BEHIND = "{type: directional, azimuth: 180, elevation: 45}"
+THREE, BABYLON = "technique: {type: three.js", "technique: {type: babylon.js"
+UNSET = "technique.side is front and technique.shadow_side is not set"
+# The light, the technique, the key and its value, and the side that casts; the last two are none without a remark.
+LOST = {
+    "three.js' defaults": (SUN, THREE, UNSET, "back"),
+    "under a lamp": (LAMP, THREE, UNSET, "back"),
+    "from behind": (FROM_BEHIND, THREE, None, None),
+    "a back side from behind": (FROM_BEHIND, f"{THREE}, side: back", UNSET.replace("front", "back"), "front"),
+    "a shadow side": (SUN, f"{THREE}, shadow_side: back", "technique.shadow_side is back", "back"),
+    "a side of each": (SUN, f"{THREE}, shadow_side: [front, back, front]", "technique.shadow_side.1 is back", "back"),
+    "both sides": (SUN, f"{THREE}, side: double", None, None),
+    "VSM": (SUN, f"{THREE}, shadow_type: VSMShadowMap", None, None),
+    "VSM from behind": (FROM_BEHIND, f"{THREE}, shadow_type: VSMShadowMap", UNSET, "front"),
+    "Babylon.js": (SUN, BABYLON, None, None),
+    "Babylon.js from behind": (FROM_BEHIND, BABYLON, "technique.back_face_culling is true", "front"),
+    "Babylon.js without culling": (FROM_BEHIND, f"{BABYLON}, back_face_culling: false", None, None),
+    "Babylon.js, back faces only": (
+        SUN,
+        f"{BABYLON}, force_back_faces_only: true",
+        "technique.back_face_culling is true and technique.force_back_faces_only is true",
+        "back",
+    ),
+    "a map that culls": (FROM_BEHIND, "shadow_map: {cull: back", "shadow_map.cull is back", "front"),
+    "a map that culls, from the front": (SUN, "shadow_map: {cull: back", None, None),
+    "a map": (SUN, "shadow_map: {cull: none", None, None),
+    "shadow volumes": (SUN, "technique: {type: shadow_volumes", None, None),
+}
+
+
+def side_remarks_on(mesh, light, technique, folder):
+    (folder / "open.obj").write_text(mesh)
+    text = SIDES.format(mesh="open.obj", light=light, technique=f"{technique}}}")
+    config = parse_config(text, folder=folder)
+    with Stages(Console(quiet=True)) as stages:
+        scene, _ = load(config, stages)
+    return list(side_remarks(config, build_technique(config), [scene]))
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_an_open_mesh_that_casts_nothing_is_named_with_the_key_that_says_so(name, tmp_path):
+    light, technique, key, side = LOST[name]
+    found = side_remarks_on(CARD, light, technique, tmp_path)
+    if key is None:
+        assert found == []
+        return
+    (remark,) = found
+    start = f"scene.meshes.1 ({tmp_path / 'open.obj'}) is an open mesh and casts no shadow: {key}, so only faces that "
+    assert remark.startswith(f"{start}show their {side} to the light cast; set ")
+
+
+def test_an_open_mesh_that_casts_only_a_part_of_its_shadow_is_named(tmp_path):
+    # From the left, one half shows its front to the light, and the other its back.
+    light = "{type: directional, azimuth: -60, elevation: 20}"
+    (remark,) = side_remarks_on(PIPE, light, THREE, tmp_path)
+    assert "is an open mesh and casts only a part of its shadow: technique.side is front" in remark
+    assert side_remarks_on(PIPE, light, f"{THREE}, shadow_side: double", tmp_path) == []
 
 
 def test_what_a_reference_says_of_its_pixels_is_remarked_on_once(tmp_path):

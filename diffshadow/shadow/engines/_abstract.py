@@ -12,8 +12,8 @@ from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
 from .._compare import AbstractCompare
-from .._technique import AbstractTechnique
-from ._engine_map import Casters, EngineMap, Side, map_of, per_face
+from .._technique import AbstractTechnique, Side
+from ._engine_map import Casters, EngineMap, map_of, per_face
 
 
 class Place(eqx.Module):
@@ -71,9 +71,8 @@ class AbstractEngineShadows(AbstractTechnique):
         self,
         scene: Scene,
         light: AbstractLight,
-        sides: Sequence[Side],
+        sides: Sequence[Side | None],
         offset: Sequence[float],
-        casts: Sequence[bool],
         is_mirrored: bool = False,
         push: Scalar | float = 0.0,
     ) -> EngineMap:
@@ -82,12 +81,11 @@ class AbstractEngineShadows(AbstractTechnique):
         **Arguments:**
 
         - `light`: as `engine_light` returns it.
-        - `sides`: for each mesh, which of its faces cast.
+        - `sides`: for each mesh, which of its faces cast, as `casting_sides` returns it.
         - `offset`: for each mesh, the factor of its normal bias.
-        - `casts`: for each mesh, whether it casts.
         - `is_mirrored`, `push`: see `map_of`.
         """
-        chosen = [(mesh, side) for mesh, side, does in zip(scene.meshes, sides, casts, strict=True) if does]
+        chosen = [(mesh, side) for mesh, side in zip(scene.meshes, sides, strict=True) if side is not None]
         casters = Casters.of(*zip(*chosen, strict=True))
         receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)

@@ -15,6 +15,7 @@ from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
+from .._technique import Side
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._babylon_filters import (
     BabylonQuality,
@@ -34,7 +35,7 @@ from ._babylon_maps import (
     metric_in_window,
 )
 from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
-from ._engine_map import EngineMap, Side, each_of
+from ._engine_map import EngineMap, each_of
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 BabylonFilter = Literal[
@@ -145,18 +146,23 @@ class BabylonJs(AbstractEngineShadows):
         **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
         """
         light = engine_light(scene.light, _NUDGE)
-        shown: Side = "back" if self.force_back_faces_only else "front"
-        culling = each_of(self.back_face_culling, scene.meshes, "entries of back_face_culling")
-        sides: list[Side] = [shown if is_culled else "double" for is_culled in culling]
+        sides = self.casting_sides(scene)
         meshes = [shrunk(mesh, light, self.normal_bias) for mesh in scene.meshes]
-        casts = [True] * len(meshes) if scene.casts is None else scene.casts
         moved = dataclasses.replace(scene, meshes=meshes)
         push = self.bias if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight) else 0.0
-        state = self.drawn(moved, light, sides, [0.0] * len(meshes), casts, is_mirrored=True, push=push)
+        state = self.drawn(moved, light, sides, [0.0] * len(meshes), is_mirrored=True, push=push)
         if not self.filter.startswith("BLUR") or isinstance(light, PointLight):
             return state
         size = max(int(self.resolution[0] / float(self.blur_scale)), 1)
         return dataclasses.replace(state, blurred=(size, size))
+
+    def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
+        shown: Side = "back" if self.force_back_faces_only else "front"
+        culling = each_of(self.back_face_culling, scene.meshes, "entries of back_face_culling")
+        casts = scene.casts or (True,) * len(culling)
+        return tuple(
+            (shown if is_culled else "double") if does else None for is_culled, does in zip(culling, casts, strict=True)
+        )
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -13,9 +13,10 @@ from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
 from .._compare import AbstractCompare, HardCompare
+from .._technique import Side
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._engine_map import EngineMap, Side, Sides, each_of
+from ._engine_map import EngineMap, Sides, each_of
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 from ._variance import at_receivers, blurred, chebyshev
 
@@ -82,12 +83,16 @@ class ThreeJs(AbstractEngineShadows):
         **Raises** `ValueError` for an area light, a point light with `VSMShadowMap`, which the engine does not draw, or
         with a map that is not square, or a number of sides that is not the number of meshes.
         """
-        is_variance = self.shadow_type == "VSMShadowMap"
-        if is_variance and isinstance(scene.light, PointLight):
+        if self.shadow_type == "VSMShadowMap" and isinstance(scene.light, PointLight):
             raise ValueError(
                 "the light is a point light, for which three.js draws no VSMShadowMap; expected BasicShadowMap or "
                 "PCFShadowMap: change shadow_type"
             )
+        offset = [-1.0 if one == "back" else 1.0 for one in each_of(self.side, scene.meshes, "sides")]
+        return self.drawn(scene, engine_light(scene.light, _NUDGE), self.casting_sides(scene), offset)
+
+    def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
+        is_variance = self.shadow_type == "VSMShadowMap"
         side = each_of(self.side, scene.meshes, "sides")
         default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
         casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes, "sides")
@@ -96,8 +101,7 @@ class ThreeJs(AbstractEngineShadows):
         if is_variance:
             # The engine draws receivers, too.
             casts = tuple(map(max, casts, receives))
-        offset = [-1.0 if one == "back" else 1.0 for one in side]
-        return self.drawn(scene, engine_light(scene.light, _NUDGE), casting, offset, casts)
+        return tuple(one if does else None for one, does in zip(casting, casts, strict=True))
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -34,5 +34,6 @@ def check(config: Config, *, console: Console) -> int:
         # Of several views, some may be dark.
         if fits and config.fit.views is None:
             check_comparable(config, seen, stages)
-    table.print_lines(console, [*remarks, *seen.remarks, *scene_remarks(config, seen.lit, seen.surface)], warn=True)
+    of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
+    table.print_lines(console, [*remarks, *seen.remarks, *of_scene], warn=True)
     return scene.mesh.faces.shape[0]

@@ -70,7 +70,7 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
     scenes = [each.scene for each in drawn]
     remarks = [
         *drawn[0].remarks,
-        *scene_remarks(config, scenes, drawn[0].surface),
+        *scene_remarks(config, technique, scenes, drawn[0].surface),
         *layout_remarks(technique, drawn),
         *reference_remarks(config, drawn),
     ]

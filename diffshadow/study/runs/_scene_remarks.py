@@ -8,7 +8,9 @@ from ... import reference
 from ...config import Config
 from ...geometry import AbstractCamera, Mesh, Scene
 from ...raster import Surface
+from ...shadow import AbstractTechnique
 from ._framing import blockers_of, framing_remarks, lights_inside
+from ._side_remarks import side_remarks
 from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.
@@ -17,9 +19,12 @@ _ANOTHER_UNIT = 100.0
 _NO_AREA = 1e-6
 
 
-def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[str]:
+def scene_remarks(
+    config: Config, technique: AbstractTechnique, lit: Sequence[Scene], surface: Surface
+) -> Iterator[str]:
     """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image, for one
-    that is mostly outside of it, and for each mesh around a light that hides all of it.
+    that is mostly outside of it, for each mesh around a light that hides all of it, and for each open mesh that loses
+    its shadow by the technique's choice of sides.
 
     **Arguments:**
 
@@ -39,6 +44,7 @@ def scene_remarks(config: Config, lit: Sequence[Scene], surface: Surface) -> Ite
     yield from framing_remarks(config, lit[0], surface)
     for cause, mend in lights_inside(config, lit, surface):
         yield f"{cause}: {mend}"
+    yield from side_remarks(config, technique, lit)
 
 
 def _cause(mesh: Mesh, others: Sequence[Mesh], camera: AbstractCamera, *, is_sized: bool) -> str:

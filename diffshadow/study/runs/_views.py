@@ -15,11 +15,13 @@ class DrawnView(NamedTuple):
     """A view, drawn.
 
     - `name`: what tells it from the others; empty for the configuration's own scene.
+    - `technique`: as it begins.
     - `drawn`: its scene, for each of its lights.
     """
 
     name: str
     config: Config
+    technique: shadow.AbstractTechnique
     drawn: list[Drawn]
 
 
@@ -60,7 +62,8 @@ class Views(NamedTuple):
         for view in self.all:
             lit = [each.scene for each in view.drawn]
             of_files = view.drawn[0].remarks
-            found |= dict.fromkeys([*of_files, *scene_remarks(view.config, lit, view.drawn[0].surface)])
+            of_scene = scene_remarks(view.config, view.technique, lit, view.drawn[0].surface)
+            found |= dict.fromkeys([*of_files, *of_scene])
         return list(found)
 
     def of(self, index: int) -> int:
@@ -77,7 +80,7 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
-    own = lambda: [DrawnView("", config, draw(config, loaded, technique, stages, comparing=True))]
+    own = lambda: [DrawnView("", config, technique, draw(config, loaded, technique, stages, comparing=True))]
     fitted = [_drawn(view.name, view.config, stages) for view in config.views] or own()
     if not any(each.reference.visibility[each.mask].any() for view in fitted for each in view.drawn):
         what = "are dark in all pixels that count, so that there is nothing to compare; expected some in light"
@@ -89,9 +92,10 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 def _drawn(name: str, config: Config, stages: Stages) -> DrawnView:
     try:
         loaded = load(config, stages)
-        drawn = draw(config, loaded, build_technique(config), stages)
+        technique = build_technique(config)
+        drawn = draw(config, loaded, technique, stages)
     except ConfigError as error:
         named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
         raise ConfigError(named) from error
     key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
-    return DrawnView(name, config, [each._replace(key=key(each)) for each in drawn])
+    return DrawnView(name, config, technique, [each._replace(key=key(each)) for each in drawn])
