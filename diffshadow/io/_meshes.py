@@ -32,9 +32,10 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
 _MOST = float(np.finfo(np.float32).max)
 # Coordinates this close to whole steps, as a part of a step, were rounded to these.
 _BETWEEN = 0.125
-# Multiples of this many steps of single precision are round numbers, which hide no digits. So may the numbers of fewer
-# vertices than these be, such as a box's.
-_ROUND, _FEW = 8, 12
+# Multiples of this many steps of single precision are round numbers, which lost no digits.
+_ROUND = 8
+# A mesh of fewer vertices than this, such as a box, may have round coordinates by design.
+_FEW = 12
 
 
 def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 30.0) -> Mesh:
@@ -51,7 +52,7 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
         GLB and glTF.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
-    Under `jax.enable_x64` its vertices are float64, as those of a mesh far from the file's origin should be.
+    Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
 
     **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, or if its coordinates lie
     so far from their origin that single precision, in which they were stored, has rounded the mesh's shape.
@@ -86,7 +87,8 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
-    if coarse := coarse_steps(vertices):
+    # Before the weld, which merges those that were rounded to one place.
+    if coarse := coarse_steps(polygons.vertices[np.unique(polygons.corners)]):
         warnings.warn(MeshWarning(f"the mesh file {file} {coarse}"), stacklevel=2)
     if crease_angle is not None:
         normals = crease_normals(vertices, faces, crease_angle)
@@ -99,11 +101,12 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
     step = step_of(low, high)
     if not step or len(vertices) < _FEW:
         return ""
-    # The steps of smaller coordinates are smaller.
-    far = vertices[np.abs(vertices) > np.abs(vertices).max() / 2]
+    # Coordinates below the greatest power of two have smaller steps.
+    far = vertices[np.abs(vertices) >= 2.0 ** np.floor(np.log2(np.abs(vertices).max()))]
     # In binary numbers, or in the decimals of a text.
     decimal = lambda least: 10.0 ** np.ceil(np.log10(least))
-    are_whole = lambda steps: bool((np.abs(far - np.round(far / steps) * steps) <= _BETWEEN * steps).all())
+    off = lambda steps: np.abs(far - np.round(far / steps) * steps).max()
+    are_whole = lambda steps: bool(off(steps) <= _BETWEEN * min(step, steps))
     is_rounded = are_whole(step) or are_whole(decimal(step * _BETWEEN))
     if not is_rounded or are_whole(_ROUND * step) or are_whole(decimal(_ROUND * step)):
         return ""

@@ -92,7 +92,7 @@ def test_a_mistake_in_a_far_scene_says_what_coordinates_are_counted_from():
         build_scene(parse_config(placed_at(text, FAR)))
 
 
-def test_poses_of_a_far_scene_are_fitted_from_its_origin_and_told_in_the_world(tmp_path):
+def test_poses_of_a_far_scene_are_fitted_from_its_origin_and_reported_in_the_world(tmp_path):
     poses = {
         "light.position.z": "{lower: Z0, upper: Z2}",
         "light.elevation": "{lower: 0, upper: 90}",

@@ -118,11 +118,11 @@ def test_history_is_in_order_and_true(solver, known, results):
     assert result.steps == sum(phase.steps for phase in result.phases)
 
 
-def test_values_that_are_counted_from_an_offset_are_told_with_it(known):
-    told, far = [], 3.0 * 2**20
+def test_values_that_are_counted_from_an_offset_are_reported_with_it(known):
+    seen, far = [], 3.0 * 2**20
     counted = dataclasses.replace(BIAS, initial=far + 1.6, lower=far, upper=far + 6.0, offset=far)
     how = {"solver": patient(SOLVERS[0]), "anneal": SHORT, "starts": 2}
-    near, result = fit(known, [BIAS, RADIUS], **how), fit(known, [counted, RADIUS], **how, on_step=told.append)
+    near, result = fit(known, [BIAS, RADIUS], **how), fit(known, [counted, RADIUS], **how, on_step=seen.append)
     # Their own numbers have the digits of single precision, far from 0 too.
     plus = lambda values: (values[0] + far, values[1])
     assert tuple(result.fitted.values()) == plus(tuple(near.fitted.values()))
@@ -130,7 +130,7 @@ def test_values_that_are_counted_from_an_offset_are_told_with_it(known):
     assert tuple(result.best.values()) == plus(tuple(near.best.values()))
     assert [phase.values for phase in result.phases] == [plus(phase.values) for phase in near.phases]
     assert [step.values for step in result.history] == [plus(step.values) for step in near.history]
-    assert told == result.history
+    assert seen == result.history
     assert [start.end for start in result.starts] == [plus(start.end) for start in near.starts]
     assert [start.initial for start in result.starts] == [plus(start.initial) for start in near.starts]
     assert float(result.technique.bias.constant.value) == float(near.technique.bias.constant.value)

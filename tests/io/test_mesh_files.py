@@ -215,31 +215,43 @@ def test_binary_stl_with_nan_is_refused(tmp_path):
 
 
 def curved(far):
-    """A dozen points on an arc, about one unit wide, `far` along x; and OBJ's lines for the fan of triangles."""
+    """A dozen points on an arc, two units wide, `far` along x."""
     angle = np.linspace(0, 3, 12)
-    points = np.stack([np.cos(angle) + far, np.sin(angle), 0 * angle], axis=-1)
-    return points, [f"f 1 {i} {i + 1}" for i in range(2, 12)]
+    return np.stack([np.cos(angle) + far, np.sin(angle), 0 * angle], axis=-1)
+
+
+def fan(path, points, digits=".17g"):
+    """An OBJ file with the fan of triangles over `points`."""
+    rows = ["v " + " ".join(format(value, digits) for value in point) for point in points.tolist()]
+    return write(path, "\n".join([*rows, *(f"f 1 {i} {i + 1}" for i in range(2, len(points)))]))
 
 
 def test_a_mesh_far_from_its_origin_keeps_its_digits_in_double_precision(tmp_path):
-    points, faces = curved(1e6)
-    path = write(tmp_path / "far.obj", "\n".join([*(f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()), *faces]))
+    path = fan(tmp_path / "far.obj", curved(1e6))
     with jax.enable_x64(True):
-        np.testing.assert_array_equal(load_mesh(path).vertices, points)
+        np.testing.assert_array_equal(load_mesh(path).vertices, curved(1e6))
     assert load_mesh(path).vertices.dtype == np.float32
 
 
-@pytest.mark.parametrize("digits", [".17g", ".8g"])
-def test_a_mesh_rounded_to_single_precision_far_from_its_origin_is_remarked_on(digits, tmp_path):
-    points, faces = curved(1e5)
-    rows = [f"v {x:{digits}} {y:{digits}} {z:{digits}}" for x, y, z in points.astype(np.float32).tolist()]
-    with pytest.warns(MeshWarning, match=r"rounded.obj is far from its origin.*steps of 0.0078, which is 0.39% of its"):
-        load_mesh(write(tmp_path / "rounded.obj", "\n".join([*rows, *faces])))
-    points, faces = curved(1e3)
-    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.astype(np.float32).tolist()]
-    load_mesh(write(tmp_path / "near.obj", "\n".join([*rows, *faces])))
-    # Round numbers are no rounded ones.
-    load_mesh(write(tmp_path / "round.obj", "v 1000000 0 0\nv 1000001 0 0\nv 1000000 1 0\nf 1 2 3\n"))
+@pytest.mark.parametrize(
+    ("far", "beside", "digits", "steps"),
+    [
+        (1e5, 0, ".17g", "0.0078, which is 0.39%"),
+        (1e5, 0, ".8g", "0.0078, which is 0.39%"),
+        # Smaller coordinates have smaller steps.
+        (6e6, 3e6, ".17g", "0.5, which is 25.00%"),
+    ],
+)
+def test_a_mesh_rounded_to_single_precision_far_from_its_origin_is_remarked_on(far, beside, digits, steps, tmp_path):
+    points = (curved(far) + np.array([0, beside, 0])).astype(np.float32)
+    with pytest.warns(MeshWarning, match=f"rounded.obj is far from its origin.*steps of {steps} of its size, as if"):
+        load_mesh(fan(tmp_path / "rounded.obj", points, digits))
+
+
+def test_near_coordinates_and_round_numbers_get_no_remark(tmp_path):
+    load_mesh(fan(tmp_path / "near.obj", curved(1e3).astype(np.float32)))
+    load_mesh(fan(tmp_path / "round.obj", np.round(16 * curved(0)) / 16 + 1e5))
+    load_mesh(write(tmp_path / "few.obj", "v 1000000 0 0\nv 1000001 0 0\nv 1000000 1 0\nf 1 2 3\n"))
 
 
 # Meshes that other people made

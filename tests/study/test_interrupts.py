@@ -177,7 +177,7 @@ def test_interrupts_that_are_ignored_stay_so():
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
-def test_an_error_that_jax_makes_of_an_interrupt_is_told_where_interrupts_are_ignored_too(monkeypatch, capsys):
+def test_an_error_that_jax_makes_of_an_interrupt_is_reported_where_interrupts_are_ignored_too(monkeypatch, capsys):
     def stopped(*args, **options):
         raise RuntimeError("INTERNAL: CpuCallback error: KeyboardInterrupt")
 

@@ -193,7 +193,7 @@ def _about(value: float) -> str:
 
 
 def _place(position: Sequence[float], origin: Origin) -> str:
-    """A world point, of which `position` has the digits of single precision when it is counted from `origin`."""
+    """A point of the world as text; `position` is counted from `origin`, in single precision."""
     if origin == WORLD:
         return ", ".join(map(_text, position))
     return ", ".join(f"{float(_text(at)) + start:.15g}" for at, start in zip(position, origin, strict=True))

@@ -15,9 +15,9 @@ from ._sight import is_inside
 
 # A mesh with less than this part of its surface in the picture is mostly outside.
 _MOSTLY = 0.5
-# Only a mesh that fills this part of what is seen is meant to be in the picture,
+# The picture is of a mesh that fills this part of what is seen.
 _MAIN = 0.25
-# and none that is flatter than this, as a ground or a wall is: its shortest side as a part of its longest.
+# A mesh whose shortest side is less than this part of its longest is a ground or a wall, which may leave the picture.
 _FLAT = 0.2
 # The part of the picture's shorter side that a mesh of the suggested size takes.
 _SUITABLE = 0.75
@@ -62,7 +62,7 @@ def framing_remarks(config: Config, scene: geometry.Scene, surface: Surface) -> 
 def dark_scene(
     config: Config, lit: Sequence[geometry.Scene], surface: Surface, pixels: Sequence[Bool[HostArray, "h w"]]
 ) -> str | None:
-    """The error message for a scene of which no light reaches anything that counts; `None` if one does.
+    """The error message for a scene whose lights reach nothing that counts; `None` if one does.
 
     **Arguments:**
 
