@@ -41,14 +41,15 @@ class Faults:
 
     def remarks(self) -> list[str]:
         """A sentence for each fault, with the names of the parts that have it."""
-        return [f"{_some(names)}: left out, since the file {fault}" for fault, names in self._names.items()]
+        return [f"{some_of(names)}: left out, since the file {fault}" for fault, names in self._names.items()]
 
     def error(self) -> MeshError | None:
         """The first fault; none if there is none."""
         return next((MeshError(f"{fault} (in {names[0]})") for fault, names in self._names.items()), None)
 
 
-def _some(names: Sequence[str]) -> str:
+def some_of(names: Sequence[str]) -> str:
+    """The first of `names`, and how many others there are."""
     rest = len(names) - _SHOWN
     return ", ".join(names[:_SHOWN]) + (f" and {rest} others" if rest > 1 else f" and {names[-1]}" if rest == 1 else "")
 

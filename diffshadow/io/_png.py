@@ -2,6 +2,7 @@
 
 import io
 import struct
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -60,7 +61,7 @@ def read_png(file: Path) -> Pixels:
     significant = [*chunks.get(b"sBIT", b""), *[0] * len(samples.colours)]
     colours = [_unit(each, samples.depth, bits) for each, bits in zip(samples.colours, significant, strict=False)]
     values = mean_colour(colours, remarks)
-    return Pixels(upright(values, _orientation(data))[::-1], remarks)
+    return Pixels(upright(values, _orientation(data, remarks))[::-1], remarks)
 
 
 def write_levels(file: Path, levels: UInt[HostArray, "h w *c"]) -> None:
@@ -116,7 +117,8 @@ def _wide(data: bytes, kind: int) -> list[UInt[HostArray, "h w"]]:
 
 def _decoded(data: bytes, raw: str | None = None, convert: str | None = None) -> Shaped[HostArray, "h w *c"]:
     """The pixels as Pillow reads them, or with the stored bytes taken to be of its raw mode `raw`."""
-    with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+    # Pillow warns about damage that does not concern the pixels.
+    with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if raw is not None:
             image.tile = [image.tile[0]._replace(args=raw)]
         return np.asarray(image if convert is None else image.convert(convert))
@@ -145,10 +147,15 @@ def _unit(channel: UInt[HostArray, "h w"], depth: int, significant: int) -> Floa
     return (channel >> (depth - bits)).astype(np.float32) / (2**bits - 1)
 
 
-def _orientation(data: bytes) -> int:
-    """How the image is to be turned, by its Exif or XMP; 1 if they do not say."""
-    with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-        return int(image.getexif().get(_EXIF_ORIENTATION, 1))
+def _orientation(data: bytes, remarks: list[str]) -> int:
+    """How the image is to be turned, by its Exif or XMP; 1 if they do not say. Damage is added to `remarks`."""
+    try:
+        # Pillow warns about some kinds of damage, and raises errors of any type about others.
+        with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            return int(image.getexif().get(_EXIF_ORIENTATION, 1))
+    except Exception:
+        remarks.append("has Exif data that is damaged; the image is read as upright")
+        return 1
 
 
 def _remarks(chunks: Mapping[bytes, bytes]) -> Iterator[str]:

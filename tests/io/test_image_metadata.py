@@ -144,6 +144,11 @@ REMARKED = {
         TOP,
         "has pixels that are 2 times as wide as high (pHYs)",
     ),
+    "damaged Exif": (
+        with_chunk(b"eXIf", exif(6)[1][:-9]),
+        TOP,
+        "has Exif data that is damaged; the image is read as up",
+    ),
     "on a page": (with_chunk(b"oFFs", struct.pack(">iiB", 7, -5, 0)), TOP, "begins at (7, -5) on its page (oFFs);"),
 }
 
@@ -205,6 +210,33 @@ def test_an_animation_is_refused(tmp_path):
     (tmp_path / "a.png").write_bytes(saved(frames[0], save_all=True, append_images=frames[1:]))
     with pytest.raises(FileError, match=r"a\.png is an animation of 2 images; expected one image"):
         read_visibility(tmp_path / "a.png")
+
+
+def test_damage_anywhere_in_a_png_is_refused_or_harmless(tmp_path):
+    """Bytes changed or cut out, under right checksums; nothing but `FileError` and `ImageWarning` comes of it."""
+    rng = np.random.default_rng(0)
+    refused = []
+    for data, *_ in [*PLAIN.values(), *REMARKED.values()]:
+        for _ in range(4):
+            parts = []
+            at = 8
+            while at < len(data):
+                size = int.from_bytes(data[at : at + 4])
+                parts.append((data[at + 4 : at + 8], bytearray(data[at + 8 : at + 8 + size])))
+                at += 12 + size
+            _, content = parts[int(rng.integers(len(parts) - 1))]
+            place = int(rng.integers(len(content)))
+            if rng.random() < 0.5:
+                content[place] = int(rng.integers(256))
+            else:
+                del content[place:]
+            (tmp_path / "a.png").write_bytes(data[:8] + b"".join(chunk(kind, bytes(each)) for kind, each in parts))
+            try:
+                read(tmp_path / "a.png")
+            except FileError as error:
+                refused.append(str(error))
+    assert len(refused) > len(PLAIN)
+    assert not any("\n" in text for text in refused)
 
 
 # --- OpenEXR ---

@@ -175,6 +175,14 @@ def test_every_kind_of_thing_that_is_left_out_is_named(tmp_path):
     assert "batched mesh" in said
 
 
+def test_what_is_hidden_is_left_out_and_named(tmp_path):
+    group = {"type": "Group", "visible": False, "children": [{**MESH, "name": "ghost"}, {**SUN, "name": "moon"}]}
+    scene = read_scene(stored(tmp_path, MESH, {**MESH, "name": "twin", "visible": False}, group))
+    assert [mesh.name for mesh in scene.meshes] == ["box"]
+    assert scene.lights == []
+    assert "twin, ghost, moon: visible = false, or that of a group around; left out" in scene.remarks
+
+
 def test_only_the_finest_level_of_detail_is_drawn(tmp_path):
     fine, coarse = {**MESH, "uuid": "1", "name": "fine"}, {**MESH, "uuid": "2", "name": "coarse"}
     levels = [{"object": "2", "distance": 10}, {"object": "1", "distance": 0}]

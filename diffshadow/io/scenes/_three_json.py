@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..._types import HostArray
-from .._errors import Faults, MeshError, damaged
+from .._errors import Faults, MeshError, damaged, some_of
 from .._polygons import repeated
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Side, Vector
 from ._three_buffers import geometry_of, maybe_half_floats, values_of
@@ -67,9 +67,10 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
     if len(everything) > 1 and not any(_is_moved(entry) for entry, _ in everything):
         remarks.append("no object is moved: was scene.updateMatrixWorld() called before scene.toJSON()?")
     drawn = [_Placed(entry.object, entry.to_world) for entry, visible in everything if visible]
-    hidden = sum(entry.object.type in (*_MESHES, *_LIGHTS) for entry, visible in everything if not visible)
+    unseen = [entry for entry, visible in everything if not visible]
+    hidden = [entry.name for entry in unseen if entry.object.type in (*_MESHES, *_LIGHTS)]
     if hidden:
-        remarks.append(f"{_counted(hidden, 'mesh or light', 'meshes and lights')} with visible = false: left out")
+        remarks.append(f"{some_of(hidden)}: visible = false, or that of a group around; left out")
     others = Counter(_OTHERS[entry.object.type] for entry in drawn if entry.object.type in _OTHERS)
     remarks += [f"{count} × {name}: left out" for name, count in others.items()]
     # A camera sees whether it is in the scene's visible part or not.
@@ -347,10 +348,6 @@ def _window(camera: ShadowCamera) -> tuple[float, float, float, float]:
 
 def _colour(value: int) -> Vector:
     return (value >> 16 & 255) / 255, (value >> 8 & 255) / 255, (value & 255) / 255
-
-
-def _counted(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"
 
 
 def _vector(values: Any) -> Vector:
