@@ -3433,9 +3433,9 @@ _STUDY = (
     ),
     _fault(
         "advise: ratios of medians instead of the median of ratios",
-        "study/advice/_measure.py",
-        "float(np.median(total / fastest))",
-        "float(np.median(total) / np.median(fastest))",
+        "study/advice/_times.py",
+        "{program: total / pace for program, total in totals.items()}",
+        "{program: total / np.median(pace) for program, total in totals.items()}",
         "test_advise.py",
     ),
     _fault(

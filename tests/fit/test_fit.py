@@ -148,6 +148,31 @@ def test_a_trial_at_no_place_is_no_step():
     assert [(step.step, step.values) for step in history] == [(0, (3.0,)), (1, (6.0,))]
 
 
+def test_the_history_has_the_loss_itself_where_the_solver_sees_scaled_residuals():
+    history = []
+    reporter = Reporter(Parameters.of([BIAS]), history, None)
+    reporter.begin(0, 1.0, np.zeros(1), np.array([0]), scale=4.0)
+    reporter.add(0.32, np.zeros(1))
+    assert history[0].loss == pytest.approx(0.02)
+
+
+@functools.cache
+def loss_and_slopes():
+    """The soft loss of values, and its derivatives; one program for all widths."""
+
+    def loss(values, known, width):
+        at = with_values(disk(compare=SoftCompare(width)), ("bias.constant", "filter.radius"), values)
+        return known.mean_square_error(at)
+
+    return eqx.filter_jit(jax.jacfwd(loss))
+
+
+def slope_at(phase, known):
+    """The norm of the derivatives of the loss at a phase's end by the parts of the bounds' distances."""
+    spans = np.array([BIAS.upper - BIAS.lower, RADIUS.upper - RADIUS.lower])
+    return np.linalg.norm(loss_and_slopes()(jnp.asarray(phase.values), known, jnp.asarray(phase.width)) * spans)
+
+
 @pytest.mark.parametrize("solver", EACH_SOLVER)
 def test_phases_and_choice_are_reported_truly(solver, known, results):
     result, _ = results(solver)
@@ -156,7 +181,7 @@ def test_phases_and_choice_are_reported_truly(solver, known, results):
     for phase in result.phases:
         at = with_values(disk(), ("bias.constant", "filter.radius"), jnp.array(phase.values))
         assert phase.hard_loss == pytest.approx(float(known.mean_square_error(at)), rel=1e-3)
-        assert np.isfinite(phase.gradient_norm)
+        assert phase.gradient_norm == pytest.approx(slope_at(phase, known), rel=0.05, abs=2e-4)
         assert phase.result in ("successful", "max_steps reached")
     assert result.chosen == int(np.argmin(losses))
     assert tuple(result.fitted.values()) == result.phases[result.chosen].values

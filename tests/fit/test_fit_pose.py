@@ -317,6 +317,25 @@ def test_precision_is_the_scatter_of_repeated_regressions():
     np.testing.assert_allclose(list(both.deviations.values()), deviations[0] / 2**0.5)
 
 
+@pytest.mark.parametrize("blur", [0.0, 0.5], ids=["sharp", "blurred"])
+def test_precision_is_its_formula(blur):
+    """With sums over all pairs of pixels: (JᵀB²J)⁻¹ (S + g gᵀ) (JᵀB²J)⁻¹, with scores (B²J)ᵢ rᵢ and their sum g."""
+    rng, reach = np.random.default_rng(5), max(1, round(4 * blur))
+    slopes, residual, span = rng.normal(size=(2, 7, 9)), 0.05 * rng.normal(size=(7, 9)), np.array([2.0, 5.0])
+    once = np.stack([_gaussian(image, blur) for image in slopes])
+    twice = np.stack([_gaussian(image, blur) for image in once])
+    score = (twice * residual).reshape(2, -1)
+    y, x = np.indices(residual.shape).reshape(2, -1)
+    near = lambda at: np.maximum(0, 1 - abs(at[:, None] - at) / reach)
+    inverse = np.linalg.inv(np.einsum("phw,qhw->pq", once, once))
+    left = inverse @ np.einsum("phw,hw->p", once, _gaussian(residual, blur))
+    covariance = inverse @ (score @ (near(x) * near(y)) @ score.T) @ inverse + np.outer(left, left)
+    told = precision_of("ab", [residual], [slopes], [blur], span)
+    deviations = np.sqrt(np.diag(covariance))
+    assert [told.deviations[name] for name in "ab"] == pytest.approx(deviations * span, rel=1e-6)
+    np.testing.assert_allclose(told.correlations, covariance / np.outer(deviations, deviations), rtol=1e-6)
+
+
 def test_precision_counts_the_step_that_a_fit_has_left():
     rng = np.random.default_rng(3)
     slopes, left = rng.normal(size=(2, 20, 20)), np.array([0.3, -0.2])

@@ -20,13 +20,14 @@ from rich.console import Console
 from scenes import staying_in
 from stored_runs import TINY
 
-from diffshadow import fit, io, metrics, study
+from diffshadow import fit, io, metrics, reference, study
+from diffshadow._misc import as_array, as_float
 from diffshadow.cli import main
-from diffshadow.config import ConfigError, build_scene, load_config, settings_file
-from diffshadow.shadow import ThreeJs, engine_code
+from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
+from diffshadow.shadow import SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._progress import Stages
-from diffshadow.study.runs._setup import _traced
+from diffshadow.study.runs._setup import Loaded, _traced, draw
 from diffshadow.study.runs._shade import perceptual_error
 
 ROOT = Path(__file__).parents[2]
@@ -298,6 +299,49 @@ def test_fit_improves_by_its_own_arrays(finished):
         assert {arrays[f"history_{name}"].shape for name in ("phase", "step", "width", "loss")} == {(steps,)}
         assert set(arrays["history_phase"]) == {0, 1}
         np.testing.assert_allclose(arrays["history_values"][0], [0.1, 1.0], rtol=1e-3)
+
+
+def test_stored_errors_and_steps_are_what_they_say(finished):
+    """Errors of the stored images, losses at the stored values, and the reference's noise."""
+    folder, said, home = finished
+    result = result_of(folder)
+    with staying_in(home):
+        config = load_config(folder / "config.yaml", [], fitting=True)
+        scene, technique = build_scene(config), build_technique(config)
+        (drawn,) = draw(config, Loaded(scene), technique, Stages(console()[0]))
+        truth = reference.trace_visibility(scene, 8, config.reference.sampler, config.seed)
+    with np.load(folder / "arrays.npz") as stored:
+        arrays = dict(stored)
+    by_name = {"mae": metrics.mae, "ssim": metrics.ssim}
+    by_name |= {name: getattr(metrics, name) for name in ("false_shadow_rate", "false_light_rate")}
+    for when in ("before", "after"):
+        errors = result["metrics"][when]
+        for name, metric in by_name.items():
+            assert errors[name] == pytest.approx(metric(arrays[when], arrays["reference"], arrays["mask"]), abs=1e-6)
+        (light,) = result["metrics"]["lights"]
+        assert light[when] == {name: error for name, error in errors.items() if name != "flip"}
+    noise = np.sqrt(np.mean(np.square(truth.standard_error, dtype=np.float64)[truth.mask]))
+    assert result["metrics"]["reference_noise_floor"] == pytest.approx(noise, rel=1e-6)
+    # What is printed is what is stored.
+    printed = {line.split("│")[1].strip(): line.split("│")[2:4] for line in said.splitlines() if line.startswith("│")}
+    names = {"RMSE": "rmse", "MAE": "mae", "SSIM": "ssim", "false shadow (acne)": "false_shadow_rate"}
+    for label, name in names.items():
+        factor = 100 if name.endswith("rate") else 1
+        shown = [float(text.strip(" %")) for text in printed[label]]
+        assert shown == pytest.approx([factor * result["metrics"][w][name] for w in ("before", "after")], abs=6e-4)
+    problem = fit.TechniqueProblem(
+        technique, drawn.state, drawn.surface, as_array(arrays["reference"]), as_array(arrays["mask"])
+    )
+    loss = eqx.filter_jit(lambda at: problem.mean_square_error(at))
+    paths = [fit_paths(config)[name] for name in result["fitted"]]
+    at = lambda values: fit.with_values(technique, paths, as_float(values))
+    for number, (phase, width) in enumerate(zip(result["solver"]["phases"], (2.0, 0.05), strict=True)):
+        assert phase["hard_loss"] == pytest.approx(float(loss(at(list(phase["values"].values())))), rel=1e-4)
+        assert (phase["width"], phase["blur"], phase["searched"]) == (pytest.approx(width), 0, 0)
+        last = np.flatnonzero(arrays["history_phase"] == number)[-1]
+        soft = dataclasses.replace(at(arrays["history_values"][last]), compare=SoftCompare(phase["width"]))
+        assert arrays["history_loss"][last] == pytest.approx(float(loss(soft)), rel=2e-3)
+        assert arrays["history_width"][last] == np.float32(phase["width"])
 
 
 def test_flip_is_of_the_stored_pictures_over_the_pixels_that_count(finished):
@@ -573,6 +617,20 @@ def test_render_writes_its_images_beside_the_fit_s():
             perceived, _ = metrics.flip(*pictures, arrays["mask"])
         assert result["metrics"]["errors"]["flip"] == perceived > 0
         assert f"{perceived:.4f}" in out.getvalue()
+    # How large texels are on the screen, by definition.
+    config = tiny()
+    technique = build_technique(config, fitting=False)
+    (drawn,) = draw(config, Loaded(build_scene(config)), technique, Stages(console()[0]))
+    found = technique.aliasing(drawn.state, drawn.surface, drawn.scene.camera)
+    (light,) = result["metrics"]["lights"]
+    for part, extent in (("extent", found.extent), ("perspective", found.perspective_extent)):
+        values = np.asarray(extent, np.float64)[np.asarray(found.mask)]
+        figures = light["aliasing"][part]
+        assert figures["worst"] == pytest.approx(values.max())
+        assert (values > figures["percentile_99"]).mean() == pytest.approx(0.01, abs=1 / len(values))
+        assert 2 ** figures["mean_log2"] == pytest.approx(np.exp(np.mean(np.log(values))))
+        assert figures["undersampled"] == np.mean(values > 1)
+    assert light["aliasing"]["extent"] != light["aliasing"]["perspective"]
 
 
 SMALL = ("fit.parameters={bias.constant: {lower: 0, upper: 10}}",)

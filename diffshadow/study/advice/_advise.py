@@ -19,9 +19,10 @@ from ..runs._record import write_yaml
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
-from ._measure import LeastBias, Times, least_bias_for, measure_times, single_bias, steps_of
+from ._measure import LeastBias, least_bias_for, measure_times, single_bias, steps_of, unexplained_by
 from ._report import report_advice
 from ._special_cases import as_special_case
+from ._times import Load, Times
 from ._verdict import Findings, verdict
 
 SUFFIX = "-advise"
@@ -52,7 +53,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
     sweep = advice.sweep
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
     with doing(folder, sweep, ADVISE, console, scheduler, workers) as (tables, _):
-        problems = failures(tables.results)
+        problems = list(failures(tables.results))
         fitted = [
             _Fitted(i, row, with_fitted(sweep.runs[i].config, _values(row)))
             for i, row in enumerate(tables.results.to_pylist())
@@ -62,7 +63,9 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         if not fitted:
             raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
         with counting(console, "timing", steps_of([each.config for each in fitted])) as progress:
-            times = _times(folder, fitted, progress)
+            times, load = _times(folder, fitted, progress)
+        if load.remark is not None:
+            problems.append(f"{load.remark}; to time them again, remove {folder / _MEASURED} and repeat the command")
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]
         chosen = recommended(candidates, advice.settings.within)
         with counting(console, "comparing biases", len(fitted)) as progress:
@@ -71,14 +74,15 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
             candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), least_biases
         )
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
+        problems = [*unexplained_by(best), *problems]
         named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
         with io.atomic_path(folder / RECOMMENDED) as temporary:
             write_yaml(temporary, named)
         write_record(folder, record_of(sweep, ADVISE, counts_of(tables.results)) | {"advice": _record(found, problems)})
         report_advice(folder)
+    table.print_lines(console, problems, warn=True)
     _print(console, sweep.name, found)
     table.print_lines(console, [f"the recommended configuration is in {RECOMMENDED}"])
-    table.print_lines(console, problems, warn=True)
     return folder
 
 
@@ -108,15 +112,20 @@ def _values(row: Mapping[str, Any]) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _times(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> list[Times]:
-    """The times of all techniques, measured now unless they are stored in `folder`."""
+def _times(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> tuple[list[Times], Load]:
+    """The times of all techniques, and how busy the machine was, measured now unless they are stored in `folder`."""
     ids = [each.row["id"] for each in fitted]
     stored = _stored(folder)
     if stored.get("ids") != ids:
-        times = measure_times([each.config for each in fitted], progress)
-        stored = {"ids": ids, "times": [time._asdict() for time in times], "least_biases": {}}
+        times, load = measure_times([each.config for each in fitted], progress)
+        stored = {
+            "ids": ids,
+            "times": [time._asdict() for time in times],
+            "load": load._asdict(),
+            "least_biases": {},
+        }
         _store(folder, stored)
-    return [Times(**time) for time in stored["times"]]
+    return [Times(**time) for time in stored["times"]], Load(**stored["load"])
 
 
 def _least_biases(
@@ -210,7 +219,7 @@ def _print(console: Console, name: str, found: Findings) -> None:
     for each in ranked(found.candidates):
         marks = ("*" if each.id in kept else " ") + ("←" if each.id == found.chosen.id else " ")
         rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
-        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.ratio:.2f} {marks}")
+        numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.times} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
     legend = "← is recommended; * marks those that no other beats in both RMSE and time"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 SAME_TIME = 0.05
-"""The fraction by which two medians of times may differ and still count as equal: repeated measurements differ so."""
+"""The fraction by which two times may differ and still count as equal: repeated measurements differ so."""
 
 
 class Candidate(NamedTuple):
@@ -14,8 +14,8 @@ class Candidate(NamedTuple):
     - `values`: the fitted numbers, by the key that sets them; `units`: of these.
     - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
     - `fit_rmse`: over what the fit sees.
-    - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up, medians.
-    - `ratio`: its time, relative to the fastest candidate's: the median over rounds.
+    - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
+    - `ratio`: its time, relative to the fastest candidate's; `spread`: how far it may be off, as a fraction of it.
     """
 
     id: str
@@ -31,11 +31,17 @@ class Candidate(NamedTuple):
     map_ms: float
     lookup_ms: float
     ratio: float
+    spread: float = 0.0
 
     @property
     def ms(self) -> float:
         """Milliseconds for one view."""
         return self.map_ms + self.lookup_ms
+
+    @property
+    def times(self) -> str:
+        """Its time relative to the fastest candidate's, and how far this may be off."""
+        return f"{self.ratio:.2f} ± {self.ratio * self.spread:.2f}"
 
     @property
     def size(self) -> str:
@@ -47,6 +53,12 @@ class Candidate(NamedTuple):
     def name(self) -> str:
         """What it is called in sentences."""
         return f"{self.bias} with {self.filter} at {self.size}"
+
+
+def same_time(one: Candidate, other: Candidate) -> bool:
+    """Whether the times of two candidates differ by no more than `SAME_TIME`, or than both may be off."""
+    most = 1 + max(SAME_TIME, one.spread + other.spread)
+    return 1 / most <= one.ratio / other.ratio <= most
 
 
 def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -67,9 +79,9 @@ def front(candidates: Sequence[Candidate]) -> list[Candidate]:
 def recommended(candidates: Sequence[Candidate], within: float) -> Candidate:
     """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it.
 
-    Of those as fast within `SAME_TIME`, it is the one with the least error.
+    Of those with the same time, it is the one with the least error.
     """
     least = min(each.rmse for each in candidates)
     good = [each for each in candidates if each.rmse <= least * (1 + within)]
-    fastest = min(each.ratio for each in good)
-    return ranked([each for each in good if each.ratio <= fastest * (1 + SAME_TIME)])[0]
+    fastest = min(good, key=lambda each: each.ratio)
+    return ranked([each for each in good if same_time(each, fastest)])[0]

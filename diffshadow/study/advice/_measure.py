@@ -6,17 +6,18 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
 from rich.console import Console
 
 from ... import fit, raster
 from ..._misc import as_float
-from ..._types import HostArray
-from ...config import Config, build_technique, fit_paths
+from ...config import Config, build_fit, build_technique, fit_paths
 from ..runs import _record as record
+from ..runs._explained import fitted_images, unexplained
 from ..runs._progress import Stages
 from ..runs._setup import load, visibility_of
+from ..runs._verdict import unexplained_verdict
 from ..runs._views import draw_views
+from ._times import Load, Times, Watch, times_of, unevenness_of
 
 # Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
 _ROUNDS = 15
@@ -24,23 +25,15 @@ _ROUNDS = 15
 _STEPS, _HALVINGS = 8, 7
 
 
-class Times(NamedTuple):
-    """Times of a technique for one view with all its lights.
-
-    - `map_ms`, `lookup_ms`: medians over rounds, in milliseconds.
-    - `ratio`: the median over rounds of its time relative to that of the fastest technique.
-    """
-
-    map_ms: float
-    lookup_ms: float
-    ratio: float
-
-
-def measure_times(configs: Sequence[Config], progress: Callable[[int], None] = lambda done: None) -> list[Times]:
+def measure_times(
+    configs: Sequence[Config], progress: Callable[[int], None] = lambda done: None
+) -> tuple[list[Times], Load]:
     """Times the techniques of `configs`, which differ in nothing else, on the first view, after compiling.
 
-    They are timed one after another in rounds. The camera's surface, which no technique changes, is not counted.
-    `progress` is called with the number of steps done, of `steps_of(configs)`.
+    They are timed one after another in rounds, every other round backwards. The camera's surface, which no technique
+    changes, is not counted. `progress` is called with the number of steps done, of `steps_of(configs)`.
+
+    **Returns** the times, and how busy the machine was.
     """
     first = configs[0].views[0].config if configs[0].views else configs[0]
     scene = load(first, Stages(Console(quiet=True))).scene
@@ -59,11 +52,14 @@ def measure_times(configs: Sequence[Config], progress: Callable[[int], None] = l
         techniques.append(build_technique(config, fitting=False))
         once(techniques[-1])
         progress(done)
-    rounds = []
+    rounds, watch = np.empty((_ROUNDS, len(techniques), 2)), Watch()
     for done in range(_ROUNDS):
-        rounds.append([once(technique) for technique in techniques])
+        order = range(len(techniques)) if done % 2 == 0 else reversed(range(len(techniques)))
+        for i in order:
+            rounds[done, i] = once(techniques[i])
         progress(len(configs) + done + 1)
-    return times_of(np.array(rounds), [_program_of(technique) for technique in techniques])
+    times = times_of(rounds, [_program_of(technique) for technique in techniques])
+    return times, Load(watch.others(), unevenness_of(rounds))
 
 
 def steps_of(configs: Sequence[Config]) -> int:
@@ -76,24 +72,17 @@ def _program_of(technique: Any) -> Hashable:
     return jax.tree.structure(technique), tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(technique))
 
 
-def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence[Hashable]) -> list[Times]:
-    """The times of techniques.
-
-    **Arguments:**
-
-    - `rounds`: (rounds, techniques, 2), seconds for the map and for the look-up.
-    - `programs`: (techniques,), what each technique's program depends on. Those with equal ones share their times.
-    """
-    members = {program: [i for i, other in enumerate(programs) if other == program] for program in programs}
-    totals = {program: np.median(rounds[:, among].sum(axis=2), axis=1) for program, among in members.items()}
-    fastest = min(totals.values(), key=np.median)
-    ratios = {program: float(np.median(total / fastest)) for program, total in totals.items()}
-    least = min(ratios.values())
-    found = {}
-    for program, among in members.items():
-        map_s, lookup_s = np.median(rounds[:, among], axis=(0, 1))
-        found[program] = Times(float(map_s) * 1e3, float(lookup_s) * 1e3, ratios[program] / least)
-    return [found[program] for program in programs]
+def unexplained_by(config: Config) -> list[str]:
+    """What to say first of a fitted technique that does not explain its references; empty if it explains them."""
+    stages = Stages(Console(quiet=True))
+    technique = build_technique(config, fitting=False)
+    views = draw_views(config, load(config, stages), technique, stages)
+    drawn = views.drawn[: views.seen]
+    found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
+    if found is None:
+        return []
+    said = unexplained_verdict(config, build_fit(config), found)
+    return [said.sentence, *said.remedies]
 
 
 class LeastBias(NamedTuple):

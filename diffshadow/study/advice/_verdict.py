@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from ._candidates import SAME_TIME, Candidate, front
+from ._candidates import Candidate, front, ranked, same_time
 from ._measure import LeastBias
 
 # The least difference of rates that is called one: 26 pixels of 512 × 512. The reference's noise hardly touches rates,
@@ -72,7 +72,7 @@ def _against_best(found: Findings) -> Iterator[str]:
     if found.noise is not None and chosen.rmse - best.rmse <= found.noise:
         noise = f" The difference is below the reference's noise of {found.noise:.4f}."
     yield (
-        f"It is the fastest within {100 * found.within:g} % of the least RMSE. {_upper(best.name)} has "
+        f"It is as fast as any within {100 * found.within:g} % of the least RMSE. {_upper(best.name)} has "
         f"{best.rmse:.4f}, {_time(best, chosen)}; the recommended one has {_percent(more)} more.{noise}"
     )
 
@@ -136,8 +136,9 @@ def _sizes(found: Findings) -> Iterator[str]:
 
 
 def _fastest(found: Findings) -> Iterator[str]:
-    fastest = front(found.candidates)[0]
-    near = fastest.ratio * (1 + SAME_TIME) >= found.chosen.ratio
+    least = front(found.candidates)[0]
+    fastest = ranked([each for each in found.candidates if same_time(each, least)])[0]
+    near = same_time(fastest, found.chosen)
     told = [*found.like_chosen("bias", "resolution"), *found.like_chosen("bias", "filter")]
     if not near and fastest not in told:
         yield f"The fastest is {fastest.name}: {_change(found, fastest)}."
@@ -156,10 +157,7 @@ def _change(found: Findings, other: Candidate) -> str:
 
 def _time(of: Candidate, than: Candidate) -> str:
     """How long one candidate takes compared with another."""
-    times = of.ratio / than.ratio
-    if 1 / (1 + SAME_TIME) <= times <= 1 + SAME_TIME:
-        return "in the same time"
-    return f"in {times:.2f} times the time"
+    return "in the same time" if same_time(of, than) else f"in {of.ratio / than.ratio:.2f} times the time"
 
 
 def _percent(fraction: float) -> str:

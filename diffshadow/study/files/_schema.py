@@ -280,6 +280,7 @@ class _Candidate(_Part):
     map_ms: Seconds
     lookup_ms: Seconds
     ratio: Seconds
+    spread: Annotated[float, Field(ge=0)] = 0.0
     front: bool
 
     @model_validator(mode="after")
@@ -316,6 +317,12 @@ class _Times(_Part):
     map_ms: Seconds
     lookup_ms: Seconds
     ratio: Seconds
+    spread: Annotated[float, Field(ge=0)]
+
+
+class _Load(_Part):
+    others: Fraction | None
+    unevenness: Annotated[float, Field(ge=0)]
 
 
 class _LeastBias(_Part):
@@ -325,10 +332,12 @@ class _LeastBias(_Part):
 
 
 class _Measurements(_Part):
-    """Of a recommendation: times of techniques by `ids` of their runs, and biases by pairs of these."""
+    """Of a recommendation: times of techniques by `ids` of their runs, how busy the machine was meanwhile, and biases
+    by pairs of these."""
 
     ids: list[str]
     times: list[_Times]
+    load: _Load
     least_biases: dict[str, _LeastBias]
 
 

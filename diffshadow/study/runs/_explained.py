@@ -189,19 +189,23 @@ def _variance(truth: Image, mask: Mask) -> float:
 
 
 def fitted_images(
-    views: Views, drawn: Sequence[Drawn], after: Sequence[Image], seen: Sequence[Drawn], result: fit.FitResult
+    views: Views,
+    drawn: Sequence[Drawn],
+    after: Sequence[Image],
+    seen: Sequence[Drawn],
+    arrangement: fit.Arrangement | None = None,
 ) -> list[Fitted]:
     """The images that a fit has seen.
 
-    **Arguments:** of all views and lights, their references, their images after the fit, and the scene that the fit
-    left.
+    **Arguments:** of all views and lights, their references, their images after the fit, and the scene that it left;
+    the fitted `arrangement` of lights and meshes, if there is one.
     """
     found = []
     for i, (each, image, left) in enumerate(zip(drawn[: views.seen], after, seen, strict=False)):
         given = views.all[views.of(i)].config.reference.type == "image"
         one = Fitted(each, image, None, given)
-        if result.arrangement is not None:
-            scene = _arranged(result.arrangement, each.scene, i)
+        if arrangement is not None:
+            scene = _arranged(arrangement, each.scene, i)
             one = one._replace(scene=scene, cone=np.asarray(fit.cone_fraction(scene.light, left.surface)))
         found.append(one)
     return found

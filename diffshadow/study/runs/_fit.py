@@ -193,7 +193,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
             )
             seen = seen_before[0], seen_after[0]
         errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
-        left = unexplained(fitted_images(views, drawn, after, seen[1], result))
+        left = unexplained(fitted_images(views, drawn, after, seen[1], result.arrangement))
     of_seen = lambda errors: record.combined(errors[: views.seen], drawn[: views.seen])
     said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
     messages = [

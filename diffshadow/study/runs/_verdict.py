@@ -55,7 +55,7 @@ def verdict(
     - `found`: what the fit leaves unexplained.
     """
     if found is not None:
-        return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
+        return unexplained_verdict(config, plan, found)
     names = _listed(list(result.fitted))
     if set(result.flat) == set(result.fitted):
         return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
@@ -75,6 +75,11 @@ def verdict(
         f"fitting {names} reduced the shadow's error from {before:.4f} to {after:.4f} RMSE, by {by}, in {result.steps} "
         "steps",
     )
+
+
+def unexplained_verdict(config: Config, plan: FitPlan, found: Unexplained) -> Verdict:
+    """The verdict of a fit that does not explain its references."""
+    return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
 
 
 def _was_best(plan: FitPlan, result: FitResult) -> bool:
