@@ -153,7 +153,7 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 def picture(rows: list[dict[str, Any]], floors: dict[str, float]) -> Figure:
     """A chart for each scene that has rows, of error against texels."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
-    figure, axes = common.figure(3.6 * len(scenes) + 0.4, 3.4, 1, len(scenes), sharey=True)
+    figure, axes = common.figure(3.4 * len(scenes) + 1.6, 3.4, 1, len(scenes), sharey=True)
     names = list(dict.fromkeys(row["technique"] for row in rows))
     for one, scene in zip(axes, scenes, strict=True):
         common.chart(one, scene, "texels", "RMSE [visibility]" if one is axes[0] else "")
@@ -164,7 +164,7 @@ def picture(rows: list[dict[str, Any]], floors: dict[str, float]) -> Figure:
         one.set_yscale("log")
         if floors[scene] > 0:
             one.axhspan(one.get_ylim()[0], floors[scene], color=common.FAINT, alpha=0.25, linewidth=0)
-    common.legend(axes[-1])
+    common.legend(axes[-1], loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 

@@ -85,9 +85,9 @@ def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     folder = Path("runs") / "corridor-where_texels_go"
     assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
     plain, lispsm, perspective, pages, cascades = (row["rmse"] for row in found["rows"])
-    assert max(lispsm, perspective) < 0.8 * plain
+    assert perspective < lispsm < 0.8 * plain
     assert cascades < 0.6 * plain
-    assert pages < 0.9 * min(lispsm, perspective, cascades), "where memory suffices"
+    assert pages < 0.9 * min(lispsm, cascades), "where memory suffices"
     assert [row["spacing"] is None for row in found["rows"]] == [True, True, True, True, False]
     extents = [row["percentile_99"] for row in found["rows"]]
     assert max(extents[1:]) < 0.5 * extents[0]
