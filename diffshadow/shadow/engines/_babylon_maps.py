@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._types import HostArray, Resolution, Scalar
-from ...geometry import PointLight, View
+from ...geometry import AbstractLight, PointLight, View
 from ._textures import bilinear, rounded
 
 # Of numbers in the blur's shader.
@@ -28,11 +28,23 @@ def metric_in_window(depth: Float[Array, "h w"], view: View) -> Float[Array, "h 
 def metric_in_cube(depth: Float[Array, "6 n n"], light: PointLight) -> Float[Array, "6 n n"]:
     """(r + n) / (f + n) of window `depth`, r the distance to the light."""
     near, far = light.near, light.far
-    size = depth.shape[-1]
+    return (near * far / (far - depth * (far - near)) * _lengths(depth.shape[-1]) + near) / (far + near)
+
+
+def depth_of_metric(metric: Float[Array, "*l h w"], light: AbstractLight) -> Float[Array, "*l h w"]:
+    """Window depth of a map's `metric`."""
+    if isinstance(light, PointLight):
+        near, far = light.near, light.far
+        distance = (metric * (near + far) - near) / _lengths(metric.shape[-1])
+        return far * (distance - near) / ((far - near) * distance)
+    view = light.view()
+    return metric * view.far / (view.near + metric * (view.far - view.near)) if view.is_perspective else metric
+
+
+def _lengths(size: int) -> Float[Array, "n n"]:
+    """The distance to each texel's centre of a cube's face, per unit of distance along its axis."""
     across = (jnp.arange(size) + 0.5) * (2 / size) - 1
-    # Of the texel's centre, per unit of distance along the face's axis.
-    length = jnp.sqrt(1 + across * across + across[:, None] ** 2)
-    return (near * far / (far - depth * (far - near)) * length + near) / (far + near)
+    return jnp.sqrt(1 + across * across + across[:, None] ** 2)
 
 
 def exponential(metric: Array, depth_scale: Scalar, is_drawn: Array) -> Array:
