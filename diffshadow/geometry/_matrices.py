@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._misc import as_float, concrete
-from .._types import Mat4, Scalar, Vec3
+from .._types import HostArray, Mat4, Scalar, Vec3
 from ._view import View
 
 _PERSPECTIVE, _PARALLEL = (0.0, 0.0, -1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
@@ -40,6 +40,29 @@ def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: 
             raise ValueError(f"{name}'s {what} is {known.tolist()}; expected finite numbers")
     _check_rigid(name, concrete(world_to_eye))
     return world_to_eye, eye_to_clip, _check_projection(name, concrete(eye_to_clip), is_perspective)
+
+
+def as_opengl(
+    world_to_eye: Any, eye_to_clip: Any, left_handed: bool, depth: tuple[float, float]
+) -> tuple[HostArray, HostArray]:
+    """An engine's matrices by OpenGL's conventions; arguments are as for `MatrixLight.from_engine`.
+
+    **Raises** `ValueError` for matrices that are not (4, 4), or equal depths.
+    """
+    view, projection = (np.array(matrix, np.float64) for matrix in (world_to_eye, eye_to_clip))
+    for what, matrix in (("world_to_eye", view), ("eye_to_clip", projection)):
+        if matrix.shape != (4, 4):
+            raise ValueError(f"the engine's {what} has shape {matrix.shape}; expected one matrix, (4, 4)")
+    near, far = depth
+    if not (np.isfinite(depth).all() and near != far):
+        raise ValueError(f"the engine's depth is {tuple(depth)}; expected two numbers that differ, at near and far")
+    if left_handed:
+        # Turned by half about y, the eye looks along -z, and x runs the other way in the image, too.
+        view[[0, 2]] *= -1
+        projection[:, [0, 2]] *= -1
+        projection[0] *= -1
+    projection[2] = (2 * projection[2] - (near + far) * projection[3]) / (far - near)
+    return view, projection
 
 
 def _check_rigid(name: str, matrix: np.ndarray | None) -> None:

@@ -5,6 +5,7 @@ from ._counts import count_fragments as count_fragments
 from ._depth_test import DepthTest as DepthTest
 from ._fixed import MOST_VIRTUAL as MOST_VIRTUAL
 from ._fixed import SUBPIXELS as SUBPIXELS
+from ._fixed import at_steps as at_steps
 from ._grid_crossings import GridCrossings as GridCrossings
 from ._grid_crossings import count_crossings as count_crossings
 from ._grid_crossings import grid_crossings as grid_crossings

@@ -12,10 +12,14 @@ The edge function of the directed edge from `a` to `b` at `p`, positive on the e
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+from .._misc import as_float
+from .._types import Resolution
 
 OfCorners = Sequence[Int[Array, " n"]] | Int[Array, "3 n"]
 """A number for each corner of triangles, three (n,) or (3, n)."""
@@ -37,6 +41,19 @@ def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Window coordinates in pixels, rounded to the nearest sub-pixel."""
     limit = float(MOST_VIRTUAL * SUBPIXELS)
     return jnp.round(jnp.clip(window * SUBPIXELS, -limit, limit)).astype(jnp.int32)
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def at_steps(clip: Float[Array, "*b v 4"], resolution: Resolution, subpixels: int) -> Float[Array, "*b v 4"]:
+    """Vertices (..., v, 4) in clip space, moved to the nearest of `subpixels` steps to a pixel.
+
+    So a rasterizer with coarser steps places them, before it computes depth and attributes. Those behind the eye stay.
+    """
+    ahead = clip[..., 3:] > 0
+    w = jnp.where(ahead, clip[..., 3:], 1)
+    steps = as_float(resolution[::-1]) * (subpixels / 2)
+    placed = (jnp.round((clip[..., :2] / w + 1) * steps) / steps - 1) * w
+    return jnp.concatenate([jnp.where(ahead, placed, clip[..., :2]), clip[..., 2:]], axis=-1)
 
 
 def first_centre(low: Int[Array, "*n"]) -> Int[Array, "*n"]:

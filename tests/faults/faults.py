@@ -728,7 +728,7 @@ _SHADOW = (
     ),
     _fault(
         "engines: vertices stay between the rasterizer's steps",
-        "shadow/engines/_engine_map.py",
+        "raster/_fixed.py",
         "jnp.round((clip[..., :2] / w + 1) * steps) / steps",
         "((clip[..., :2] / w + 1) * steps) / steps",
         "test_three.py",

@@ -77,6 +77,8 @@ def babylon_cases() -> dict[str, dict[str, Any]]:
     add("directional_none_uncast", "NONE", SUN, UNCAST, bias=0.0015)
     add("directional_poisson", POISSON, SUN, bias=0.004, blurScale=3.0)
     add("directional_poisson_darkness", POISSON, SUN, bias=0.006, darkness=0.3)
+    # Beyond far receivers lie at the depth of what the map has been cleared to.
+    add("directional_poisson_frustum_falloff", POISSON, SMALL, bias=0.005, frustumEdgeFalloff=0.5)
     add("directional_pcf_high", "PCF", SUN, bias=0.004)
     add("directional_pcf_medium", "PCF", SUN, bias=0.003, filteringQuality="MEDIUM")
     add("directional_pcf_low", "PCF", SUN, bias=0.003, filteringQuality="LOW")
@@ -107,6 +109,8 @@ def babylon_cases() -> dict[str, dict[str, Any]]:
     add("spot_poisson", POISSON, SPOT, bias=0.004)
     add("spot_pcss", "PCSS", SPOT, bias=0.002, contactHardeningLightSizeUVRatio=0.06)
     add("spot_close_esm", CLOSE, SPOT, bias=0.002)
+    narrow = {"useKernelBlur": True, "blurKernel": 8}
+    add("spot_blur_close_esm_half_float_kernel", BLUR_CLOSE, SPOT, is_float=False, bias=0.004, **narrow)
     add("point_none_bias", "NONE", LAMP, bias=0.003)
     add("point_poisson", POISSON, LAMP, bias=0.006)
     add("point_pcf_is_poisson", "PCF", LAMP, bias=0.006)

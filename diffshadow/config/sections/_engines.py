@@ -11,6 +11,10 @@ _Sides = Annotated[
     Side | Annotated[tuple[Side, ...], as_list],
     Form("front, back or double, or a list with one of them for each mesh"),
 ]
+_ShadowSides = Annotated[
+    Side | Annotated[tuple[Side | None, ...], as_list],
+    Form("front, back or double, or a list with one of them or null for each mesh"),
+]
 # Window depth is from 0 to 1.
 _Depth = Annotated[float, Field(ge=-1, le=1), Unit("window depth")]
 _Length = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Unit("world units")]
@@ -52,9 +56,10 @@ class ThreeJsConfig(EngineConfig):
     intensity: Fraction = Field(default=1.0, description="light.shadow.intensity")
     blur_samples: int = Field(default=8, ge=1, le=256, description="light.shadow.blurSamples, in VSMShadowMap")
     side: _Sides = Field(default="front", description="material.side of all meshes, or of each")
-    shadow_side: _Sides | None = Field(
+    shadow_side: _ShadowSides | None = Field(
         default=None,
-        description="material.shadowSide of all meshes, or of each; default: the other side, in VSMShadowMap the same",
+        description="material.shadowSide of all meshes, or of each; default, and null in a list: the other side, in "
+        "VSMShadowMap the same",
     )
     reversed_depth: bool = Field(default=False, description="whether the renderer has reversedDepthBuffer")
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..._types import Mat4, Vec3
 from .._camera import check_near_far
-from .._matrices import eye_of, matrices_of, near_far_of, view_of
+from .._matrices import as_opengl, eye_of, matrices_of, near_far_of, view_of
 from .._view import View
 from ._abstract import AbstractLight, Domain
 
@@ -35,6 +35,29 @@ class MatrixLight(AbstractLight):
     def __init__(self, world_to_eye: Any, eye_to_clip: Any, is_perspective: bool | None = None):
         matrices = matrices_of("the matrix light", world_to_eye, eye_to_clip, is_perspective)
         self.world_to_eye, self.eye_to_clip, self.is_perspective = matrices
+
+    @classmethod
+    def from_engine(
+        cls,
+        world_to_eye: Any,
+        eye_to_clip: Any,
+        *,
+        left_handed: bool = False,
+        depth: tuple[float, float] = (-1.0, 1.0),
+    ) -> "MatrixLight":
+        """The light of an engine's matrices by other conventions than OpenGL's.
+
+        **Arguments:**
+
+        - `world_to_eye`, `eye_to_clip`: (4, 4), for column vectors: transpose those for row vectors.
+        - `left_handed`: whether the eye looks along `+z`, as Babylon.js' and Direct3D's do. Such an eye sees what this
+            light sees with left and right exchanged, so the columns of the engine's map run the other way.
+        - `depth`: clip depth over w at near and far: (-1, 1) for OpenGL, (0, 1) for Direct3D, Metal and WebGPU, (1, 0)
+            for reversed depth.
+
+        **Raises** `ValueError` for matrices that are not (4, 4), equal depths, and what `MatrixLight` raises.
+        """
+        return cls(*as_opengl(world_to_eye, eye_to_clip, left_handed, depth))
 
     def __check_init__(self):
         near, far = near_far_of(self.eye_to_clip, self.is_perspective)

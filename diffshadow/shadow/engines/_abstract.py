@@ -1,14 +1,16 @@
 """What the engines' shadows have in common."""
 
+import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import dot, normalize
-from ..._types import Mask, Resolution, Scalar
+from ..._misc import as_float, dot, normalize
+from ..._types import HostArray, Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
 from .._compare import AbstractCompare
@@ -87,9 +89,39 @@ class AbstractEngineShadows(AbstractTechnique):
         """
         chosen = [(mesh, side) for mesh, side in zip(scene.meshes, sides, strict=True) if side is not None]
         casters = Casters.of(*zip(*chosen, strict=True))
-        receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)
+        return self.with_depth(depth, scene, light, offset)
+
+    @abc.abstractmethod
+    def from_map(self, stored: Any, scene: Scene) -> EngineMap:
+        """The state that `prepare` returns, with the map that the engine has drawn in place of ours.
+
+        **Arguments:**
+
+        - `stored`: (h, w), what the engine's map holds, as read back, with its bottom row first; of a point light
+            (6, h, w), its faces in OpenGL's order.
+        - `scene`: with the engine's light.
+
+        **Raises** `ValueError` for another shape, and what `prepare` raises.
+        """
+
+    def with_depth(
+        self, depth: Float[Array, "*l h w"], scene: Scene, light: AbstractLight, offset: Sequence[float]
+    ) -> EngineMap:
+        """The map that holds `depth`; the other arguments are as for `drawn`."""
+        receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         return EngineMap(depth, light, per_face(offset, scene), per_face(receives, scene))
+
+    def checked_map(self, stored: Any, light: AbstractLight) -> Float[Array, "*l h w"]:
+        """`stored` as an array. **Raises** `ValueError` unless it has the shape of a map of `light`."""
+        found = as_float(stored)
+        expected = (6, *self.resolution) if isinstance(light, PointLight) else self.resolution
+        if found.shape != expected:
+            raise ValueError(
+                f"the engine's map has shape {found.shape}; expected {expected}, by the light and the technique's "
+                "resolution: read one channel, and set the resolution"
+            )
+        return found
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): those that see a receiver within the light's frustum, on a
@@ -129,14 +161,21 @@ def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
             f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
         )
     view, given = light.view(), light.center if isinstance(light, DirectionalLight) else light.position
-    eye, backward = np.asarray(given, np.float64), -np.asarray(light.direction, np.float64)
+    rows, upright = upright_axes(light.direction, nudge), np.eye(4)
+    upright[:3, :3], upright[:3, 3] = rows, -rows @ np.asarray(given, np.float64)
+    return MatrixLight(upright, view.eye_to_clip, view.is_perspective)
+
+
+def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
+    """To the right, up and back of an engine's camera that looks along `direction` (3,), whose up direction is +y.
+
+    `nudge` is as for `engine_light`.
+    """
+    backward = -np.asarray(direction, np.float64)
     backward /= np.linalg.norm(backward)
     if np.hypot(backward[0], backward[2]) < 1e-9:
         backward[2] += nudge
     backward /= np.linalg.norm(backward)
     right = np.cross([0.0, 1.0, 0.0], backward)
     right /= np.linalg.norm(right)
-    rows = np.stack([right, np.cross(backward, right), backward])
-    upright = np.eye(4)
-    upright[:3, :3], upright[:3, 3] = rows, -rows @ eye
-    return MatrixLight(upright, view.eye_to_clip, view.is_perspective)
+    return np.stack([right, np.cross(backward, right), backward])

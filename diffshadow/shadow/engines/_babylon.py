@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from ._babylon_filters import (
 )
 from ._babylon_maps import (
     box_blurred,
+    depth_of_metric,
     exponential,
     kernel_blurred,
     metric_in_cube,
@@ -36,6 +37,7 @@ from ._babylon_maps import (
 )
 from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
 from ._engine_map import EngineMap, each_of
+from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_light, babylon_spot_light
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 BabylonFilter = Literal[
@@ -49,8 +51,6 @@ BabylonFilter = Literal[
     "PCSS",
 ]
 
-# Added to the axis towards a light that looks straight up or down.
-_NUDGE = -1e-13
 # Of contact hardening's penumbra, in texels.
 _LEAST_PENUMBRA = 10.0
 
@@ -119,6 +119,10 @@ class BabylonJs(AbstractEngineShadows):
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
     subpixels: int = eqx.field(static=True, default=256)
 
+    directional_light = staticmethod(babylon_directional_light)
+    spot_light = staticmethod(babylon_spot_light)
+    point_light = staticmethod(babylon_point_light)
+
     def __check_init__(self):
         check_choice("Babylon.js' filter", self.filter, BabylonFilter.__args__)
         check_choice("Babylon.js' quality", self.quality, BabylonQuality.__args__)
@@ -145,13 +149,34 @@ class BabylonJs(AbstractEngineShadows):
 
         **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
         """
-        light = engine_light(scene.light, _NUDGE)
+        light = engine_light(scene.light, BABYLON_NUDGE)
         sides = self.casting_sides(scene)
         meshes = [shrunk(mesh, light, self.normal_bias) for mesh in scene.meshes]
         moved = dataclasses.replace(scene, meshes=meshes)
         push = self.bias if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight) else 0.0
-        state = self.drawn(moved, light, sides, [0.0] * len(meshes), is_mirrored=True, push=push)
-        if not self.filter.startswith("BLUR") or isinstance(light, PointLight):
+        return self._blurring(self.drawn(moved, light, sides, [0.0] * len(meshes), is_mirrored=True, push=push))
+
+    def from_map(self, stored: Any, scene: Scene) -> EngineMap:
+        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+
+        `stored` is the depth texture for `PCF` and `PCSS` under directional and spot lights, and otherwise the colour:
+        the metric with the bias, or its exponential, before any blur. It is mirrored, as in the engine. For the
+        arguments and errors see `AbstractEngineShadows.from_map`.
+        """
+        light = engine_light(scene.light, BABYLON_NUDGE)
+        texels = self.checked_map(stored, light)
+        if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight):
+            depth = jnp.where(texels < 1, texels - self.bias / 2, 1)
+        else:
+            is_exponential = self.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP")
+            is_drawn = texels > 0 if is_exponential else texels != 1
+            metric = -jnp.log(jnp.where(is_drawn, texels, 1)) / self.depth_scale if is_exponential else texels
+            depth = jnp.where(is_drawn, depth_of_metric(metric - self.bias, light), 1)
+        return self._blurring(self.with_depth(depth, scene, light, [0.0] * len(scene.meshes)))
+
+    def _blurring(self, state: EngineMap) -> EngineMap:
+        """`state`, with the size of the blurred map if there is one."""
+        if not self.filter.startswith("BLUR") or isinstance(state.light, PointLight):
             return state
         size = max(int(self.resolution[0] / float(self.blur_scale)), 1)
         return dataclasses.replace(state, blurred=(size, size))

@@ -67,7 +67,8 @@ def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, flo
         if isinstance(side, str):
             lines += [f"material.{name} = {constants[side]};"]
         elif side is not None:
-            lines += [f"// material.{name} of each mesh: {', '.join(constants[one] for one in side)}"]
+            each = ("null" if one is None else constants[one] for one in side)
+            lines += [f"// material.{name} of each mesh: {', '.join(each)}"]
     if settings.reversed_depth:
         lines += ["// for a renderer with reversedDepthBuffer: true"]
     is_linear = given.type == "directional"

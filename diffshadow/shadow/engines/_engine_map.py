@@ -11,11 +11,13 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._misc import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
-from ...raster import Surface, rasterize_depth
+from ...raster import Surface, at_steps, rasterize_depth
 from .._technique import Side
 
 Sides = Side | tuple[Side, ...]
 """Which faces an engine draws: of all meshes, or of each."""
+ShadowSides = Sides | tuple[Side | None, ...]
+"""Of all meshes, or of each; None for what the engine chooses."""
 
 
 class EngineMap(eqx.Module):
@@ -137,11 +139,7 @@ def _snapped(
     clip = view.clip_vertices(vertices)
     clip = clip.at[..., 2].add(push * clip[..., 3])
     clip = clip * jnp.array([-1.0, 1.0, 1.0, 1.0]) if flip else clip
-    ahead = clip[..., 3:] > 0
-    w = jnp.where(ahead, clip[..., 3:], 1)
-    steps = as_float(resolution[::-1]) * (subpixels / 2)
-    placed = (jnp.round((clip[..., :2] / w + 1) * steps) / steps - 1) * w
-    return jnp.concatenate([jnp.where(ahead, placed, clip[..., :2]), clip[..., 2:]], axis=-1)
+    return at_steps(clip, resolution, subpixels)
 
 
 def _view_of(light: AbstractLight) -> View:

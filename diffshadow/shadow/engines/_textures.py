@@ -17,9 +17,13 @@ Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
 
 
 def as_half(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """`x` as a texture of half floats holds it, with the derivative of `x`."""
+    """`x` as a texture of half floats holds it, with the derivative of `x`.
+
+    Of subnormal numbers, the software rasterizer keeps 13 more bits, and then rounds them. So what lies just beyond the
+    middle of two is rounded to the even one.
+    """
     # XLA may leave out a conversion to half floats and back. Its `reduce_precision` knows no subnormal numbers.
-    subnormal = jnp.round(x * 2.0**24) * 2.0**-24
+    subnormal = jnp.round(jnp.trunc(x * 2.0**37) * 2.0**-13) * 2.0**-24
     return with_gradient_of(x, jnp.where(jnp.abs(x) < 2.0**-14, subnormal, lax.reduce_precision(x, 5, 10)))
 
 
@@ -42,15 +46,22 @@ def _of_four(
 ) -> Float[Array, "*n"]:
     """The bilinear mean at (x, y), in texels."""
     left, below = (jnp.floor(lax.stop_gradient(at) - 0.5) for at in (x, y))
-    right_share, upper_share = x - 0.5 - left, y - 0.5 - below
+    column, row = left.astype(jnp.int32), below.astype(jnp.int32)
+    across, up = x - 0.5 - left, y - 0.5 - below
+    in_row = lambda k: mix(of(read(column, row + k)), of(read(column + 1, row + k)), across)
+    # A loop, so that `of` is compiled less often.
+    rows = lax.map(in_row, jnp.arange(2, dtype=jnp.int32))
+    return mix(rows[0], rows[1], up)
 
-    def add(total: Array, corner: Array) -> tuple[Array, None]:
-        across, up = corner % 2, corner // 2
-        weight = jnp.where(across, right_share, 1 - right_share) * jnp.where(up, upper_share, 1 - upper_share)
-        return total + weight * of(read(left.astype(jnp.int32) + across, below.astype(jnp.int32) + up)), None
 
-    # A loop, so that `of` is compiled once.
-    return lax.scan(add, jnp.zeros_like(x), jnp.arange(4, dtype=jnp.int32))[0]
+def mix(low: Array, high: Array, share: Array) -> Array:
+    """Between two values, as the software rasterizer computes it: of equal ones, it is that value to the bit."""
+    return low + rounded(share * (high - low))
+
+
+def rounded(product: Array) -> Array:
+    """`product`, which is rounded before anything is added to it: compilers fuse no maximum into a multiply-add."""
+    return jnp.maximum(product, -jnp.finfo(product.dtype).max)
 
 
 def place_in_cube(

@@ -1,5 +1,6 @@
 """The shadows of three.js (r187, `WebGLRenderer`)."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -16,7 +17,8 @@ from .._compare import AbstractCompare, HardCompare
 from .._technique import Side
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._engine_map import EngineMap, Sides, each_of
+from ._engine_map import EngineMap, ShadowSides, Sides, each_of
+from ._given import THREE_NUDGE, three_directional_light, three_point_light, three_spot_light
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 from ._variance import at_receivers, blurred, chebyshev
 
@@ -26,8 +28,6 @@ _TAPS = 5
 _GOLDEN_ANGLE = 2.399963229728653
 # The side that casts, of each side of a material: the renderer's own table.
 _OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
-# Added to the axis of a light that looks straight up or down.
-_NUDGE = 1e-4
 
 
 class ThreeJs(AbstractEngineShadows):
@@ -42,9 +42,9 @@ class ThreeJs(AbstractEngineShadows):
     - `blur_samples`: taps of the box along each axis (VSM).
     - `side`: of the meshes' materials, `"front"`, `"back"` or `"double"`: of all, or of each. Back sides negate
         `normal_bias`.
-    - `shadow_side`: of the materials too; which faces cast. If it is left out, front sides cast their back faces, back
-        sides their front faces and double sides both; with VSM, what `side` says. So a closed mesh has no acne, and a
-        single ground plane casts nothing.
+    - `shadow_side`: of the materials too; which faces cast. If it is left out, or None for one of the meshes, front
+        sides cast their back faces, back sides their front faces and double sides both; with VSM, what `side` says. So
+        a closed mesh has no acne, and a single ground plane casts nothing.
     - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
 
@@ -66,10 +66,14 @@ class ThreeJs(AbstractEngineShadows):
     shadow_type: ShadowType = eqx.field(static=True, default="PCFShadowMap")
     blur_samples: int = eqx.field(static=True, default=8)
     side: Sides = eqx.field(static=True, default="front")
-    shadow_side: Sides | None = eqx.field(static=True, default=None)
+    shadow_side: ShadowSides | None = eqx.field(static=True, default=None)
     reversed_depth: bool = eqx.field(static=True, default=False)
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
     subpixels: int = eqx.field(static=True, default=256)
+
+    directional_light = staticmethod(three_directional_light)
+    spot_light = staticmethod(three_spot_light)
+    point_light = staticmethod(three_point_light)
 
     def __check_init__(self):
         check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
@@ -88,14 +92,15 @@ class ThreeJs(AbstractEngineShadows):
                 "the light is a point light, for which three.js draws no VSMShadowMap; expected BasicShadowMap or "
                 "PCFShadowMap: change shadow_type"
             )
-        offset = [-1.0 if one == "back" else 1.0 for one in each_of(self.side, scene.meshes, "sides")]
-        return self.drawn(scene, engine_light(scene.light, _NUDGE), self.casting_sides(scene), offset)
+        offset = _offsets(each_of(self.side, scene.meshes, "sides"))
+        return self.drawn(scene, engine_light(scene.light, THREE_NUDGE), self.casting_sides(scene), offset)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         is_variance = self.shadow_type == "VSMShadowMap"
         side = each_of(self.side, scene.meshes, "sides")
         default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
-        casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes, "sides")
+        given: tuple[Side | None, ...] = each_of(self.shadow_side, scene.meshes, "sides")
+        casting: list[Side] = [other if one is None else one for one, other in zip(given, default, strict=True)]
         receives = scene.receives or (True,) * len(side)
         casts = scene.casts or (True,) * len(side)
         if is_variance:
@@ -103,12 +108,27 @@ class ThreeJs(AbstractEngineShadows):
             casts = tuple(map(max, casts, receives))
         return tuple(one if does else None for one, does in zip(casting, casts, strict=True))
 
+    def from_map(self, stored: Any, scene: Scene) -> EngineMap:
+        """The state that `prepare` returns, with the depth texture that the engine has drawn in place of our map.
+
+        With VSM it is the texture before the blur. For the arguments and errors see `AbstractEngineShadows.from_map`.
+        """
+        light = engine_light(scene.light, THREE_NUDGE)
+        depth = self.checked_map(stored, light)
+        offset = _offsets(each_of(self.side, scene.meshes, "sides"))
+        return self.with_depth(1 - depth if self.reversed_depth else depth, scene, light, offset)
+
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         What lies outside of the light's frustum is lit. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
+
+
+def _offsets(side: Sequence[Side]) -> list[float]:
+    """The factor of each mesh's normal bias."""
+    return [-1.0 if one == "back" else 1.0 for one in side]
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._misc import as_float, safe_sqrt
 from ..._types import HostArray
-from ._textures import as_half
+from ._textures import as_half, mix, rounded
 
 _LEAST_VARIANCE = 1e-7
 # Light bleeding below this bound is cut off.
@@ -37,7 +37,7 @@ def blurred(depth: Float[Array, "h w"], radius: Array, samples: int) -> Moments:
     """
     height, width = depth.shape
     offsets, zeros = as_float(_offsets(samples)), (jnp.zeros_like(depth), jnp.zeros_like(depth))
-    squares = _rounded(depth * depth)
+    squares = rounded(depth * depth)
 
     def along_column(sums: Moments, offset: Array) -> tuple[Moments, None]:
         row = _in_texels(_centres(height, radius * offset), height).astype(jnp.int32)
@@ -48,7 +48,7 @@ def blurred(depth: Float[Array, "h w"], radius: Array, samples: int) -> Moments:
     def along_row(sums: Moments, offset: Array) -> tuple[Moments, None]:
         columns = _between(_centres(width, radius * offset), width)
         mean, deviation = (_in_own_row(_mixed(part, columns)) for part in vertical)
-        square = _rounded(deviation * deviation) + _rounded(mean * mean)
+        square = rounded(deviation * deviation) + rounded(mean * mean)
         return (sums[0] + mean, sums[1] + square), None
 
     return _as_stored(*lax.scan(along_row, zeros, offsets)[0], samples)
@@ -91,14 +91,14 @@ def _offsets(samples: int) -> HostArray:
 
 def _centres(size: int, offset: Array | float) -> Float[Array, " n"]:
     """The centres of `size` texels, moved by `offset` texels, from 0 to 1 over the texture."""
-    moved = jnp.arange(size) + 0.5 + _rounded(as_float(offset))
+    moved = jnp.arange(size) + 0.5 + rounded(as_float(offset))
     # A division by a scalar would become a product with its reciprocal.
     return moved / jnp.where(moved == moved, size, moved)
 
 
 def _in_texels(place: Float[Array, "*n"], size: int) -> Float[Array, "*n"]:
     """A place from 0 to 1 in texels, clamped to less than `size`."""
-    return _rounded(jnp.clip(place, 0, 1 - jnp.finfo(place.dtype).eps / 2) * size)
+    return rounded(jnp.clip(place, 0, 1 - jnp.finfo(place.dtype).eps / 2) * size)
 
 
 def _between(place: Float[Array, "*n"], size: int) -> _Between:
@@ -111,7 +111,7 @@ def _between(place: Float[Array, "*n"], size: int) -> _Between:
 
 def _mixed(part: Float[Array, "h w"], columns: _Between) -> Float[Array, "h w"]:
     """Each row between the two columns."""
-    return _mix(part[:, columns.low], part[:, columns.high], columns.share)
+    return mix(part[:, columns.low], part[:, columns.high], columns.share)
 
 
 def _in_own_row(part: Float[Array, "h w"]) -> Float[Array, "h w"]:
@@ -120,28 +120,19 @@ def _in_own_row(part: Float[Array, "h w"]) -> Float[Array, "h w"]:
     if size & (size - 1) == 0:
         return part
     rows = _between(_centres(size, 0.0), size)
-    return _mix(part[rows.low], part[rows.high], rows.share[:, None])
+    return mix(part[rows.low], part[rows.high], rows.share[:, None])
 
 
 def _mixed_between(part: Float[Array, "h w"], columns: _Between, rows: _Between) -> Float[Array, "*n"]:
-    at = lambda row: _mix(part[row, columns.low], part[row, columns.high], columns.share)
-    return _mix(at(rows.low), at(rows.high), rows.share)
+    at = lambda row: mix(part[row, columns.low], part[row, columns.high], columns.share)
+    return mix(at(rows.low), at(rows.high), rows.share)
 
 
 # --- Rounding ---
 
 
-def _mix(low: Array, high: Array, share: Array) -> Array:
-    return low + _rounded(share * (high - low))
-
-
-def _rounded(product: Array) -> Array:
-    """`product`, which is rounded before anything is added to it: compilers fuse no maximum into a multiply-add."""
-    return jnp.maximum(product, -jnp.finfo(product.dtype).max)
-
-
 def _as_stored(total: Array, squares: Array, samples: int) -> Moments:
     """Mean and standard deviation of sums over `samples`, in half floats."""
     share = as_float(np.float32(1) / np.float32(samples))
-    mean, square = total * share, _rounded(squares * share)
-    return as_half(mean), as_half(safe_sqrt(square - _rounded(mean * mean)))
+    mean, square = total * share, rounded(squares * share)
+    return as_half(mean), as_half(safe_sqrt(square - rounded(mean * mean)))

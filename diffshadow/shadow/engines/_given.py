@@ -1,0 +1,185 @@
+"""Lights from the numbers that engines have for them."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..._types import HostArray, Resolution
+from ...geometry import DirectionalLight, PointLight, SpotLight
+from ._abstract import upright_axes
+
+Point = Sequence[float] | HostArray
+"""x, y and z, world units."""
+
+THREE_NUDGE = 1e-4
+"""What three.js adds to the z of the axis towards a light that looks straight up or down."""
+BABYLON_NUDGE = -1e-13
+"""What Babylon.js adds to it."""
+
+
+def three_directional_light(
+    position: Point,
+    target: Point = (0.0, 0.0, 0.0),
+    *,
+    left: float = -5.0,
+    right: float = 5.0,
+    top: float = 5.0,
+    bottom: float = -5.0,
+    near: float = 0.5,
+    far: float = 500.0,
+    angular_radius: float = 0.0,
+) -> DirectionalLight:
+    """three.js' `DirectionalLight`, with its `shadow.camera`; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
+    - `left`, `right`, `top`, `bottom`, `near`, `far`: of `light.shadow.camera`, world units from the position.
+    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+
+    **Raises** what `DirectionalLight` raises.
+    """
+    window = (left, right, top, bottom)
+    return _parallel(position, np.subtract(target, position), window, (near, far), angular_radius, THREE_NUDGE)
+
+
+def three_spot_light(
+    position: Point,
+    target: Point = (0.0, 0.0, 0.0),
+    *,
+    angle: float = math.pi / 3,
+    near: float = 0.5,
+    far: float = 500.0,
+    distance: float = 0.0,
+    focus: float = 1.0,
+    aspect: float = 1.0,
+    resolution: Resolution = (512, 512),
+    radius: float = 0.0,
+) -> SpotLight:
+    """three.js' `SpotLight`, with its `shadow`; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
+    - `angle`: `light.angle`: from the cone's axis to its side, in radians.
+    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
+    - `focus`, `aspect`: of `light.shadow`.
+    - `resolution`: of the map, (height, width); the window is as wide over its height as the map, times `aspect`.
+    - `radius`: of the light's disk, in world units, for references; the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    height, width = resolution
+    direction, half_angle = np.subtract(target, position), math.degrees(angle * focus)
+    return SpotLight(position, direction, half_angle, near, distance or far, radius, aspect=aspect * width / height)
+
+
+def three_point_light(
+    position: Point, *, near: float = 0.5, far: float = 500.0, distance: float = 0.0, radius: float = 0.0
+) -> PointLight:
+    """three.js' `PointLight`, with its `shadow.camera`; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`: `light.position`, (3,), world units.
+    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
+    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, near, distance or far, radius)
+
+
+def babylon_directional_light(
+    position: Point,
+    direction: Point,
+    *,
+    ortho_left: float,
+    ortho_right: float,
+    ortho_top: float,
+    ortho_bottom: float,
+    shadow_min_z: float,
+    shadow_max_z: float,
+    shadow_ortho_scale: float = 0.1,
+    angular_radius: float = 0.0,
+) -> DirectionalLight:
+    """Babylon.js' `DirectionalLight` whose `autoUpdateExtends` is false.
+
+    Its camera is left-handed, so that its left is this library's right.
+
+    **Arguments:**
+
+    - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
+    - `ortho_left` to `ortho_bottom`: `light.orthoLeft` and the others, world units.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units from the position.
+    - `shadow_ortho_scale`: `light.shadowOrthoScale`: the part of its width by which the window is wider on each side,
+        and of its height.
+    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+
+    **Raises** what `DirectionalLight` raises.
+    """
+    across, upwards = ((ortho_right - ortho_left) * shadow_ortho_scale, (ortho_top - ortho_bottom) * shadow_ortho_scale)
+    window = (-ortho_right - across, -ortho_left + across, ortho_top + upwards, ortho_bottom - upwards)
+    return _parallel(position, direction, window, (shadow_min_z, shadow_max_z), angular_radius, BABYLON_NUDGE)
+
+
+def babylon_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    angle: float,
+    shadow_min_z: float,
+    shadow_max_z: float,
+    shadow_angle_scale: float = 1.0,
+    radius: float = 0.0,
+) -> SpotLight:
+    """Babylon.js' `SpotLight`.
+
+    **Arguments:**
+
+    - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
+    - `angle`: `light.angle`: the full cone, in radians.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes those of the camera.
+    - `shadow_angle_scale`: `light.shadowAngleScale`.
+    - `radius`: of the light's disk, in world units, for references; the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    half_angle = math.degrees(angle * shadow_angle_scale / 2)
+    return SpotLight(position, direction, half_angle, shadow_min_z, shadow_max_z, radius)
+
+
+def babylon_point_light(
+    position: Point, *, shadow_min_z: float, shadow_max_z: float, radius: float = 0.0
+) -> PointLight:
+    """Babylon.js' `PointLight`.
+
+    **Arguments:**
+
+    - `position`: `light.position`, (3,), world units.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes those of the camera.
+    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, shadow_min_z, shadow_max_z, radius)
+
+
+def _parallel(
+    position: Point,
+    direction: Point,
+    window: tuple[float, float, float, float],
+    ends: tuple[float, float],
+    angular_radius: float,
+    nudge: float,
+) -> DirectionalLight:
+    """The light of a parallel camera at `position`, with its left, right, top and bottom, and its near and far."""
+    left, right, top, bottom = window
+    # A direction that is zero is refused by the light.
+    is_given = np.isfinite(direction).all() and np.any(direction)
+    axes = upright_axes(direction, nudge) if is_given else np.eye(3)
+    center = np.asarray(position, np.float64) + (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]
+    is_vertical = np.hypot(axes[2, 0], axes[2, 2]) < abs(2 * nudge)
+    up = axes[1] if is_vertical else (0.0, 1.0, 0.0)
+    return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)
