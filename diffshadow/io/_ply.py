@@ -111,6 +111,8 @@ def _header(data: bytes) -> _Header:
     if last is None:
         raise damaged("its header has no end_header")
     starts = [last.end()]
+    if last[1] == b"\n" and data[last.end() : last.end() + 1] == b"\r":
+        starts.append(last.end() + 1)
     if last[1] == b"\r\n":
         # The last byte belongs to the data if other lines end in the first alone.
         starts.insert(0 if first[1] == b"\r" else 1, last.end() - 1)

@@ -189,6 +189,7 @@ PLY_ENDS = {
     "windows_last_line": binary_ply("\n", "\r\n"),
     "unix_last_line": binary_ply("\r\n", "\n"),
     "old_mac_windows_last_line": binary_ply("\r", "\r\n"),
+    "the_other_way_round": binary_ply("\n\r"),
     "spaces_behind_the_last_word": binary_ply("\n", " \n"),
     "old_mac_data_of_line_ends": binary_ply("\r").replace(struct.pack("<f", 0), b"\n\0\0\0", 1),
     "mixed": PLY_SQUARE.replace("\n", "\r\n", 3),

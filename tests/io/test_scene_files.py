@@ -291,9 +291,12 @@ def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
         {**MESH, "name": "lost", "geometry": "nowhere"},
         {**MESH, "name": "posts", "type": "InstancedMesh", "count": 2, "instanceMatrix": few},
     ]
-    scene = read_scene(stored(tmp_path, odd[0], MESH, *odd[1:], geometries=[BOX, empty, tube]))
+    bare = {**soup_of({"position": {**POSITION, "array": []}}), "uuid": "b"}
+    odd.append({**MESH, "name": "bare", "geometry": "b"})
+    scene = read_scene(stored(tmp_path, odd[0], MESH, *odd[1:], geometries=[BOX, empty, tube, bare]))
     assert [mesh.name for mesh in scene.meshes] == ["box"]
-    said = [remark for remark in scene.remarks if "left out" in remark]
+    assert "bare: it has no triangles; left out" in scene.remarks
+    said = [remark for remark in scene.remarks if "left out, since" in remark]
     assert [remark.partition(": left out, since the file ")[0] for remark in said] == [
         "label",
         "pipe 0, pipe 1, pipe 2, pipe 3 and 2 others",

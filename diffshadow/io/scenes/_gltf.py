@@ -51,11 +51,12 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     materials = _all(Material, document.materials, "materials")
     meshes = []
     for part in parts_of(document, Buffers(document, binary, folder), left_out, faults):
+        name = _mesh_name(part.node, document)
         if not len(part.faces):
+            remarks.append(f"{name}: it has no triangles; left out")
             continue
         number = part.primitive.material
         material = Material() if number is None else item(materials, number, "material")
-        name = _mesh_name(part.node, document)
         side = "double" if material.double_sided else "front"
         emits = any(material.emissive_factor) or UNLIT in material.extensions
         meshes.append(SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits))

@@ -151,6 +151,8 @@ def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> lis
             elif len(whole.faces):
                 _remark_material(name, material, entry.object, remarks)
                 meshes.append(_mesh(name, whole, material, entry.object))
+            else:
+                remarks.append(f"{name}: it has no triangles; left out")
     fault = faults.error()
     if fault is not None and not meshes:
         raise fault
