@@ -9,10 +9,12 @@ from ._run import Run, Values
 
 # A value is on a bound if it is within this part of the bounds' distance from it.
 _ON_BOUND = 1e-3
-# The slope at a bound is that of a parabola through the losses there and at one and two of these parts further inside.
-_STEP = 0.02
-# The loss falls if the slope lowers it by more than this fraction over a step: noise and rounding lower it by less.
-_FALLS = 4e-3
+# The slope at a bound is the slope of a parabola through the losses there and at one and two of these parts further
+# inside.
+_STEP = 0.05
+# The loss falls if the slope lowers it by more than this fraction over a step: bounds that are twice as far apart would
+# then lower the error by a hundredth or more. Noise and rounding lower it by less.
+_FALLS = 1e-3
 
 
 class AtBound(NamedTuple):

@@ -173,6 +173,9 @@ def test_an_unexplained_reference_comes_first_and_silences_what_means_nothing():
     assert of.sentence.startswith("the fit does not explain its image: ")
     assert of.remedies[0].startswith("flip the reference upside down: rays in this scene then differ from it by 0.0000")
     assert remarks(config, plan(), fallen, of.kind) == []
+    moved = fallen._replace(arrangement=True, precision=fit.Precision(NAMES, {}, [], [NAMES]))
+    assert remarks(config, plan(), moved, of.kind) == []
+    assert "the image hardly determines bias.constant and filter.radius" in remarks(config, plan(), moved)[0]
 
 
 @pytest.mark.parametrize(

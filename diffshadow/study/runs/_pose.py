@@ -115,11 +115,16 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
         console.print(Text(f"blurred RMSE of {len(losses)} starts after the first phases, best first: {listed}"))
 
 
-def pose_remarks(config: Config, result: fit.FitResult) -> Iterator[str]:
-    """A sentence for each parameter that the image does not determine, with the cause."""
+def pose_remarks(config: Config, result: fit.FitResult, *, is_explained: bool = True) -> Iterator[str]:
+    """A sentence for each parameter that the image does not determine, with the cause.
+
+    **Arguments:**
+
+    - `is_explained`: whether the fit explains the image. If not, nothing is said of how well it determines the values.
+    """
     for name in result.flat:
         yield f"{name} was not fitted: its gradient is zero throughout, {_cause(config, name)}"
-    for group in () if result.precision is None else result.precision.undetermined:
+    for group in () if result.precision is None or not is_explained else result.precision.undetermined:
         if len(group) == 1:
             yield f"the image hardly determines {group[0]}: other values of it fit as well"
         else:

@@ -30,7 +30,7 @@ def remarks(config: Config, plan: FitPlan, result: FitResult, kind: Kind = "fitt
     if result.arrangement is None:
         sentences = [_flat(config, name) for name in result.flat]
     else:
-        sentences = list(pose_remarks(config, result))
+        sentences = list(pose_remarks(config, result, is_explained=kind != UNEXPLAINED))
     if kind == UNEXPLAINED:
         return sentences
     sentences += [*_undecided(plan.parameters, result), *_few_points(plan, result)]
