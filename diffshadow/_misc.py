@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int
 
 
 def as_float(x: Any) -> Array:
@@ -195,6 +196,21 @@ def at_most(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) ->
 def at_least(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -> Float[Array, "*n"]:
     """`max(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
     return x if bound is None else jnp.where(x < bound, bound, x)
+
+
+@custom_vmap
+def for_any(condition: Bool[Array, ""]) -> Bool[Array, ""]:
+    """`condition`; under `jax.vmap`, whether it holds for any of the batch.
+
+    For a branch of `lax.cond` that changes nothing where the condition does not hold. With a condition of its own for
+    each of the batch, JAX would take both branches for all, and has no reverse mode for a branch that reads tangents.
+    """
+    return condition
+
+
+@for_any.def_vmap
+def _for_any_of_batch(size, is_batched, condition):
+    return jnp.any(condition, axis=0) if is_batched[0] else condition, False
 
 
 @jax.custom_jvp

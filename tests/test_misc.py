@@ -12,10 +12,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from scenes import compiled_programs
 
 import diffshadow
-from diffshadow._misc import as_array, as_float, in_unit_range, round_up_to_power_of_two, safe_divide, safe_norm
+from diffshadow._misc import (
+    as_array,
+    as_float,
+    for_any,
+    in_unit_range,
+    round_up_to_power_of_two,
+    safe_divide,
+    safe_norm,
+)
 
 
 def test_a_norm_has_no_slope_at_zero_and_its_own_elsewhere():
@@ -35,6 +44,28 @@ def test_what_is_kept_in_range_has_second_derivatives():
     square = lambda x: in_unit_range(x) ** 2
     forward, reverse = jax.jacfwd(jax.jacfwd(square)), jax.grad(jax.grad(square))
     assert [float(second(jnp.asarray(0.3))) for second in (forward, reverse)] == [2, 2]
+
+
+@jax.custom_jvp
+def _square_if_positive(x):
+    return jnp.where(x > 0, x * x, 0)
+
+
+@_square_if_positive.defjvp
+def _square_if_positive_jvp(primals, tangents):
+    """As filters do it: a branch reads tangents, and changes nothing where its condition does not hold."""
+    (x,), (d,) = primals, tangents
+    slope = lax.cond(for_any(x > 0), lambda x, d: jnp.where(x > 0, 2 * x * d, 0), lambda x, d: 0 * d, x, d)
+    return _square_if_positive(x), slope
+
+
+@pytest.mark.parametrize("x", [[1.0, -2.0, 3.0], [-1.0, -2.0, -3.0]])
+def test_a_condition_for_any_of_a_batch_has_derivatives_in_reverse_mode(x):
+    of_all = lambda x: jnp.sum(jax.vmap(_square_if_positive)(x))
+    expected = 2 * np.maximum(x, 0)
+    np.testing.assert_array_equal(jax.jit(jax.grad(of_all))(jnp.array(x)), expected)
+    # The condition is one for all, so that the branch is skipped where it holds for none.
+    assert "cond[" in str(jax.make_jaxpr(jax.vmap(jax.grad(_square_if_positive)))(jnp.array(x)))
 
 
 def test_numbers_are_rounded_up_to_powers_of_two():

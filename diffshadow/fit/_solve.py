@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..shadow import Overflow
 from ._history import Report, report_overflow
 from ._parameters import Parameters
-from .problems import Images, Joint, any_of, multiplied, products, squares
+from .problems import Images, Joint, multiplied, products, squares
 from .solvers import Solver, Stop, optimistix_options, optimistix_solver
 
 Stacks = tuple[Float[Array, "..."], ...]
@@ -100,9 +100,7 @@ def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " 
     """
 
     def differences(fraction: Array) -> tuple[Images, Overflow]:
-        overflows: list[Overflow] = []
-        found = joint.differences(parameters.put(joint.subject, parameters.at(fraction)), overflows)
-        return found, any_of(overflows)
+        return joint.differences(parameters.put(joint.subject, parameters.at(fraction)))
 
     # Few parameters, many pixels: forward.
     pushed = jax.vmap(lambda way: jax.jvp(differences, (fraction,), (way,), has_aux=True), out_axes=(None, 0, None))

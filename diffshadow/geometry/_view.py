@@ -98,6 +98,13 @@ class View(eqx.Module):
         whole = jnp.round(from_axis * steps) + jnp.round(offset * steps)
         return jnp.concatenate([with_gradient_of(clip[..., :2], whole / steps), clip[..., 2:]], axis=-1)
 
+    @eqx.filter_jit
+    def shifted(self, texels: Float[Array, "2"], resolution: tuple[int, int]) -> "View":
+        """With its window moved, so that points lie so many `texels` further along x and y of a map of `resolution`."""
+        in_clip = jnp.append(2 * texels / jnp.array(resolution[::-1], texels.dtype), jnp.zeros(2, texels.dtype))
+        moved = self.eye_to_clip + in_clip[:, None] * self.eye_to_clip[..., 3:, :]
+        return self._with(self.world_to_eye, moved)
+
     def _with(self, world_to_eye: Float[Array, "*l 4 4"], eye_to_clip: Float[Array, "*m 4 4"]) -> "View":
         matrices = lambda view: (view.world_to_eye, view.eye_to_clip)
         return eqx.tree_at(matrices, self, (world_to_eye, eye_to_clip))

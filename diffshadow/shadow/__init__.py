@@ -11,6 +11,7 @@ from ._irregular import IrregularScene as IrregularScene
 from ._irregular import IrregularZBuffer as IrregularZBuffer
 from ._lookup import Lookup as Lookup
 from ._lookup import look_up as look_up
+from ._map import MapPlan as MapPlan
 from ._map import MapSettings as MapSettings
 from ._map import Overflow as Overflow
 from ._map import ShadowMap as ShadowMap

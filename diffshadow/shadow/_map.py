@@ -43,6 +43,7 @@ class ShadowMap(eqx.Module):
     - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
     - `view`: the light's view, found as the map is made, since every program that looks into the map needs it. For
         another light, make another map.
+    - `overflow`: whether silhouettes are missing, so that the map is wrong; none if drawing raises instead.
     """
 
     depth: Float[Array, "*l h w"]
@@ -51,6 +52,7 @@ class ShadowMap(eqx.Module):
     silhouettes: SilhouetteMap | None
     padded: Any
     view: View
+    overflow: Overflow | None
 
     def __init__(
         self,
@@ -60,9 +62,10 @@ class ShadowMap(eqx.Module):
         silhouettes: SilhouetteMap | None = None,
         padded: Any = None,
         view: View | None = None,
+        overflow: Overflow | None = None,
     ):
         self.depth, self.light, self.depth_format = depth, light, depth_format
-        self.silhouettes, self.padded = silhouettes, padded
+        self.silhouettes, self.padded, self.overflow = silhouettes, padded, overflow
         self.view = light.view() if view is None else view
 
     @property
@@ -83,7 +86,8 @@ def draw_shadow_map(
     polygon_offset: tuple[float, float] | None = None,
     edges: Edges | None = None,
     crossings: int | None = None,
-    overflows: list[Overflow] | None = None,
+    raises: bool = True,
+    shift: Float[Array, "2"] | None = None,
     buffer: Resolution | None = None,
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
@@ -110,8 +114,8 @@ def draw_shadow_map(
     - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
     - `crossings`: how many crossings of silhouettes with the sides of texels there is memory for; a static number, by
         default from `plan_crossings`. Under a trace, it is required with `edges`.
-    - `overflows`: a list. Instead of raising, `Overflow` is appended to it: silhouettes are missing from such a map, so
-        throw it away and draw again.
+    - `raises`: whether more crossings than that are an error. Otherwise the map's `overflow` says whether there are
+        more: throw such a map away, and draw again with more memory.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
@@ -120,7 +124,7 @@ def draw_shadow_map(
     the silhouettes have more `crossings`.
     """
     check_resolution("the shadow map's resolution", resolution)
-    view = light.view()
+    view = light.view() if shift is None else light.view().shifted(shift, resolution)
     check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
     if edges is not None:
         _check_allows_edges(view, resolution, depth_layer, cull)
@@ -169,15 +173,14 @@ def draw_shadow_map(
     seen, corners = _with_corners(clip, mesh.faces, resolution, test, polygon_offset)
     depth = depth_of(seen)
     silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
-    if overflows is not None:
-        overflows.append(overflow)
-    else:
-        silhouettes = eqx.error_if(
-            silhouettes,
-            overflow,
-            f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these "
-            "edges have more; expected at least as many: pass crossings=plan_crossings(...)",
-        )
+    if not raises:
+        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow)
+    silhouettes = eqx.error_if(
+        silhouettes,
+        overflow,
+        f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these edges "
+        "have more; expected memory for all: pass crossings=plan_crossings(...), or a plan with a greater margin",
+    )
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
@@ -221,7 +224,7 @@ class MapSettings(NamedTuple):
     silhouettes: bool | None = None
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
-        """The shadow map of `casters` under `light`; `edges`, `crossings` and `overflows` as for `draw_shadow_map`."""
+        """The shadow map of `casters` under `light`; `edges`, `crossings` and `raises` as for `draw_shadow_map`."""
         given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 
@@ -239,6 +242,18 @@ class MapSettings(NamedTuple):
         return size if all(n <= side <= _MOST_SHARED for n, side in zip(image, size, strict=True)) else None
 
 
+class MapPlan(eqx.Module):
+    """What a technique must know of a scene before it draws a shadow map inside `jax.jit`.
+
+    - `edges`: of the casters; none for a map without silhouettes.
+    - `crossings`, `raises`: as for `draw_shadow_map`.
+    """
+
+    edges: Edges | None = None
+    crossings: int | None = eqx.field(static=True, default=None)
+    raises: bool = eqx.field(static=True, default=True)
+
+
 def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edges: Edges) -> int:
     """How many sides of texels this map's silhouettes cross, rounded up to a power of two.
 
@@ -249,7 +264,8 @@ def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edg
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((mesh, light, edges))):
         raise ValueError(
             "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
-            "number, since shapes must be known there: call plan_crossings(...) outside, and pass twice its result"
+            "number, since shapes must be known there: call plan_crossings(...) outside, and pass its result to "
+            "draw_shadow_map as crossings"
         )
     mesh = mesh.padded()
     return round_up_to_power_of_two(int(_crossings(mesh, light, edges.padded(mesh.faces.shape[0]), resolution)))

@@ -1,22 +1,24 @@
 """Shadow mapping: from a map and a surface to visibility."""
 
+import math
 from collections.abc import Mapping
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Int
 
 from .._checks import check_instance
 from .._misc import in_unit_range
 from .._types import Mask, Visibility
-from ..geometry import AbstractCamera, Edges, Scene
+from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ..raster import Cull, Surface, draw_surface
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
 from ._lookup import Lookup, look_up, within_frustum
-from ._map import MapSettings, ShadowMap
+from ._map import MapPlan, MapSettings, ShadowMap, plan_crossings
 from ._receiver import receiver
 from ._technique import AbstractTechnique, Side, of_casters
 from .biases import AbstractBias
@@ -67,19 +69,57 @@ class ShadowMapping(AbstractTechnique):
         """`map` with the resolution of a layer of the layout."""
         return self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
 
-    def prepare(self, scene: Scene, surface: Surface | None = None) -> ShadowMap:
+    def plan(
+        self, scene: Scene, surface: Surface | None = None, *, margin: float = 2.0, raises: bool = True
+    ) -> MapPlan:
+        """What `prepare` needs inside `jax.jit` for scenes like this one: with the same faces, moved or lit otherwise.
+
+        **Arguments:**
+
+        - `surface`: as for `prepare`.
+        - `margin`: for how many times the silhouettes of this scene there is memory.
+        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says which maps are.
+
+        **Raises** `ValueError` inside `jax.jit`, and what the layout raises.
+        """
+        if not self.map.silhouettes:
+            return MapPlan()
+        casters, light = self._lit_casters(scene, surface)
+        edges = Edges.of(casters)
+        crossings = plan_crossings(casters, light, self.layers.resolution, edges)
+        return MapPlan(edges, math.ceil(margin * crossings), raises)
+
+    def prepare(self, scene: Scene, surface: Surface | None = None, plan: MapPlan | None = None) -> ShadowMap:
         """The shadow map of the scene's casters under its only light.
 
         It depends on `surface` only if the layout does.
 
-        **Raises** what `draw_shadow_map` and the layout raise. For use inside `jax.jit`, call `draw_shadow_map`.
+        **Arguments:**
+
+        - `plan`: needed inside `jax.jit`, `grad` or `vmap` for a map with silhouettes; made outside by `plan`.
+
+        **Raises** what `draw_shadow_map` and the layout raise, and `ValueError` without a plan where one is needed.
         """
-        casters, camera = scene.casters, scene.camera
-        edges = Edges.of(casters) if self.map.silhouettes else None
+        if self.map.silhouettes and plan is None and _is_traced(scene):
+            raise ValueError(
+                "ShadowMapping.prepare was called inside jax.jit (or grad, or vmap) for a map with silhouettes, and no "
+                "plan was given; expected one: call plan = technique.plan(scene) outside, and "
+                "prepare(scene, plan=plan) inside"
+            )
+        if plan is not None and (plan.edges is not None) != bool(self.map.silhouettes):
+            raise ValueError(
+                f"the plan has {'no edges' if plan.edges is None else 'edges'}, and map.silhouettes is "
+                f"{self.map.silhouettes}; expected a plan for this map: make it with technique.plan(scene)"
+            )
+        casters, light = self._lit_casters(scene, surface)
+        plan = MapPlan(Edges.of(casters) if self.map.silhouettes else None) if plan is None else plan
+        return self.layers.draw(casters, light, edges=plan.edges, crossings=plan.crossings, raises=plan.raises)
+
+    def _lit_casters(self, scene: Scene, surface: Surface | None) -> tuple[Mesh, AbstractLight]:
+        """The scene's casters, and its light as the layout lays it out."""
         if self.layout.needs_surface and surface is None:
-            surface = draw_surface(scene.mesh, camera)
-        light = self.layout.light(scene.light, camera, self.map.resolution, surface)
-        return self.layers.draw(casters, light, edges=edges)
+            surface = draw_surface(scene.mesh, scene.camera)
+        return scene.casters, self.layout.light(scene.light, scene.camera, self.map.resolution, surface)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
@@ -104,6 +144,10 @@ class ShadowMapping(AbstractTechnique):
     def aliasing(self, state: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
         """How large the map's texels are on the screen of `camera`, which sees `surface`."""
         return _aliasing(self.layout, state, surface, camera)
+
+
+def _is_traced(scene: Scene) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene))
 
 
 @eqx.filter_jit

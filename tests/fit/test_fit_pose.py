@@ -136,7 +136,7 @@ def test_rectangle_light_takes_its_shadow_along():
 
     def moments(at):
         arrangement = with_values(one.arrangement, paths, at)
-        shadow_map, surface = one.draw(arrangement, overflows=[])
+        shadow_map, surface = one.draw(arrangement, raises=False)
         dark = 1 - arrangement.technique.visibility(shadow_map, surface)
         # A pixel of the camera is 3 / 64 wide.
         return (3 / 64) ** 2 * jnp.stack([dark.sum(), *(jnp.sum(dark * surface.position[..., k]) for k in (0, 2))])

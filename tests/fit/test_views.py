@@ -222,7 +222,7 @@ def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
         Joint.of(views, Loss("worst", false_light=2.0)).stacked(),
     )
     assert [type(each) for each in together.problems] == [Stack]
-    images, (stack,) = apart.differences(mapping), together.differences(mapping)
+    (images, _), ((stack,), _) = apart.differences(mapping), together.differences(mapping)
     for one, other in zip(images, np.asarray(stack), strict=True):
         np.testing.assert_allclose(np.asarray(one)[0], other, atol=1e-6)
     np.testing.assert_allclose(apart.shares, together.shares, rtol=1e-6)
@@ -252,7 +252,7 @@ def test_problems_of_several_structures_are_a_stack_and_problems(views, waved, s
     pixels = np.array([float(each.mask.sum()) for each in (*waved, lower)])
     np.testing.assert_allclose(joint.shares, pixels / pixels.sum(), rtol=1e-6)
     errors = [float(each.mean_square_error(mapping)) for each in (*waved, lower)]
-    np.testing.assert_allclose(squares(joint.differences(mapping)), errors, rtol=1e-5)
+    np.testing.assert_allclose(squares(joint.differences(mapping)[0]), errors, rtol=1e-5)
     assert float(joint.mean_square_error(mapping)) == pytest.approx(np.average(errors, weights=pixels), rel=1e-5)
     # Lights of another kind are a structure of their own.
     spot = eqx.tree_at(lambda p: p.shadow_map.light, views[0], lamp(floor_and_card()))

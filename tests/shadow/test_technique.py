@@ -1,9 +1,12 @@
 """The interface that all techniques share."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import marked, quad, side_camera, sun
+from scenes import floor_camera, marked, quad, side_camera, sun
 
 from diffshadow.geometry import Edges, Scene, merge
 from diffshadow.raster import draw_surface
@@ -13,6 +16,7 @@ from diffshadow.shadow import (
     Bias,
     Bilinear,
     IrregularZBuffer,
+    MapPlan,
     MapSettings,
     ProjectiveShadow,
     ShadowMapping,
@@ -91,3 +95,40 @@ def test_the_prepared_map_is_that_of_the_settings(silhouettes):
     np.testing.assert_array_equal(prepared.depth, drawn.depth)
     assert prepared.depth_format == "unorm16"
     assert (prepared.silhouettes is None) == (not silhouettes)
+
+
+OUTLINES = ShadowMapping(Bilinear(), Bias(1.0), map=MapSettings((32, 32), silhouettes=True))
+
+
+def _sunlit(direction):
+    return dataclasses.replace(SCENE, lights=dataclasses.replace(SCENE.light, direction=direction))
+
+
+@pytest.mark.exhaustive
+def test_several_lights_at_once_have_the_derivatives_of_each(seen):
+    """Of the light that reaches the floor, by the sun's direction, in reverse mode."""
+    plan, floor = OUTLINES.plan(SCENE), draw_surface(FLOOR, floor_camera(resolution=(32, 32)))
+
+    def lit(direction):
+        return jnp.mean(OUTLINES.visibility(OUTLINES.prepare(_sunlit(direction), plan=plan), floor))
+
+    directions = SCENE.light.direction + jnp.array([[0.1, 0, 0.05], [-0.2, 0, 0.1], [0.05, 0, -0.3]])
+    each = jax.jit(jax.grad(lit))
+    together = jax.jit(jax.grad(lambda directions: jnp.sum(jax.vmap(lit)(directions))))(directions)
+    expected = np.stack([each(direction) for direction in directions])
+    assert np.abs(expected).max() > 5e-3
+    np.testing.assert_allclose(together, expected, rtol=1e-3, atol=1e-6)
+
+
+def test_a_map_says_that_a_plan_has_too_little_memory():
+    of_margin = lambda margin: OUTLINES.prepare(SCENE, plan=OUTLINES.plan(SCENE, margin=margin, raises=False)).overflow
+    assert of_margin(0.1)
+    assert not of_margin(2.0)
+
+
+def test_maps_with_silhouettes_need_a_plan_inside_jit():
+    with pytest.raises(ValueError, match=r"no plan was given.*technique\.plan\(scene\).*prepare\(scene, plan=plan\)"):
+        jax.jit(lambda direction: OUTLINES.prepare(_sunlit(direction)).depth)(SCENE.light.direction)
+    with pytest.raises(ValueError, match=r"the plan has no edges, and map\.silhouettes is True"):
+        OUTLINES.prepare(SCENE, plan=MapPlan())
+    assert TECHNIQUES["shadow_map"].plan(SCENE) == MapPlan()

@@ -7,7 +7,6 @@ from ._blur import widest_blur as widest_blur
 from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import Samples as Samples
-from ._joint import any_of as any_of
 from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied
 from ._joint import products as products

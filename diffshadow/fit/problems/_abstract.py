@@ -42,11 +42,13 @@ class AbstractProblem(eqx.Module):
         """The technique of a subject."""
 
     @abc.abstractmethod
-    def difference(self, subject: Any, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere.
+    def difference(self, subject: Any) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere."""
 
-        **Arguments:** `overflows` as for `draw_shadow_map`.
-        """
+    def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "h w"], Overflow | None]:
+        """The difference, and instead of an error whether silhouettes are missing, so that it is wrong; none if nothing
+        is drawn that could overflow."""
+        return self.difference(subject), None
 
     @abc.abstractmethod
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:

@@ -72,16 +72,17 @@ class Joint(eqx.Module):
             raise ValueError(f"got a {' and a '.join(kinds)} to fit jointly; expected all of one kind")
         return cls(each[0].subject, each, Loss() if loss is None else loss)
 
-    def differences(self, subject: Any, overflows: list[Overflow] | None = None) -> Images:
+    def differences(self, subject: Any) -> tuple[Images, Overflow]:
         """Those of all problems, scaled so that the sum of the squares of each is its mean square error.
 
         Where the signs of differences have factors in the loss, their squares are multiplied by these.
 
-        **Arguments:** `overflows` as for `draw_shadow_map`.
-
-        **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem.
+        **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem; and whether silhouettes are missing
+        from a map, so that an image is wrong.
         """
-        return tuple(_scaled(self.loss, each.difference(subject, overflows), each.count) for each in self.problems)
+        found = [each.difference_and_overflow(subject) for each in self.problems]
+        images = tuple(_scaled(self.loss, own, each.count) for (own, _), each in zip(found, self.problems, strict=True))
+        return images, _any_of([overflow for _, overflow in found if overflow is not None])
 
     def compared(self, differences: Images) -> Images:
         """The part of all differences that the fit makes small."""
@@ -94,15 +95,14 @@ class Joint(eqx.Module):
 
     def losses(self, subject: Any) -> Losses:
         """The loss, and the errors that it is made of."""
-        overflows: list[Overflow] = []
-        differences = self.differences(subject, overflows)
+        differences, overflow = self.differences(subject)
         compared, errors = squares(self.compared(differences)), squares(differences)
         of_compared, whole = _weighed(self.loss, [compared, errors], self.shares)
-        return Losses(of_compared, whole, errors, any_of(overflows))
+        return Losses(of_compared, whole, errors, overflow)
 
     def sides(self, subject: Any) -> tuple[Scalar, Scalar]:
         """The losses of what is too dark alone, and of what is too light alone."""
-        differences = self.differences(subject)
+        differences, _ = self.differences(subject)
         errors = [squares(each) for each in _by_sign(differences)]
         dark, light = _weighed(self.loss, errors, self.shares)
         return dark, light
@@ -232,7 +232,8 @@ def _by_sign(images: Images) -> tuple[Images, Images]:
 
 @eqx.filter_jit
 def _errors(joint: Joint) -> Errors:
-    return squares(joint.differences(joint.subject))
+    differences, _ = joint.differences(joint.subject)
+    return squares(differences)
 
 
 def squares(images: Images) -> Errors:
@@ -252,8 +253,7 @@ def multiplied(images: Images, factors: Errors) -> Images:
     return tuple(each * factors[end - len(each) : end, None, None] for each, end in zip(images, ends, strict=True))
 
 
-def any_of(overflows: Sequence[Overflow]) -> Overflow:
-    """Whether silhouettes are missing from any map."""
+def _any_of(overflows: Sequence[Overflow]) -> Overflow:
     xp = array_module(*overflows)
     return as_array(xp.any(xp.asarray(overflows, bool)))
 

@@ -118,29 +118,28 @@ class PoseProblem(AbstractProblem):
         """What is compared with the reference, (h, w): visibility times the cone's fraction."""
         return technique.visibility(shadow_map, surface) * cone_fraction(shadow_map.light, surface)
 
-    def difference(self, subject: Arrangement, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
-        """Visibility less reference, times the square root of the pixel's weight.
+    def difference(self, subject: Arrangement) -> Float[Array, "h w"]:
+        """Visibility less reference, times the square root of the pixel's weight."""
+        return self._difference(subject, *self.draw(subject))
 
-        **Arguments:** `overflows` as for `draw_shadow_map`.
-        """
-        image = self.image(*self.draw(subject, overflows), subject.technique)
-        return _weighted_difference(image, self.reference, self.weight)
+    def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "h w"], Overflow | None]:
+        """The difference, and instead of an error whether silhouettes are missing from its map."""
+        shadow_map, surface = self.draw(subject, raises=False)
+        return self._difference(subject, shadow_map, surface), shadow_map.overflow
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """The blur of each difference."""
         return blurred(differences, self.blur)
 
-    def draw(self, arrangement: Arrangement, overflows: list[Overflow] | None = None) -> tuple[ShadowMap, Surface]:
+    def draw(self, arrangement: Arrangement, *, raises: bool = True) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement.
 
-        **Arguments:** `overflows` as for `draw_shadow_map`.
+        **Arguments:** `raises` as for `draw_shadow_map`.
         """
         casters, light, every = _arranged(self.scene, arrangement, self.index)
         surface = draw_surface(every, self.scene.camera) if self.surface is None else self.surface
         light = arrangement.technique.layout.light(light, self.scene.camera, self.settings.resolution, surface)
-        shadow_map = self.settings.draw(
-            casters, light, edges=self._edges(), crossings=self.crossings, overflows=overflows
-        )
+        shadow_map = self.settings.draw(casters, light, edges=self._edges(), crossings=self.crossings, raises=raises)
         return shadow_map, surface
 
     @property
@@ -188,6 +187,10 @@ class PoseProblem(AbstractProblem):
         places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
         edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
         return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))
+
+    def _difference(self, subject: Arrangement, shadow_map: ShadowMap, surface: Surface) -> Float[Array, "h w"]:
+        image = self.image(shadow_map, surface, subject.technique)
+        return _weighted_difference(image, self.reference, self.weight)
 
     def _edges(self) -> Edges | None:
         if not self.settings.silhouettes:

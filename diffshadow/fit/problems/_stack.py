@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._misc import as_array, as_int, chunk_size
-from ...shadow import Atlas, Overflow, ShadowMap
+from ...shadow import Atlas, ShadowMap
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
 
@@ -45,8 +45,8 @@ class Stack(eqx.Module):
         bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
         return cls(together(bare), atlas, as_int(numbers))
 
-    def difference(self, subject: Any, overflows: list[Overflow] | None = None) -> Float[Array, "n h w"]:
-        """Those of all problems. Nothing is drawn that could overflow."""
+    def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "n h w"], None]:
+        """The differences of all problems. Nothing is drawn that could overflow."""
         images, *sides = self.problems.reference.shape
         # Several small ones keep all cores busy, and none is left over, which would be a second program.
         most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
@@ -59,7 +59,7 @@ class Stack(eqx.Module):
                 problem = dataclasses.replace(problem, shadow_map=self.atlas.reading(shadow_map, number))
             return problem.difference(subject)
 
-        return jax.lax.map(difference, (self.problems, self.numbers), batch_size=at_once)
+        return jax.lax.map(difference, (self.problems, self.numbers), batch_size=at_once), None
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """All of them."""

@@ -14,7 +14,7 @@ from ..._types import Mask, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
 from ...reference import Reference
-from ...shadow import EngineMap, FittableTechnique, Overflow, ShadowMap
+from ...shadow import EngineMap, FittableTechnique, ShadowMap
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
@@ -78,11 +78,8 @@ class TechniqueProblem(AbstractProblem):
         """The mean square error over the pixels that count."""
         return jnp.sum(self.residual(technique) ** 2)
 
-    def difference(self, subject: FittableTechnique, overflows: list[Overflow] | None = None) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere, times the root of their weight and factor.
-
-        Nothing is drawn that could overflow.
-        """
+    def difference(self, subject: FittableTechnique) -> Float[Array, "h w"]:
+        """Visibility less reference at the pixels that count, 0 elsewhere, times the root of its weight and factor."""
         visibility = subject.visibility(self.shadow_map, self.surface)
         return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
 

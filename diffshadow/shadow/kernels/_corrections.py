@@ -16,7 +16,7 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import chunk_size, take
+from ..._misc import chunk_size, for_any, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ..silhouettes import Rectangle
@@ -111,7 +111,7 @@ def _sums(
         return jax.tree.map(put, total, values)
 
     def step(total: Any, first: Int[Array, ""]) -> tuple[Any, None]:
-        return lax.cond(first < found.count, add, lambda total, _: total, total, first), None
+        return lax.cond(for_any(first < found.count), add, lambda total, _: total, total, first), None
 
     none = jnp.zeros(size, jnp.int32)
     total = jax.tree.map(zeros_like, jax.eval_shape(values_at, none, none)[1])

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from ..._misc import chunk_size, round_up_to_power_of_two, take
+from ..._misc import chunk_size, for_any, round_up_to_power_of_two, take
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from .._map import ShadowMap
@@ -146,7 +146,7 @@ class _Plain(AbstractTerms):
 
         like = jax.eval_shape(some, queue[0])
         none = lambda own: jax.tree.map(zeros_like, like)
-        step = lambda at_step: lax.cond(at_step[0] * at_once < most, some, none, at_step[1])
+        step = lambda at_step: lax.cond(for_any(at_step[0] * at_once < most), some, none, at_step[1])
         values = lax.map(step, (jnp.arange(capacity // at_once, dtype=jnp.int32), queue))
         # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
         put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
