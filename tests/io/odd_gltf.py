@@ -98,12 +98,14 @@ def sparse(builder: Builder) -> None:
 
 
 def sparse_from_zeros(builder: Builder) -> None:
-    places = np.arange(4, dtype=np.uint16)
+    """Places and values in one view, each at its own offset."""
+    places = np.arange(-2, 4, dtype=np.int16)
+    view = builder.view(np.frombuffer(places.tobytes() + CORNERS.tobytes(), np.uint8))
     builder.tree["accessors"][0] |= {
         "sparse": {
             "count": 4,
-            "indices": {"bufferView": builder.view(places), "componentType": CODES["uint16"]},
-            "values": {"bufferView": builder.view(CORNERS)},
+            "indices": {"bufferView": view, "byteOffset": 4, "componentType": CODES["uint16"]},
+            "values": {"bufferView": view, "byteOffset": 12},
         }
     }
     del builder.tree["accessors"][0]["bufferView"]

@@ -504,3 +504,57 @@ def test_a_file_without_normals_is_told(tmp_path):
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(FileError, match="has no normals of vertices"):
         load_mesh(tmp_path / "mesh.obj", None)
+
+
+# --- Places ---
+
+
+def about(axis, angle):
+    """A turn about x, y or z, as a matrix (4, 4)."""
+    turn, (i, j) = np.eye(4), [(1, 2), (2, 0), (0, 1)][axis]
+    turn[[i, j, i, j], [i, j, j, i]] = [math.cos(angle), math.cos(angle), -math.sin(angle), math.sin(angle)]
+    return turn
+
+
+def moved(x, y, z):
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+PLACED = moved(1, 2, 3) @ about(0, 0.3) @ about(1, 0.5) @ about(2, 0.7) @ np.diag([2, 1, 3, 1])
+"""By three.js' order of angles: the last turns first."""
+
+
+def assert_placed(mesh, own, matrix):
+    """The mesh's vertices are those of its `own`, moved by a matrix."""
+    np.testing.assert_allclose(mesh.vertices, (np.c_[own, np.ones(len(own))] @ matrix.T)[:, :3], atol=1e-6)
+
+
+def test_objects_are_turned_about_x_last_and_moved_by_what_they_stand_in(tmp_path):
+    pose = {"position": [1, 2, 3], "rotation": [0.3, 0.5, 0.7, "XYZ"], "scale": [2, 1, 3]}
+    child = {**MESH, "matrix": (moved(4, 0, 0) @ about(2, 0.9)).T.ravel().tolist()}
+    scene = read_scene(stored(tmp_path, {"type": "Group", **pose, "children": [child]}, MESH, SUN, EYE))
+    inner, plain = scene.meshes
+    assert_placed(inner, plain.vertices, PLACED @ moved(4, 0, 0) @ about(2, 0.9))
+
+
+def test_instances_stand_where_their_object_stands(tmp_path):
+    each = [moved(4, 0, 0) @ about(2, 0.9), moved(0, 5, 0)]
+    numbers = np.concatenate([matrix.T.ravel() for matrix in each]).tolist()
+    stamp = {"itemSize": 16, "type": "Float32Array", "array": numbers}
+    many = {**MESH, "type": "InstancedMesh", "count": 2, "instanceMatrix": stamp, "matrix": PLACED.T.ravel().tolist()}
+    whole, plain = read_scene(stored(tmp_path, many, MESH, SUN, EYE)).meshes
+    for part, matrix in zip(np.split(whole.vertices, 2), each, strict=True):
+        assert_placed(whole._replace(vertices=part), plain.vertices, PLACED @ matrix)
+
+
+def test_nodes_of_gltf_are_moved_by_those_above_them(tmp_path):
+    content = gltf()
+    quarter = [0, 0, math.sin(math.pi / 4), math.cos(math.pi / 4)]
+    above = {"children": [1], "rotation": quarter, "scale": [2, 1, 1], "translation": [5, 6, 7]}
+    content["nodes"] = [above, {"mesh": 0, "translation": [0, 3, 0], "rotation": quarter}]
+    (mesh,) = read_scene(as_file(tmp_path, content)).meshes
+    turn = about(2, math.pi / 2)
+    matrix = moved(5, 6, 7) @ turn @ np.diag([2, 1, 1, 1]) @ moved(0, 3, 0) @ turn
+    assert_placed(mesh, np.reshape(TRIANGLE, (3, 3)), matrix)
