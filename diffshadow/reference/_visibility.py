@@ -288,7 +288,7 @@ def _nothing_seen(scene: Scene, rays: CameraRays, triangles: Triangles) -> str:
     if distance.max() < near or distance.min() > far:
         remedy = (
             "turn the camera round"
-            if distance.max() < 0
+            if distance.max() < 0 and view.is_perspective
             else "set near and far to enclose the scene, or move the camera"
         )
     else:

@@ -161,14 +161,14 @@ scene:
   light: {light}
 {technique}
 """
-SUN, LAMP = "{type: directional, azimuth: 0, elevation: 45}", "{type: point, position: [0, 2, 2]}"
+SUN, POINT = "{type: directional, azimuth: 0, elevation: 45}", "{type: point, position: [0, 2, 2]}"
 FROM_BEHIND = "{type: directional, azimuth: 180, elevation: 45}"
 THREE, BABYLON = "technique: {type: three.js", "technique: {type: babylon.js"
 UNSET = "technique.side is front and technique.shadow_side is not set"
 # The light, the technique, the key and its value, and the side that casts; the last two are none without a remark.
 LOST = {
     "three.js' defaults": (SUN, THREE, UNSET, "back"),
-    "under a lamp": (LAMP, THREE, UNSET, "back"),
+    "under a lamp": (POINT, THREE, UNSET, "back"),
     "from behind": (FROM_BEHIND, THREE, None, None),
     "a back side from behind": (FROM_BEHIND, f"{THREE}, side: back", UNSET.replace("front", "back"), "front"),
     "a shadow side": (SUN, f"{THREE}, shadow_side: back", "technique.shadow_side is back", "back"),

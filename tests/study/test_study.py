@@ -79,7 +79,7 @@ def test_reference_is_kept_by_all_that_it_depends_on(monkeypatch):
         raise KeyFoundError
 
     monkeypatch.setattr(io, "cached_arrays", kept)
-    scene = build_scene(tiny())
+    scene = build_scene(tiny("scene.meshes.0.casts=false"))
     for override in (
         "name=other",
         "seed=1",

@@ -69,8 +69,7 @@ class EngineLight(NamedTuple):
 def _directional(light: DirectionalLight) -> EngineLight:
     direction = np.asarray(light.direction, np.float64)
     near, far = float(light.near), float(light.far)
-    # Engines place a directional light, too: in front of what its camera sees.
-    back = _NEAR - near if near <= 0 else 0.0
+    back = _back(near)
     position = np.asarray(light.center, np.float64) - back * direction / np.linalg.norm(direction)
     error = _EPSILON * float(np.abs([*position, back]).max()) if back else 0.0
     width, height = np.asarray(light.extent, np.float64) / 2
@@ -105,12 +104,17 @@ def _of_matrices(light: MatrixLight, resolution: Resolution) -> EngineLight:
         return EngineLight("spot", at, near, far, _target(eye, forward), None, angle, aspect)
     middle, half = -projection[:2, 3] / np.diag(projection)[:2], 1 / np.diag(projection)[:2]
     (left, bottom), (right, top) = middle - half, middle + half
-    back = _NEAR - near if near <= 0 else 0.0
+    back = _back(near)
     sides = plain([left, right, top, bottom], 4 * _EPSILON * float(np.abs([middle, half]).max()))
     near, far = plain([near + back, far + back], 4 * _EPSILON * max(abs(near), abs(far)))
     eye = eye - back * forward
     at = plain(eye, 2 * _EPSILON * float(np.linalg.norm([*eye, back])))
     return EngineLight("directional", at, near, far, _target(eye, forward), _window(sides))
+
+
+def _back(near: float) -> float:
+    """How far a directional light moves back: engines place it in front of what its camera sees."""
+    return _NEAR - near if near <= 0 else 0.0
 
 
 def _window(sides: list[float]) -> dict[str, float]:
