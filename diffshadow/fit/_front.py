@@ -9,8 +9,6 @@ from ._run import Run, Values
 
 # The ratio of the factors of false shadow and false light at the two ends of a front, and its inverse.
 _MOST_RATIO = 256.0
-FEWEST = 3
-"""The fewest points of a front."""
 
 
 class FrontPoint(NamedTuple):

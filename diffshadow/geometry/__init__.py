@@ -1,5 +1,6 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
+from ..settings.techniques import CascadeSelection as CascadeSelection
 from ._camera import AbstractCamera as AbstractCamera
 from ._camera import MatrixCamera as MatrixCamera
 from ._camera import OrthographicCamera as OrthographicCamera
@@ -40,7 +41,6 @@ from ._warp import Warp as Warp
 from .lights import AbstractFittedLight as AbstractFittedLight
 from .lights import AbstractLight as AbstractLight
 from .lights import CascadedLight as CascadedLight
-from .lights import CascadeSelection as CascadeSelection
 from .lights import DirectionalLight as DirectionalLight
 from .lights import Domain as Domain
 from .lights import LightPose as LightPose

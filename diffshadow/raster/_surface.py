@@ -8,7 +8,7 @@ from .._checks import check_instance
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, View, face_normals
-from ._bins import Cull
+from ..settings.maps import Cull
 from ._interpolate import (
     Rows,
     barycentrics_in_rows,

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Scene
-from ._sampling import Sampler, check_sampling
+from ..settings.reference import Sampler
+from ..settings.reference import TracedReference as Settings
+from ._sampling import check_sampling
 
 # Increase it whenever a change to this subpackage changes its images.
 _ALGORITHM = 1
@@ -15,7 +17,11 @@ _OF_SHADING = {"inner_angle"}
 
 
 def cache_key(
-    scene: Scene, samples: int = 64, sampler: Sampler = "sobol", seed: int = 0, supersampling: int = 1
+    scene: Scene,
+    samples: int = Settings.samples,
+    sampler: Sampler = Settings.sampler,
+    seed: int = 0,
+    supersampling: int = Settings.supersampling,
 ) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines the result of `trace_visibility`.
 

@@ -11,11 +11,13 @@ from jaxtyping import Bool, Float32, Float64, Int
 
 from .._types import HostArray
 from ..geometry import AbstractLight, Scene
+from ..settings.reference import Sampler
+from ..settings.reference import TracedReference as Settings
 from ._embree import EmbreeTracer
 from ._lamp import Lamp
 from ._rays import CameraRays, Hits, Rays, Triangles, hits_on_planes
 from ._reference import Reference
-from ._sampling import LightSampler, Sampler, check_sampling
+from ._sampling import LightSampler, check_sampling
 from ._tracer import AbstractTracer
 
 # Rays per batch: few enough to stay in cache, and to keep memory at tens of megabytes per thread.
@@ -27,11 +29,11 @@ _SHORT_OF_LIGHT = 2.0**-20
 
 def trace_visibility(
     scene: Scene,
-    samples: int = 64,
-    sampler: Sampler = "sobol",
+    samples: int = Settings.samples,
+    sampler: Sampler = Settings.sampler,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-    supersampling: int = 1,
+    supersampling: int = Settings.supersampling,
 ) -> Reference:
     """Traces how much of the scene's light is visible from each pixel of its camera.
 

@@ -1,11 +1,16 @@
 """Shadow mapping, its biases, compares and filters; shadow volumes, irregular z-buffers and projective shadows."""
 
+from ..settings.engines import BabylonFilter as BabylonFilter
+from ..settings.engines import BabylonQuality as BabylonQuality
+from ..settings.maps import SoftKernel as SoftKernel
+from ..settings.patterns import DiskMapping as DiskMapping
+from ..settings.techniques import LevelNorm as LevelNorm
+from ..settings.techniques import WarpMethod as WarpMethod
 from ._aliasing import Aliasing as Aliasing
 from ._aliasing import aliasing as aliasing
 from ._compare import AbstractCompare as AbstractCompare
 from ._compare import HardCompare as HardCompare
 from ._compare import SoftCompare as SoftCompare
-from ._compare import SoftKernel as SoftKernel
 from ._glsl import to_glsl as to_glsl
 from ._irregular import IrregularScene as IrregularScene
 from ._irregular import IrregularZBuffer as IrregularZBuffer
@@ -38,9 +43,7 @@ from .biases import PerceptronBias as PerceptronBias
 from .biases import ReceiverPlane as ReceiverPlane
 from .biases import SlopeBias as SlopeBias
 from .engines import AbstractEngineShadows as AbstractEngineShadows
-from .engines import BabylonFilter as BabylonFilter
 from .engines import BabylonJs as BabylonJs
-from .engines import BabylonQuality as BabylonQuality
 from .engines import EngineLight as EngineLight
 from .engines import EngineMap as EngineMap
 from .engines import EngineSetting as EngineSetting
@@ -66,12 +69,9 @@ from .kernels import mean_of_taps as mean_of_taps
 from .layouts import AbstractLayout as AbstractLayout
 from .layouts import Cascades as Cascades
 from .layouts import Choice as Choice
-from .layouts import LevelNorm as LevelNorm
 from .layouts import PerspectiveWarp as PerspectiveWarp
 from .layouts import ResolutionMatched as ResolutionMatched
 from .layouts import SingleMap as SingleMap
-from .layouts import WarpMethod as WarpMethod
-from .patterns import DiskMapping as DiskMapping
 from .patterns import Pattern as Pattern
 from .patterns import halton as halton
 from .patterns import poisson_disk as poisson_disk

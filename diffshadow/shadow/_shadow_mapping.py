@@ -1,5 +1,7 @@
 """Shadow mapping: from a map and a surface to visibility."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,7 +53,7 @@ class ShadowMapping(AbstractTechnique):
     @property
     def layers(self) -> MapSettings:
         """`map` with the resolution of a layer of the layout."""
-        return self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
+        return dataclasses.replace(self.map, resolution=self.layout.layer_resolution(self.map.resolution))
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ShadowMap:
         """The shadow map of the scene's casters under its only light.

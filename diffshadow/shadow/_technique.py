@@ -3,15 +3,14 @@
 import abc
 from typing import Any, Protocol, runtime_checkable
 
-import equinox as eqx
-
+from .._checks import CheckedModule
 from .._types import Mask, Visibility
 from ..geometry import Scene
 from ..raster import Surface
 from ._compare import AbstractCompare
 
 
-class AbstractTechnique(eqx.Module):
+class AbstractTechnique(CheckedModule):
     """Draws the shadows of a scene in two steps.
 
     `prepare` makes a state from what the light sees: a shadow map, a texture, or the edges to extrude. `visibility`

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from diffshadow.config import (
-    AdaptiveBiasConfig,
-    BiasConfig,
     ConfigError,
-    ReceiverPlaneConfig,
-    SoftCompareConfig,
     build_fit,
     build_scene,
     build_shading,
@@ -23,10 +19,11 @@ from diffshadow.config import (
     parse_config,
     with_fitted,
 )
-from diffshadow.config.sections._fitted import FILTERS
-from diffshadow.config.sections._marks import Limits, marked
+from diffshadow.config.sections._filters import FILTERS
 from diffshadow.fit import resolve
 from diffshadow.geometry import face_normals
+from diffshadow.settings import biases
+from diffshadow.settings.maps import SoftCompare
 from diffshadow.shadow import ThreeJs
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -244,22 +241,11 @@ def technique_of(*overrides: str):
     return build_technique(parse_config(TINY, overrides))
 
 
-def test_every_filter_s_settings_reach_its_module():
-    for kind, section in FILTERS.items():
-        config = parse_config(TINY, [f"filter={{type: {kind}}}"])
-        built = build_technique(config).filter
-        for key in section.model_fields:
-            if key in ("type", "pattern", "samples", "pattern_size", "rotated", "search_samples"):
-                continue
-            given, found = getattr(config.filter, key), getattr(built, key)
-            assert found == given or float(found) == pytest.approx(given), (kind, key)
-
-
-def at_the_limits(section) -> list[dict[str, float]]:
-    """The keys of `section` that are numbers, all at their least values, and all at their greatest."""
-    fields = {key: Limits.of(marked(field)[1]) for key, field in section.model_fields.items() if key != "type"}
-    fields = {key: limits for key, limits in fields.items() if limits.low is not None and key not in LARGE}
-    return [{key: limits[end] for key, limits in fields.items()} for end in (0, 1)]
+def at_the_limits(settings) -> list[dict[str, float]]:
+    """The keys of `settings` that are numbers, all at their least values, and all at their greatest."""
+    limits = {key: setting.limits for key, setting in settings.each().items() if not setting.choices}
+    limits = {key: each for key, each in limits.items() if each.low is not None and key not in LARGE}
+    return [{key: getattr(each, end) for key, each in limits.items()} for end in ("low", "high")]
 
 
 # Patterns of so many taps take seconds to make.
@@ -267,15 +253,14 @@ LARGE = ("samples", "search_samples", "pattern_size")
 
 
 def test_modules_take_what_their_keys_may_be_set_to():
-    for kind, section in FILTERS.items():
+    for kind, section in FILTERS.sections.items():
         for values in at_the_limits(section):
             technique_of(f"filter={json.dumps({'type': kind, **values})}")
-    for holder in (BiasConfig, ReceiverPlaneConfig, AdaptiveBiasConfig):
+    for holder in (biases.Bias, biases.ReceiverPlane, biases.AdaptiveBias):
         for values in at_the_limits(holder):
-            plane = {} if holder is BiasConfig else {"type": holder.model_fields["type"].default}
-            bias = {"plane": {**plane, **values}} if plane else values
+            bias = values if holder is biases.Bias else {"plane": {"type": holder.type, **values}}
             technique_of(f"bias={json.dumps(bias)}", "filter={type: nearest}")
-    for values in at_the_limits(SoftCompareConfig):
+    for values in at_the_limits(SoftCompare):
         technique_of(f"compare={json.dumps({'type': 'soft', **values})}")
 
 
@@ -318,7 +303,7 @@ def test_technique_follows_its_type():
 
 
 def test_everything_that_can_be_fitted_is_in_the_module_and_has_its_unit():
-    for kind in FILTERS:
+    for kind in FILTERS.sections:
         for plane in ("none", "receiver_plane", "adaptive"):
             text = f"{TINY}filter: {{type: {kind}}}\nbias: {{plane: {{type: {plane}}}}}\n"
             names = fit_paths(parse_config(text))

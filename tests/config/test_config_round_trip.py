@@ -10,9 +10,9 @@ import pytest
 
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
 from diffshadow.config.reading._keys import ROOT, Slot, _inside, slot_of
-from diffshadow.config.sections._marks import Limits
 from diffshadow.config.sections._scene import BUILTIN_MESHES
 from diffshadow.config.sections._section import Section
+from diffshadow.settings import Limits
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 # Sections and keys that name files, or are made below by hand.
@@ -146,5 +146,6 @@ def test_every_number_has_one_lower_and_one_upper_limit():
     assert len(found) > 80
     assert found.keys() >= AS_ANOTHER
     for path, slot in found.items():
-        counts = [sum(isinstance(mark, kinds) for mark in slot.marks) for kinds in ((Ge, Gt), (Le, Lt))]
+        marks = [single for mark in slot.marks for single in (mark if isinstance(mark, Limits) else (mark,))]
+        counts = [sum(isinstance(mark, kinds) for mark in marks) for kinds in ((Ge, Gt), (Le, Lt))]
         assert counts == ([0, 0] if path in AS_ANOTHER else [1, 1]), path

@@ -5,10 +5,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from ...settings import Form, Unit
+from ...settings.quantities import Size
 from .._errors import KeyPath, dotted, listing, show
 from ._axes import LABEL
 from ._poses import is_pose
-from ._section import Conflict, Form, Section, Size, Unit, as_list, fault
+from ._section import Conflict, Section, fault
 
 PARAMETERS = "parameters"
 """The key in an entry that holds the numbers to fit; all others but the label are set."""
@@ -17,8 +19,8 @@ LISTS = ("biases", "filters")
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
-Entries = Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")]
-_Sizes = Annotated[tuple[Size, ...], as_list, Form("a list of [height, width]"), Unit("texels")]
+Entries = Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")]
+_Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("texels")]
 
 
 def _bias(label: str, *fitted: str, plane: str = "none") -> dict[str, Any]:

@@ -6,13 +6,15 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from ...settings import Form, Unit
+from ...settings.quantities import Degrees, Turn
 from .._errors import KeyPath, dotted, show
-from ._section import Conflict, Degrees, Form, Section, Turn, Unit, as_list, fault, is_number, ordered, value_at
+from ._section import Conflict, Section, fault, is_number, value_at
 
 LABEL = "label"
 """The key in an entry of `list` that names the entry; all others are set."""
 
-Values = Annotated[tuple[Any, ...], as_list, Form("a list of values")]
+Values = Annotated[tuple[Any, ...], Form("a list of values")]
 _Hour = Annotated[float, Field(ge=0, le=24), Unit("hours")]
 SUN = ("scene.light.azimuth", "scene.light.elevation")
 """The keys that `sun` sets."""
@@ -25,10 +27,10 @@ class QuasiRandomAxisConfig(Section):
     upper: float = Field(description="greatest value")
     log: bool = Field(default=False, description="whether values are spread evenly on a logarithmic scale")
     integer: bool = Field(default=False, description="whether values are rounded to whole numbers")
+    ascending = (("lower", "upper"),)
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(cls, data, "lower", "upper")
         lower = data.get("lower")
         if data.get("log") is True and is_number(lower) and lower <= 0:
             yield ("lower",), fault(f"is {lower} on a logarithmic scale", "a number greater than 0", "raise it")
@@ -81,10 +83,7 @@ class SunConfig(Section):
     first: _Hour = Field(default=8.0, description="first hour, in solar time")
     last: _Hour = Field(default=16.0, description="last hour, in solar time")
     turn: Turn = Field(default=0.0, description="what is added to the azimuth, in degrees")
-
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(cls, data, "first", "last")
+    ascending = (("first", "last"),)
 
 
 class AxesConfig(Section):
@@ -94,7 +93,7 @@ class AxesConfig(Section):
     # Where such a section stands.
     at: ClassVar[str] = "sweep"
 
-    list: Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")] | None = Field(
+    list: Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")] | None = Field(
         default=None, description="sections of dotted keys to set together; label names one"
     )
     grid: dict[str, Values] | None = Field(default=None, description="values to combine, by dotted key")

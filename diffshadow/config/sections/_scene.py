@@ -3,35 +3,13 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field
 
+from ...settings import Form, Limits, Unit, scene
+from ...settings.quantities import FARTHEST, SMALLEST, Angles, Colour, Coordinate, Degrees, Distance, Position, Turn
 from .._errors import KeyPath, listing, nearest
-from ._lights import LightConfig
-from ._section import (
-    NARROWEST,
-    SMALLEST,
-    Angles,
-    Colour,
-    Conflict,
-    Coordinate,
-    Degrees,
-    Direction,
-    Form,
-    Position,
-    Radii,
-    Section,
-    Size,
-    Turn,
-    Unit,
-    WorldUnits,
-    as_list,
-    by_type,
-    exclusive,
-    fault,
-    given,
-    ordered,
-    value_at,
-)
+from ._lights import LightConfig, Radii
+from ._section import Conflict, Section, Variants, exclusive, fault, given, value_at
 
 BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
@@ -51,8 +29,8 @@ class MeshConfig(Section):
         description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="keyword options of a builtin mesh")
-    size: WorldUnits | None = Field(
-        default=None, ge=SMALLEST, description="longest side to scale the mesh to, in world units"
+    size: Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None = Field(
+        default=None, description="longest side to scale the mesh to, in world units"
     )
     drop_to_ground: bool = Field(
         default=False, description="whether to move the mesh up or down until it stands on y = 0"
@@ -107,19 +85,16 @@ class CameraOrbit(Section):
 
     azimuth: Turn = Field(default=30.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
     elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Radii = Field(
-        default=2.5, gt=0, description="distance from the mesh's middle, in radii of its bounding sphere"
-    )
+    distance: Radii = Field(default=2.5, description="distance from the mesh's middle, in radii of its bounding sphere")
 
 
 class _CameraConfig(Section):
-    resolution: Annotated[Size, Unit("pixels")] = Field(default=(512, 512), description="[height, width] in pixels")
     orbit: CameraOrbit | None = Field(
         default=None, description="placement by angles about the first mesh, instead of eye"
     )
     eye: Position | None = Field(default=None, description="position, in world units")
     target: Position | None = Field(default=None, description="point in the middle of the image, in world units")
-    up: Direction = Field(default=(0.0, 1.0, 0.0), description="direction that is upright in the image")
+    ascending = (("near", "far"),)
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -130,30 +105,22 @@ class _CameraConfig(Section):
         yield from exclusive(data, "orbit", "eye", "target")
         if given(data, "target") and not given(data, "eye", "orbit"):
             yield ("target",), fault("is given without eye", "eye with it", "add eye: [x, y, z] in world units")
-        yield from ordered(cls, data, "near", "far")
 
 
-class PinholeCameraConfig(_CameraConfig):
+class PinholeCameraConfig(_CameraConfig, scene.PinholeCamera):
     """A perspective camera."""
 
-    type: Literal["pinhole"] = "pinhole"
-    fov_y: Degrees = Field(
-        default=40.0, ge=NARROWEST, le=180 - NARROWEST, description="full vertical field of view, in degrees"
+    near: Distance | None = Field(
+        default=None, description="distance of the near plane, in world units; default: tight"
     )
-    near: WorldUnits | None = Field(
-        default=None, gt=0, description="distance of the near plane, in world units; default: tight"
-    )
-    far: WorldUnits | None = Field(
-        default=None, gt=0, description="distance of the far plane, in world units; default: tight"
-    )
+    far: Distance | None = Field(default=None, description="distance of the far plane, in world units; default: tight")
 
 
-class OrthographicCameraConfig(_CameraConfig):
+class OrthographicCameraConfig(_CameraConfig, scene.OrthographicCamera):
     """An orthographic camera."""
 
-    type: Literal["orthographic"] = "orthographic"
-    height: WorldUnits | None = Field(
-        default=None, gt=0, description="height of the view, in world units; default: the whole scene"
+    height: Distance | None = Field(
+        default=None, description="height of the view, in world units; default: the whole scene"
     )
     near: Coordinate | None = Field(
         default=None, description="distance of the near plane, in world units; default: tight"
@@ -163,21 +130,19 @@ class OrthographicCameraConfig(_CameraConfig):
     )
 
 
-CameraConfig = Annotated[
-    Annotated[PinholeCameraConfig, Tag("pinhole")] | Annotated[OrthographicCameraConfig, Tag("orthographic")],
-    by_type("pinhole"),
-]
+CAMERAS = Variants(scene.Camera, "pinhole", __name__)
+CameraConfig = Annotated[scene.Camera, CAMERAS]
 
 
 class SceneConfig(Section):
     """Meshes, camera and lights."""
 
-    meshes: Annotated[tuple[MeshConfig, ...], as_list, Form("a list of meshes, each with a path")] = Field(
+    meshes: Annotated[tuple[MeshConfig, ...], Form("a list of meshes, each with a path")] = Field(
         description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
     )
-    camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="camera of the image")
+    camera: CameraConfig = Field(default_factory=CAMERAS.make, description="camera of the image")
     light: LightConfig | None = Field(default=None, description="light that casts the shadows")
-    lights: Annotated[tuple[LightConfig, ...], as_list, Form("a list of lights")] | None = Field(
+    lights: Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None = Field(
         default=None, description="several lights instead of one"
     )
 

@@ -5,9 +5,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from ...settings import Form
+from ...settings.patterns import PatternSamples
 from .._errors import KeyPath, did_you_mean, listing, show
 from ._axes import LABEL, AxesConfig, settings_of
-from ._section import Conflict, Form, Section, Unit, as_list, exclusive, fault, value_at
+from ._section import Conflict, Section, exclusive, fault, value_at
 
 _FIXED = ("name", "output", "sweep")
 _ERRORS = ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate")
@@ -32,13 +34,11 @@ class SweepConfig(AxesConfig):
     repeats: int | None = Field(
         default=None, ge=1, le=65536, description="seeds for each combination, from the configuration's own upwards"
     )
-    seeds: Annotated[tuple[int, ...], as_list, Form("a list of whole numbers")] | None = Field(
+    seeds: Annotated[tuple[int, ...], Form("a list of whole numbers")] | None = Field(
         default=None, description="explicit seeds, instead of repeats"
     )
-    limit_samples: Annotated[int | None, Unit("taps per pixel")] = Field(
+    limit_samples: PatternSamples | None = Field(
         default=None,
-        ge=1,
-        le=2**20,
         description=f"taps of the converged random disk that {LIMIT_ERROR} is measured against; default: not measured",
     )
     plot: PlotConfig | None = Field(default=None, description="a figure of the results; default: none")

@@ -3,7 +3,6 @@
 from ._abstract import AbstractLight as AbstractLight
 from ._abstract import Domain as Domain
 from ._cascaded import CascadedLight as CascadedLight
-from ._cascaded import CascadeSelection as CascadeSelection
 from ._directional import DirectionalLight as DirectionalLight
 from ._fitted import AbstractFittedLight as AbstractFittedLight
 from ._matrix import MatrixLight as MatrixLight

@@ -1,7 +1,5 @@
 """A directional light whose shadow map is made of cascades."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,13 +7,12 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._types import Mat4
+from ...settings.techniques import Cascades as Settings
+from ...settings.techniques import CascadeSelection
 from .._pages import Tile
 from .._view import View
 from ._abstract import AbstractLight
 from ._fitted import AbstractFittedLight
-
-CascadeSelection = Literal["interval", "map"]
-"""Which cascade a point falls in: that of its depth, or the first whose map contains it."""
 
 
 class CascadedLight(AbstractFittedLight):
@@ -45,7 +42,7 @@ class CascadedLight(AbstractFittedLight):
     scale: Float[Array, "l 2"]
     offset: Float[Array, "l 2"]
     margin: Float[Array, "l 2"]
-    select: CascadeSelection = eqx.field(static=True, default="interval")
+    select: CascadeSelection = eqx.field(static=True, default=Settings.select)
     steps: Float[Array, "l 2"] | None = None
     sides: Int[Array, " l"] | None = None
 

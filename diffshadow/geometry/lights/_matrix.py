@@ -36,7 +36,7 @@ class MatrixLight(AbstractLight):
         matrices = matrices_of("the matrix light", world_to_eye, eye_to_clip, is_perspective)
         self.world_to_eye, self.eye_to_clip, self.is_perspective = matrices
 
-    def __check_init__(self):
+    def _check_rules(self):
         near, far = near_far_of(self.eye_to_clip, self.is_perspective)
         check_near_far("the matrix light", near, far, positive=self.is_perspective)
 

@@ -1,6 +1,7 @@
 """Light from a rectangle."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 from jax import lax
@@ -8,8 +9,9 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import Scalar, Vec2, Vec3
+from ...settings.scene import RectangleLight as Settings
 from .._view import View
-from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
+from ._abstract import AbstractLight, Domain, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, frustum_view, on_plane
 from ._pose import LightPose, Vector
 
@@ -30,19 +32,19 @@ class RectangleLight(AbstractLight):
     angle outside (0, 90), or near and far that are not 0 < near < far.
     """
 
+    settings: ClassVar = Settings
+
     position: Vec3 = eqx.field(converter=as_float)
     direction: Vec3 = eqx.field(converter=as_float)
     size: Vec2 = eqx.field(converter=as_float)
     outer_angle: Scalar = eqx.field(converter=as_float)
     near: Scalar = eqx.field(converter=as_float)
     far: Scalar = eqx.field(converter=as_float)
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
+    up: Vec3 = eqx.field(converter=as_float, default=Settings.up)
 
-    def __check_init__(self):
+    def _check_rules(self):
         check_position("the rectangle light", self.position)
         check_frustum("the rectangle light", self.direction, self.outer_angle, self.near, self.far)
-        check_size("the rectangle light", "size", self.size)
-        check_direction("the rectangle light", self.up, "up")
 
     @classmethod
     def around(
@@ -62,7 +64,7 @@ class RectangleLight(AbstractLight):
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
         """
-        position, up = as_float(position), as_float(UP if up is None else up)
+        position, up = as_float(position), as_float(Settings.up if up is None else up)
         check_direction("the rectangle light", up, "up")
         fitted = LightFrustum.around("the rectangle light", position, points, target, up, outer_angle)
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)

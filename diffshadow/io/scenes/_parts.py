@@ -5,8 +5,8 @@ from typing import Literal, NamedTuple
 from jaxtyping import Float, Int
 
 from ..._types import HostArray
+from ...settings.engines import Side
 
-Side = Literal["front", "back", "double"]
 Vector = tuple[float, float, float]
 
 

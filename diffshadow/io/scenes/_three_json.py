@@ -10,9 +10,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..._types import HostArray
+from ...settings.engines import Side
 from .._errors import damaged
 from .._polygons import placed
-from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Side, Vector
+from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Vector
 from ._three_buffers import geometry_of, values_of
 from ._three_geometries import Geometry
 from ._three_schema import Document, Material, Object, ShadowCamera, parse

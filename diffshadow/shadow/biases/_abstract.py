@@ -1,19 +1,17 @@
 """The interface of biases."""
 
 import abc
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._checks import CheckedModule
 from ..._misc import as_float
 from ..._types import Scalar, VectorMap
+from ...settings.biases import BiasUnit
 from .._receiver import Receiver
-
-BiasUnit = Literal["texels", "depth"]
-"""Unit of a bias along the light's axis: texel widths at the receiver, or window depth."""
-UNIT_NAMES = {"texels": "texels", "depth": "of window depth"}
 
 
 class BiasTerms(eqx.Module):
@@ -45,7 +43,7 @@ class BiasTerms(eqx.Module):
         return BiasTerms(factor * self.depth, moved, self.follows_plane, self.deepening)
 
 
-class AbstractBias(eqx.Module):
+class AbstractBias(CheckedModule):
     """A way to keep receivers clear of their own depth."""
 
     @abc.abstractmethod

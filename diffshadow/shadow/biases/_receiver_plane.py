@@ -1,11 +1,13 @@
 """Receiver plane depth bias (Isidoro, "Shadow Mapping: GPU-based Tips and Techniques", GDC 2006)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._checks import check_not_negative
 from ..._misc import as_float, at_most
 from ..._types import Scalar
+from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth, optional_float
 
@@ -29,17 +31,14 @@ class ReceiverPlane(AbstractBias):
         wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes are clamped
         at 89.4°.
 
-    **Raises** `ValueError` if a number is negative or not finite.
+    **Raises** `ValueError` if a number is out of its range.
     """
 
-    fudge: Scalar = eqx.field(converter=as_float, default=0.0)
-    limit: Scalar | None = eqx.field(converter=optional_float, default=None)
-    deepening: Scalar | None = eqx.field(converter=optional_float, default=None)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_not_negative("the receiver plane's fudge", self.fudge, "times the slope")
-        check_not_negative("the receiver plane's limit", self.limit)
-        check_not_negative("the receiver plane's deepening", self.deepening)
+    fudge: Scalar = eqx.field(converter=as_float, default=Settings.fudge)
+    limit: Scalar | None = eqx.field(converter=optional_float, default=Settings.limit)
+    deepening: Scalar | None = eqx.field(converter=optional_float, default=Settings.deepening)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         fudge = at_most(self.fudge * jnp.sum(jnp.abs(receiver.slope), axis=-1), self.limit)

@@ -1,7 +1,7 @@
 """What an engine draws from a light: which faces cast, and the depths that they leave in the map."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,11 +12,7 @@ from ..._misc import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
 from ...raster import Surface, rasterize_depth
-
-Side = Literal["front", "back", "double"]
-"""Which faces of a mesh an engine draws."""
-Sides = Side | tuple[Side, ...]
-"""Of all meshes, or of each."""
+from ...settings.engines import Side
 
 
 class EngineMap(eqx.Module):

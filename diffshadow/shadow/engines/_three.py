@@ -1,29 +1,28 @@
 """The shadows of three.js (r187, `WebGLRenderer`)."""
 
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._checks import check_choice, check_not_negative
+from ..._checks import as_tuple
 from ..._misc import as_float, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
+from ...settings import maps
+from ...settings.engines import OTHER_SIDE, ShadowType, Side, Sides
+from ...settings.engines import ThreeJs as Settings
 from .._compare import AbstractCompare, HardCompare
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._engine_map import EngineMap, Side, Sides, each_of
+from ._engine_map import EngineMap, each_of
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
-
-ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 
 _TAPS = 5
 _GOLDEN_ANGLE = 2.399963229728653
-# The side that casts, of each side of a material: the renderer's own table.
-_OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
 # Added to the axis of a light that looks straight up or down.
 _NUDGE = 1e-4
 _LEAST_VARIANCE = 1e-7
@@ -53,27 +52,23 @@ class ThreeJs(AbstractEngineShadows):
     The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
     reads single texels.
 
-    **Raises** `ValueError` for an unknown shadow type, a negative radius, or fewer than 1 sample.
+    **Raises** `ValueError` for a value that is not allowed.
     """
 
-    bias: Scalar = eqx.field(converter=as_float, default=0.0)
-    normal_bias: Scalar = eqx.field(converter=as_float, default=0.0)
-    radius: Scalar = eqx.field(converter=as_float, default=1.0)
-    intensity: Scalar = eqx.field(converter=as_float, default=1.0)
-    compare: AbstractCompare = HardCompare()
-    shadow_type: ShadowType = eqx.field(static=True, default="PCFShadowMap")
-    blur_samples: int = eqx.field(static=True, default=8)
-    side: Sides = eqx.field(static=True, default="front")
-    shadow_side: Sides | None = eqx.field(static=True, default=None)
-    reversed_depth: bool = eqx.field(static=True, default=False)
-    resolution: Resolution = eqx.field(static=True, default=(512, 512))
-    subpixels: int = eqx.field(static=True, default=256)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
-        check_not_negative("three.js' radius", self.radius)
-        if self.blur_samples < 1:
-            raise ValueError(f"three.js' blur_samples is {self.blur_samples}; expected 1 or more")
+    bias: Scalar = eqx.field(converter=as_float, default=Settings.bias)
+    normal_bias: Scalar = eqx.field(converter=as_float, default=Settings.normal_bias)
+    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
+    intensity: Scalar = eqx.field(converter=as_float, default=Settings.intensity)
+    compare: AbstractCompare = HardCompare()
+    shadow_type: ShadowType = eqx.field(static=True, default=Settings.shadow_type)
+    blur_samples: int = eqx.field(static=True, default=Settings.blur_samples)
+    side: Sides = eqx.field(static=True, converter=as_tuple, default=Settings.side)
+    shadow_side: Sides | None = eqx.field(static=True, converter=as_tuple, default=Settings.shadow_side)
+    reversed_depth: bool = eqx.field(static=True, default=Settings.reversed_depth)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=maps.ShadowMap.resolution)
+    subpixels: int = eqx.field(static=True, default=Settings.subpixels)
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
@@ -88,7 +83,7 @@ class ThreeJs(AbstractEngineShadows):
                 "PCFShadowMap: change shadow_type"
             )
         side = each_of(self.side, scene.meshes, "sides")
-        default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
+        default: tuple[Side, ...] = side if is_variance else tuple(OTHER_SIDE[one] for one in side)
         casting = default if self.shadow_side is None else each_of(self.shadow_side, scene.meshes, "sides")
         receives = scene.receives or (True,) * len(side)
         casts = scene.casts or (True,) * len(side)

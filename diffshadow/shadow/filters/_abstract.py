@@ -2,15 +2,14 @@
 
 import abc
 
-import equinox as eqx
-
+from ..._checks import CheckedModule
 from ..._types import Visibility
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 
 
-class AbstractFilter(eqx.Module):
+class AbstractFilter(CheckedModule):
     """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted."""
 
     @abc.abstractmethod

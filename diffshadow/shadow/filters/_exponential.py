@@ -7,11 +7,9 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import ExponentialShadowMap as Settings
+from ...settings.filters import Shape
 from ._prefilter import AbstractPrefiltered
-
-# e^-80 is still a normal number in 32 bits; e^-88 is not.
-_MAX_EXPONENT = 80.0
 
 
 class ExponentialShadowMap(AbstractPrefiltered):
@@ -23,25 +21,24 @@ class ExponentialShadowMap(AbstractPrefiltered):
     - `radius`: of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane; in [0, 80]. Light leaks to
-        about 1 / k behind an occluder.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
+    - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k
+        behind an occluder.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
-    name: ClassVar[str] = "exponential shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {"exponent": (0.0, _MAX_EXPONENT)}
+    settings: ClassVar = Settings
 
     exponent: Scalar
 
     def __init__(
         self,
-        radius: float | Scalar = 2.5,
+        radius: float | Scalar = Settings.radius,
         max_radius: float | None = None,
-        kernel: Shape = "box",
-        exponent: float | Scalar = 80.0,
-        light_bleeding: float | Scalar = 0.0,
+        kernel: Shape = Settings.kernel,
+        exponent: float | Scalar = Settings.exponent,
+        light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
         self.exponent = as_float(exponent)

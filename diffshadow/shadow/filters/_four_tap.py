@@ -1,11 +1,13 @@
 """Four bilinear taps."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._checks import check_not_negative
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
+from ...settings.filters import FourTap as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
@@ -17,13 +19,12 @@ from ._abstract import AbstractFilter
 class FourTap(AbstractFilter):
     """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all.
 
-    **Raises** `ValueError` if `radius` is negative or not finite.
+    **Raises** `ValueError` if `radius` is out of its range.
     """
 
-    radius: Scalar = eqx.field(converter=as_float, default=1.0)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_not_negative("the four taps' radius", self.radius)
+    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import MomentShadowMap as Settings
+from ...settings.filters import Shape
 from ._prefilter import AbstractPrefiltered
 
 # Moments of the weights 3/16, 5/8 and 3/16 at -1, 0 and 1: far from the moments of any two depths.
@@ -27,26 +28,25 @@ class MomentShadowMap(AbstractPrefiltered):
     - `radius`: of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding; in
-        [1e-7, 1]. A larger one bleeds more light.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99]. The authors advise
-        0.02, which compensates the moment bias.
+    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding. A
+        larger one bleeds more light.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which
+        compensates the moment bias.
 
     **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
-    name: ClassVar[str] = "moment shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {"moment_bias": (1e-7, 1.0)}
+    settings: ClassVar = Settings
 
     moment_bias: Scalar
 
     def __init__(
         self,
-        radius: float | Scalar = 2.5,
+        radius: float | Scalar = Settings.radius,
         max_radius: float | None = None,
-        kernel: Shape = "box",
-        moment_bias: float | Scalar = 3e-6,
-        light_bleeding: float | Scalar = 0.0,
+        kernel: Shape = Settings.kernel,
+        moment_bias: float | Scalar = Settings.moment_bias,
+        light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
         self.moment_bias = as_float(moment_bias)

@@ -1,19 +1,16 @@
 """A separable kernel whose weights are free."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
-import numpy as np
-
-from ..._misc import as_float, concrete
+from ..._misc import as_float
 from ..._types import Scalar, Visibility
+from ...settings.filters import Separable as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import WeightedRow, sum_over_rows
 from ._abstract import AbstractFilter
-
-MOST_WEIGHTS = 16
-"""The most weights of a separable kernel: the number of taps grows with its square."""
 
 
 class Separable(AbstractFilter):
@@ -24,21 +21,15 @@ class Separable(AbstractFilter):
 
     - `weights`: of the compares 1, 2, ... texels from the middle, relative to the middle's; each 0 or more.
 
-    **Raises** `ValueError` if there is none or more than 16, or one is negative or not finite.
+    **Raises** `ValueError` if there are too few or too many, or one is out of its range.
     """
+
+    settings: ClassVar = Settings
 
     weights: tuple[Scalar, ...]
 
-    def __init__(self, weights: Sequence[float | Scalar] = (0.75, 0.25)):
+    def __init__(self, weights: Sequence[float | Scalar] = Settings.weights):
         self.weights = tuple(as_float(weight) for weight in weights)
-
-    def __check_init__(self):
-        if not 1 <= len(self.weights) <= MOST_WEIGHTS:
-            raise ValueError(f"the separable kernel has {len(self.weights)} weights; expected 1 to {MOST_WEIGHTS}")
-        for weight in self.weights:
-            known = concrete(weight)
-            if known is not None and not (known >= 0 and np.isfinite(known)):
-                raise ValueError(f"a weight of the separable kernel is {known}; expected 0 or more times the middle's")
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:

@@ -7,6 +7,7 @@ import equinox as eqx
 
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
+from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
@@ -17,25 +18,24 @@ from ._abstract import AbstractFilter
 class AbstractSizedFilter(AbstractFilter):
     """The weighted mean of compares with all texels under a kernel.
 
-    - `name`: what errors call the filter.
     - `radius`: half the kernel's width, in texels.
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
         rounded up to a half texel.
 
-    **Raises** `ValueError` if `radius` is negative or above `max_radius`.
+    **Raises** `ValueError` if `radius` is out of its range or above `max_radius`.
     """
 
-    name: ClassVar[str]
+    settings: ClassVar = Settings
 
     radius: Scalar
     max_radius: float = eqx.field(static=True)
 
-    def __init__(self, radius: float | Scalar = 2.5, max_radius: float | None = None):
+    def __init__(self, radius: float | Scalar = Settings.radius, max_radius: float | None = None):
         self.radius = as_float(radius)
         self.max_radius = radius_limit(radius, max_radius)
 
-    def __check_init__(self):
-        check_radius(self.name, self.radius, self.max_radius)
+    def _check_rules(self):
+        check_radius(self)
 
     @abc.abstractmethod
     def row(self) -> AbstractRow:

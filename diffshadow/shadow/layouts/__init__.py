@@ -3,8 +3,6 @@
 from ._abstract import AbstractLayout as AbstractLayout
 from ._abstract import Choice as Choice
 from ._cascades import Cascades as Cascades
-from ._resolution_matched import LevelNorm as LevelNorm
 from ._resolution_matched import ResolutionMatched as ResolutionMatched
 from ._single import SingleMap as SingleMap
 from ._warped import PerspectiveWarp as PerspectiveWarp
-from ._warped import WarpMethod as WarpMethod

@@ -3,7 +3,7 @@ Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments"
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,24 +11,23 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._checks import MOST_PIXELS_ACROSS, check_choice
 from ..._misc import as_float, concrete
 from ..._types import Resolution, Scalar
-from ...geometry import AbstractCamera, AbstractLight, CascadedLight, CascadeSelection, View
+from ...geometry import AbstractCamera, AbstractLight, CascadedLight, View
 from ...raster import SUBPIXELS, Surface
+from ...settings.quantities import MAX_TEXELS
+from ...settings.techniques import MARGIN, CascadeFit, CascadeSelection, DepthRange
+from ...settings.techniques import Cascades as Settings
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout, check_depths
-from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._frustum import ViewFrustum, depths_of
 
-MOST_CASCADES = 8
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
 _LEAST_SIZE = 1e-3
 # The least share of a slice over which cascades are blended: 1 / blend has to be finite.
 _LEAST_BLEND = 1e-6
 # Relative rounding error of shares: a thousandth of a texel in the largest maps.
 _ROUNDING = 1e-6
-
-CascadeFit = Literal["cascade", "scene"]
 
 
 class Cascades(AbstractFittedLayout):
@@ -39,8 +38,8 @@ class Cascades(AbstractFittedLayout):
     of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of Zhang et al. 2006).
     Logarithmic slices give all cascades the same worst aliasing, uniform ones suit scenes with little near the camera.
 
-    - `count`: the number of cascades, 1 to 8.
-    - `logarithmic`: λ in [0, 1], from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
+    - `count`: the number of cascades.
+    - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
         The last is the shadow distance.
     - `shares`: for each cascade a number greater than 0, which says how many texels it has, relative to the others. A
@@ -60,7 +59,7 @@ class Cascades(AbstractFittedLayout):
         Otherwise it contains the box of its slice, and no more than the light's own map does.
     - `select`: which cascade a receiver is looked up in. `"interval"`: that of its depth. `"map"`: the first whose map
         contains it, which uses more of the finer maps.
-    - `blend`: over which part of a slice, in [0, 1], at its end, its cascade fades into the next; 0 for a sharp change.
+    - `blend`: over which part of a slice, at its end, its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, over which part of the map's half width, at its border.
     - `max_blend`: upper bound on `blend`, for which the maps are fitted; defaults to `blend`.
     - `fade`: over which part of the last slice, at its end, shadows fade out if there is a shadow distance.
@@ -70,6 +69,8 @@ class Cascades(AbstractFittedLayout):
 
     **Raises** `ValueError` for a number out of range, or distances that do not increase.
     """
+
+    settings: ClassVar = Settings
 
     logarithmic: Scalar
     distances: tuple[Scalar, ...] | None
@@ -88,21 +89,21 @@ class Cascades(AbstractFittedLayout):
 
     def __init__(
         self,
-        count: int = 4,
-        logarithmic: float | Scalar = 0.5,
+        count: int = Settings.count,
+        logarithmic: float | Scalar = Settings.logarithmic,
         *,
-        distances: Sequence[float | Scalar] | None = None,
-        shares: Sequence[float | Scalar] | None = None,
+        distances: Sequence[float | Scalar] | None = Settings.distances,
+        shares: Sequence[float | Scalar] | None = Settings.shares,
         max_share: float | None = None,
-        depths: DepthRange = "camera",
-        shadow_distance: float | Scalar | None = None,
-        fit: CascadeFit = "cascade",
-        stabilize: bool = True,
-        select: CascadeSelection = "interval",
-        blend: float | Scalar = 0.1,
-        max_blend: float | None = None,
-        fade: float = 0.0,
-        margin: float = 8.0,
+        depths: DepthRange = Settings.depths,
+        shadow_distance: float | Scalar | None = Settings.shadow_distance,
+        fit: CascadeFit = Settings.fit,
+        stabilize: bool = Settings.stabilize,
+        select: CascadeSelection = Settings.select,
+        blend: float | Scalar = Settings.blend,
+        max_blend: float | None = Settings.max_blend,
+        fade: float = Settings.fade,
+        margin: float | None = Settings.margin,
     ):
         self.count = count if distances is None else len(distances)
         self.logarithmic = as_float(logarithmic)
@@ -115,18 +116,9 @@ class Cascades(AbstractFittedLayout):
         self.max_share = max_share
         self.blend = as_float(blend)
         self.max_blend = float(blend) if max_blend is None else max_blend
-        self.fade, self.margin = float(fade), float(margin)
+        self.fade, self.margin = float(fade), MARGIN if margin is None else float(margin)
 
-    def __check_init__(self):
-        if not 1 <= self.count <= MOST_CASCADES:
-            raise ValueError(f"the cascades' count is {self.count}; expected 1 to {MOST_CASCADES}")
-        for name, choices in (("fit", CascadeFit), ("select", CascadeSelection)):
-            check_choice(f"the cascades' {name}", getattr(self, name), choices.__args__)
-        shares = {"logarithmic": self.logarithmic, "max_blend": self.max_blend, "blend": self.blend, "fade": self.fade}
-        for name, share in shares.items():
-            known, most = concrete(share), self.max_blend if name == "blend" else 1.0
-            if known is not None and not 0 <= known <= most:
-                raise ValueError(f"the cascades' {name} is {known}; expected 0 to {most:g}")
+    def _check_rules(self):
         if self.distances is not None:
             self._check_distances(self.distances)
         if self.shares is not None:
@@ -157,8 +149,6 @@ class Cascades(AbstractFittedLayout):
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
         if given is None:
             return
-        if not ((given > 0) & np.isfinite(given)).all():
-            raise ValueError(f"the cascades' shares are {given.tolist()}; expected numbers greater than 0")
         greatest = given.max() / given.sum()
         if greatest > self.max_share * (1 + _ROUNDING):
             raise ValueError(
@@ -183,10 +173,10 @@ class Cascades(AbstractFittedLayout):
                 "make height and width equal, or leave shares out"
             )
         side = _side(resolution[0], self.count * self.max_share)
-        if side > MOST_PIXELS_ACROSS:
+        if side > MAX_TEXELS:
             raise ValueError(
                 f"the cascades' max_share is {self.max_share:.3g}, with which the largest of {self.count} maps of "
-                f"{resolution[0]}² texels on average has {side}²; expected at most {MOST_PIXELS_ACROSS}²: lower the "
+                f"{resolution[0]}² texels on average has {side}²; expected at most {MAX_TEXELS}²: lower the "
                 "resolution, or the greatest share"
             )
         return side, side

@@ -1,17 +1,16 @@
 """Layouts that are fitted to what a camera sees."""
 
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
 
-from ..._checks import check_again, check_choice
+from ..._checks import check_again
 from ..._misc import concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
+from ...settings.techniques import DepthRange
 from ._abstract import AbstractLayout
-from ._frustum import DepthRange
 
 
 class AbstractFittedLayout(AbstractLayout):
@@ -26,11 +25,6 @@ class AbstractFittedLayout(AbstractLayout):
     shadow_distance: eqx.AbstractVar[Scalar | None]
     depths: eqx.AbstractVar[DepthRange]
     margin: eqx.AbstractVar[float]
-
-    def __check_init__(self):
-        check_choice("the layout's depths", self.depths, DepthRange.__args__)
-        if not (self.margin >= 0 and math.isfinite(self.margin)):
-            raise ValueError(f"the layout's margin is {self.margin}; expected 0 or more texels")
 
     @property
     def needs_surface(self) -> bool:

@@ -1,7 +1,7 @@
 """Light space perspective shadow maps (Wimmer, Scherzer & Purgathofer, "Light Space Perspective Shadow Maps", EGSR
 2004), and other warps of the same family."""
 
-from typing import Literal, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._checks import check_choice
 from ..._misc import as_float, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
 from ...geometry import (
@@ -22,9 +21,11 @@ from ...geometry import (
     transform_vectors,
 )
 from ...raster import Surface
+from ...settings.techniques import MARGIN, DepthRange, WarpMethod
+from ...settings.techniques import PerspectiveWarp as Settings
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout
-from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._frustum import ViewFrustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
 _LEAST_SINE = 1e-3
@@ -38,8 +39,6 @@ _LOWEST = 1e-6
 _FOCUS_SHARE = 0.8
 # Corners k of a box are numbered by bits, and an edge joins two that differ in one.
 _EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit], np.int32)
-
-WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 
 
 class PerspectiveWarp(AbstractFittedLayout):
@@ -82,6 +81,8 @@ class PerspectiveWarp(AbstractFittedLayout):
     **Raises** `ValueError` for a number out of range.
     """
 
+    settings: ClassVar = Settings
+
     strength: Scalar | None
     focus: Scalar
     shadow_distance: Scalar | None
@@ -91,27 +92,19 @@ class PerspectiveWarp(AbstractFittedLayout):
 
     def __init__(
         self,
-        method: WarpMethod = "lispsm",
+        method: WarpMethod = Settings.method,
         *,
-        strength: float | Scalar | None = None,
-        focus: float | Scalar = 0.3,
-        shadow_distance: float | Scalar | None = None,
-        depths: DepthRange = "camera",
-        margin: float = 8.0,
+        strength: float | Scalar | None = Settings.strength,
+        focus: float | Scalar = Settings.focus,
+        shadow_distance: float | Scalar | None = Settings.shadow_distance,
+        depths: DepthRange = Settings.depths,
+        margin: float | None = Settings.margin,
     ):
         self.method, self.depths = method, depths
         self.strength = None if strength is None else as_float(strength)
         self.focus = as_float(focus)
         self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.margin = float(margin)
-
-    def __check_init__(self):
-        check_choice("the warp's method", self.method, WarpMethod.__args__)
-        strength, focus = None if self.strength is None else concrete(self.strength), concrete(self.focus)
-        if strength is not None and not (strength >= 0 and np.isfinite(strength)):
-            raise ValueError(f"the warp's strength is {strength}; expected 0 or more")
-        if focus is not None and not 0 < focus <= 1:
-            raise ValueError(f"the warp's focus is {focus}; expected more than 0, and at most 1")
+        self.margin = MARGIN if margin is None else float(margin)
 
     def light(
         self,

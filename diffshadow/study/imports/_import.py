@@ -10,8 +10,9 @@ from rich.console import Console
 
 from ... import io
 from ...config import dump, load_config
+from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table
-from ._settings import Chosen, ShadowType, Technique, choose, settings_of
+from ._settings import Chosen, choose, settings_of
 
 _MESHES = "meshes"
 
@@ -22,8 +23,8 @@ def import_scene(
     console: Console,
     camera: str | None = None,
     light: str | None = None,
-    technique: Technique = "three.js",
-    shadow_type: ShadowType = "PCFShadowMap",
+    technique: ImportedTechnique = "three.js",
+    shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
     """Writes the configuration of a scene's file, and its meshes beside it. Says what is taken over and what is not.

@@ -12,12 +12,11 @@ from ..._types import HostArray
 from ...config import (
     Config,
     ConfigError,
-    ImageReferenceConfig,
     Mistake,
-    TracedReferenceConfig,
     build_scene,
     build_shading,
 )
+from ...settings.reference import ImageReference, TracedReference
 from ._progress import Stages
 from ._sight import blind_camera, blind_light
 
@@ -152,7 +151,7 @@ def visibility_of(
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:
     """The visibility in the reference's file; `None` if the reference is traced."""
-    if not isinstance(config.reference, ImageReferenceConfig):
+    if not isinstance(config.reference, ImageReference):
         return None
     path = ("reference", "path")
     try:
@@ -178,7 +177,7 @@ def _reference(
 
 def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
     traced = config.reference
-    assert isinstance(traced, TracedReferenceConfig)
+    assert isinstance(traced, TracedReference)
     how = traced.samples, traced.sampler, config.seed
 
     def trace() -> dict[str, HostArray]:
