@@ -1,6 +1,7 @@
 """Checks of values that users give."""
 
 import dataclasses
+import difflib
 from typing import Any, ClassVar, get_args, get_origin
 
 import equinox as eqx
@@ -15,7 +16,7 @@ _MAX_SHOWN = 16
 class CheckedModule(eqx.Module):
     """A module whose fields are checked as it is made.
 
-    - `settings`: what describes them.
+    - `settings`: what describes them. Their ranges are added to the module's docstring.
     - `part`: where the module stands in what these settings describe, if it is only a part of that.
 
     **Raises** what `check_settings` raises.
@@ -23,6 +24,12 @@ class CheckedModule(eqx.Module):
 
     settings: ClassVar[type[Settings]] = Settings
     part: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        if "settings" in vars(cls):
+            ranges = (f"    - `{field}`: {each.expected()}" for field, each in _fields(cls.settings, cls.part).values())
+            cls.__doc__ = "\n".join([f"{cls.__doc__}", "    **Ranges:**", "", *ranges, "    "])
 
     def __check_init__(self):
         check_settings(self, self.part)
@@ -38,14 +45,18 @@ def check_settings(module: Any, part: str = "") -> None:
     **Raises** `ValueError` that names the first field that is known and not allowed.
     """
     settings, units = module.settings, module.settings.units(module)
-    held = {}
-    for key, setting in settings.each().items():
-        for holder, _, field in (path.rpartition(".") for path in setting.paths(key)):
-            if holder == part:
-                held[key] = field
-                check_value(f"{type(module).__name__}.{field}", getattr(module, field), setting, units.get(key))
+    fields = _fields(settings, part)
+    for key, (field, setting) in fields.items():
+        check_value(f"{type(module).__name__}.{field}", getattr(module, field), setting, units.get(key))
     for low, high, *equal in settings.ascending:
-        check_order(module, held.get(low, low), held.get(high, high), bool(equal))
+        check_order(module, *(fields[key][0] if key in fields else key for key in (low, high)), bool(equal))
+
+
+def _fields(settings: type[Settings], part: str) -> dict[str, tuple[str, Setting]]:
+    """The field of each setting, by its key, in a module that stands at `part`."""
+    paths = {key: [path.rpartition(".") for path in each.paths(key)] for key, each in settings.each().items()}
+    of = lambda key: next((field for holder, _, field in paths[key] if holder == part), None)
+    return {key: (field, setting) for key, setting in settings.each().items() if (field := of(key)) is not None}
 
 
 def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
@@ -60,13 +71,13 @@ def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
         raise ValueError(f"{type(module).__name__}.{low} is {a} and {high} is {b}; expected {low} {relation} {high}")
 
 
-def check_arguments(function: str, settings: type[Settings], **values: Any) -> None:
-    """Checks `values` that `function` was given, by the keys of `settings`.
+def check_arguments(settings: type[Settings], **values: Any) -> None:
+    """Checks arguments of a function, by the keys of `settings`.
 
     **Raises** `ValueError` that names the first that is not allowed.
     """
     for key, value in values.items():
-        check_value(f"{function}'s {(*settings.each()[key].paths(key), key)[0]}", value, settings.each()[key])
+        check_value((*settings.each()[key].paths(key), key)[0], value, settings.each()[key])
 
 
 def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None = None) -> None:
@@ -83,7 +94,10 @@ def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None 
     unit = setting.unit if unit is None else unit
     entries = _entries(setting, value)
     if not (_allows(setting, value) if entries is None else _has_length(setting, entries)):
-        raise ValueError(f"{name} is {_shown(value)}; expected {setting.expected(unit)}")
+        words = [choice for choice in setting.choices if isinstance(choice, str)]
+        near = difflib.get_close_matches(str(value).lower(), words, n=1) if isinstance(value, str) else []
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"{name} is {_shown(value)}; expected {setting.expected(unit)}{hint}")
     for i, entry in enumerate(entries or ()):
         check_value(f"{name}[{i}]", entry, setting.entry(i), unit)
     least = next((mark.length for mark in setting.marks if isinstance(mark, LongerThan)), None)

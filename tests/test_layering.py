@@ -104,7 +104,7 @@ def import_breach(module: str, target: str, name: str | None) -> str | None:
         return f"imports {PACKAGE} itself; import the subpackage that is meant"
     if imported not in may_import(subpackage):
         return f"imports {imported}, which {subpackage or PACKAGE} must not import"
-    is_private = any(part.startswith("_") for part in target.split(".")[2:] + [name or ""])
+    is_private = any(part.startswith("_") for part in [*target.split(".")[2:], name or ""])
     if is_private or (target.count(".") > 1 and imported != SETTINGS):
         return f"imports {'.'.join(filter(None, [target, name]))}; import from the public {PACKAGE}.{imported} instead"
     return None
@@ -184,7 +184,7 @@ SOUND = {
     "shadow/__init__.py": "from . import filters\n",
     "shadow/_bias.py": "from ..raster import draw\n",
     "shadow/filters/__init__.py": "from ._pcf import Pcf\n",
-    "shadow/filters/_pcf.py": "from ...geometry import Mesh\nfrom ...settings.filters import A\nfrom .._bias import B\n",
+    "shadow/filters/_pcf.py": "from ...geometry import Mesh\nfrom ...settings.maps import A\nfrom .._bias import B\n",
     "fit/__init__.py": "",
     "metrics/__init__.py": "",
     "reference/__init__.py": "import numpy as np\nfrom ..geometry import Mesh\n",

@@ -137,7 +137,6 @@ def fit(
         check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
     fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
     check_arguments(
-        "the fit",
         Settings,
         blurs=None if blurs is None else tuple(blurs),
         multistart=starts,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import CheckedModule
-from .._misc import as_float, concrete
+from .._misc import as_float, as_number, concrete
 from .._types import Scalar
 from ..settings.fit import Loss as Settings
 from ..settings.fit import Over
@@ -45,9 +45,9 @@ class Loss(CheckedModule):
     settings: ClassVar = Settings
 
     over: Over = eqx.field(static=True, default=Settings.over)
-    fraction: Scalar = eqx.field(converter=as_float, default=Settings.fraction)
-    false_shadow: Scalar = eqx.field(converter=as_float, default=Settings.false_shadow)
-    false_light: Scalar = eqx.field(converter=as_float, default=Settings.false_light)
+    fraction: Scalar = eqx.field(converter=as_number, default=Settings.fraction)
+    false_shadow: Scalar = eqx.field(converter=as_number, default=Settings.false_shadow)
+    false_light: Scalar = eqx.field(converter=as_number, default=Settings.false_light)
     power: Scalar | None = None
 
     def _check_rules(self):

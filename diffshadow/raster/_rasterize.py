@@ -15,6 +15,7 @@ from .._checks import check_value
 from .._misc import as_float, padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
+from ..settings import maps
 from ..settings.maps import Cull
 from ..settings.quantities import MAX_TEXELS, Size
 from ._band_pass import BandDrawing, bands_of
@@ -59,7 +60,7 @@ def rasterize(
     faces: Faces,
     resolution: Resolution,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
     behind: Int[Array, "*l h w"] | None = None,
@@ -100,7 +101,7 @@ def rasterize_depth(
     faces: Faces,
     resolution: Resolution,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
 ) -> Float[Array, "*b h w"]:

@@ -8,6 +8,7 @@ from .._checks import check_instance
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, View, face_normals
+from ..settings import maps
 from ..settings.maps import Cull
 from ._interpolate import (
     Rows,
@@ -54,7 +55,7 @@ def draw_surface(
     mesh: Mesh,
     camera: AbstractCamera,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     buffer: Resolution | None = None,
 ) -> Surface:
     """The surface of `mesh` that `camera` sees at its pixel centres, differentiable but for which face is seen.

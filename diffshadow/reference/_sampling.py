@@ -14,10 +14,10 @@ from ..settings.reference import TracedReference as Settings
 _ALL = slice(None)
 
 
-def check_sampling(samples: int, sampler: str, supersampling: int = 1) -> None:
+def check_sampling(samples: int, sampler: str, supersampling: int = Settings.supersampling) -> None:
     """**Raises** `ValueError` unless `samples` and `supersampling` are integers in range and `sampler` is known."""
     given = {"samples": samples, "sampler": sampler, "supersampling": supersampling}
-    check_arguments("the reference", Settings, **given)
+    check_arguments(Settings, **given)
 
 
 def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:

@@ -12,6 +12,7 @@ section of a configuration inherits from the same class. Only rules between keys
 Nothing here needs JAX or pydantic, so that the command can refuse a configuration before either is loaded.
 """
 
+from ._settings import MISSING as MISSING
 from ._settings import At as At
 from ._settings import Fitted as Fitted
 from ._settings import Form as Form

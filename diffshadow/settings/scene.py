@@ -3,13 +3,17 @@
 from typing import Annotated, Any, ClassVar, Literal
 
 from ._settings import Form, Limits, Settings, Unit
-from .quantities import FARTHEST, NARROWEST, Degrees, Direction, HalfAngle, Size, WorldUnits
+from .quantities import FARTHEST, NARROWEST, Coordinate, Degrees, Direction, HalfAngle, Size, WorldUnits
 
 UP = (0.0, 1.0, 0.0)
 """The default up direction of images and shadow maps."""
 OuterAngle = Annotated[Degrees, Limits(NARROWEST, 90 - NARROWEST)]
 """Half the field of view of a shadow map."""
 _Length = Annotated[float, Limits(0, FARTHEST)]
+
+
+LightKind = Literal["directional", "spot", "point"]
+"""The lights of engines and of files."""
 
 
 class Camera(Settings):
@@ -59,6 +63,18 @@ class Sun(DirectionalLight):
     """The light of a configuration. By default it has a size, so that there is a penumbra to fit."""
 
     angular_radius = 1.0
+
+
+class ShadowCamera(Settings):
+    """The camera that a directional light's map is drawn with, by the names and defaults of three.js."""
+
+    left: Annotated[Coordinate, "left side of the window, in world units"] = -5.0
+    right: Annotated[Coordinate, "right side of the window, in world units"] = 5.0
+    top: Annotated[Coordinate, "upper side of the window, in world units"] = 5.0
+    bottom: Annotated[Coordinate, "lower side of the window, in world units"] = -5.0
+    near: Annotated[Coordinate, "where the map's depth begins, in world units"] = 0.5
+    far: Annotated[Coordinate, "where the map's depth ends, in world units"] = 500.0
+    ascending = (("left", "right"), ("bottom", "top"), ("near", "far"))
 
 
 class SpotLight(Light):

@@ -66,12 +66,6 @@ class Cascades(FittedLayout):
     """Cascaded shadow maps: a map for each of several ranges of the camera's depth, under directional lights."""
 
     type: Literal["cascades"] = "cascades"
-    count: Annotated[int, Limits(1, MAX_LAYERS), "number of cascades"] = 4
-    logarithmic: Annotated[
-        Fraction,
-        Fitted(searched=True),
-        "spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
-    ] = 0.5
     distances: Annotated[
         tuple[Distance, ...] | None,
         Len(1, MAX_LAYERS),
@@ -80,6 +74,12 @@ class Cascades(FittedLayout):
         Fitted(searched=True),
         "end of each slice along the camera's axis, in world units; instead of count and logarithmic",
     ] = None
+    count: Annotated[int, Limits(1, MAX_LAYERS), "number of cascades"] = 4
+    logarithmic: Annotated[
+        Fraction,
+        Fitted(searched=True),
+        "spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
+    ] = 0.5
     # The side of a cascade is at most a thousand times another's.
     shares: Annotated[
         tuple[Annotated[float, Limits(1e-3, 1e3)], ...] | None,

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._misc import as_float
+from .._misc import as_number
 from .._types import Scalar, VectorMap
 from ..geometry import AbstractCamera
 from ..raster import Surface
@@ -37,7 +37,7 @@ class ModulatedShadow(AbstractShading):
     settings: ClassVar = Settings
 
     lit: AbstractShading = eqx.field(default_factory=Phong)
-    factor: Scalar = eqx.field(converter=as_float, default=Settings.factor)
+    factor: Scalar = eqx.field(converter=as_number, default=Settings.factor)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
         """The image of `surface`; arguments, result and errors are those of `AbstractShading`. Pixels without a surface

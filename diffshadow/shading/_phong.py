@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import CheckedModule
-from .._misc import as_float, dot, normalize, safe_norm
+from .._misc import as_float, as_number, dot, normalize, safe_norm
 from .._types import Scalar, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
@@ -24,8 +24,8 @@ from ._abstract import AbstractShading, Lights, Visibilities, each_light
 
 
 def _colour(value: Any) -> Vec3:
-    value = as_float(value)
-    return value if value.shape == (3,) else as_float([value] * 3)
+    value = as_number(value)
+    return as_float([value] * 3) if eqx.is_array(value) and not value.ndim else value
 
 
 class Attenuation(CheckedModule):
@@ -38,9 +38,9 @@ class Attenuation(CheckedModule):
 
     settings: ClassVar = shading.Attenuation
 
-    constant: Scalar = eqx.field(converter=as_float, default=shading.Attenuation.constant)
-    linear: Scalar = eqx.field(converter=as_float, default=shading.Attenuation.linear)
-    quadratic: Scalar = eqx.field(converter=as_float, default=shading.Attenuation.quadratic)
+    constant: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.constant)
+    linear: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.linear)
+    quadratic: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.quadratic)
 
     def __call__(self, distance: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The fraction of the light that arrives at `distance`, in world units."""
@@ -68,8 +68,8 @@ class Phong(AbstractShading):
 
     ambient: Vec3 = eqx.field(converter=_colour, default=shading.Phong.ambient)
     intensity: Vec3 = eqx.field(converter=_colour, default=INTENSITY)
-    specular: Scalar = eqx.field(converter=as_float, default=shading.Phong.specular)
-    shininess: Scalar = eqx.field(converter=as_float, default=shading.Phong.shininess)
+    specular: Scalar = eqx.field(converter=as_number, default=shading.Phong.specular)
+    shininess: Scalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
     background: Vec3 = eqx.field(converter=_colour, default=shading.Phong.background)
     attenuation: Attenuation = eqx.field(default_factory=Attenuation)
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import CheckedModule
-from .._misc import as_float
+from .._misc import as_number
 from .._types import Scalar
 from ..settings import maps
 from ..settings.maps import DepthOperator, SoftKernel
@@ -100,7 +100,7 @@ class SoftCompare(AbstractCompare):
 
     settings: ClassVar = maps.SoftCompare
 
-    width: Scalar = eqx.field(converter=as_float, default=maps.SoftCompare.width)
+    width: Scalar = eqx.field(converter=as_number, default=maps.SoftCompare.width)
     kernel: SoftKernel = eqx.field(static=True, default=maps.SoftCompare.kernel)
 
     def __call__(self, stored, receiver, depth_per_texel):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_tuple
-from .._misc import as_array, as_float, dot, in_unit_range, normalize
+from .._misc import as_array, as_float, as_number, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
@@ -81,7 +81,7 @@ class ProjectiveShadow(AbstractTechnique):
         max_blur: float | None = None,
         kernel: Shape = Settings.kernel,
     ):
-        self.resolution, self.blur, self.kernel = as_tuple(resolution), as_float(blur), kernel
+        self.resolution, self.blur, self.kernel = as_tuple(resolution), as_number(blur), kernel
         self.max_blur = radius_limit(blur, max_blur)
 
     def _check_rules(self):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from ...settings import Limits, Unit, scene
-from ...settings.quantities import Coordinate, Degrees, Direction, Distance, Position, Turn
+from ...settings.quantities import Degrees, Direction, Distance, Position, Turn
 from ._section import Conflict, Section, Variants, exclusive, fault, given
 
 # Beyond this distance a mesh vanishes in the rounding of float32.
@@ -21,18 +21,11 @@ class LightOrbit(Section):
     distance: Radii = Field(default=4.0, description="distance from the mesh's middle, in radii of its bounding sphere")
 
 
-class ShadowCamera(Section):
+class ShadowCamera(Section, scene.ShadowCamera):
     """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
     `position`, which looks along the light with +y up."""
 
     position: Position = Field(description="where near, far and the window are measured from, in world units")
-    left: Coordinate = Field(default=-5.0, description="left side of the window, in world units")
-    right: Coordinate = Field(default=5.0, description="right side of the window, in world units")
-    top: Coordinate = Field(default=5.0, description="upper side of the window, in world units")
-    bottom: Coordinate = Field(default=-5.0, description="lower side of the window, in world units")
-    near: Coordinate = Field(default=0.5, description="where the map's depth begins, in world units")
-    far: Coordinate = Field(default=500.0, description="where the map's depth ends, in world units")
-    ascending = (("left", "right"), ("bottom", "top"), ("near", "far"))
 
 
 class DirectionalLightConfig(Section, scene.Sun):

@@ -120,11 +120,8 @@ def _too_short(section: Section) -> Iterator[Conflict]:
         least = next((mark.length for mark in marks if isinstance(mark, LongerThan)), 0)
         vector = getattr(section, key)
         if vector is not None and least and math.hypot(*vector) < least:
-            example = next(mark.example for mark in marks if isinstance(mark, Form))
-            yield (
-                (key,),
-                fault(f"is {show(vector)}", f"a vector at least {least:g} long", f"give a vector such as {example}"),
-            )
+            mend = f"give a vector such as {next(mark.example for mark in marks if isinstance(mark, Form))}"
+            yield (key,), fault(f"is {show(vector)}", f"a vector at least {least:g} long", mend)
 
 
 def _out_of_order(section: type[Section], data: Mapping[str, Any]) -> Iterator[Conflict]:

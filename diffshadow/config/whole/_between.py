@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from ...settings.engines import BabylonJs, Engine, ThreeJs
 from ...settings.filters import PercentageCloserSoft
 from ...settings.fit import widest_blur
-from ...settings.scene import PointLight
+from ...settings.scene import LightKind, PointLight
 from ...settings.techniques import (
     SPARE,
     Cascades,
@@ -80,7 +80,7 @@ def _foreign_to_engine(config: Parts, technique: Engine) -> Iterator[Conflict]:
     """Faults of what an engine does not have."""
     for key, light in config.scene.each_light.items():
         path = ("scene", *key, "type")
-        if light.type not in ("directional", "spot", "point"):
+        if light.type not in get_args(LightKind):
             yield path, fault(f"is {light.type}, which no engine has", "directional, spot or point", "change it")
         elif isinstance(technique, ThreeJs) and light.type == "point" and technique.shadow_type == "VSMShadowMap":
             message = "is point, for which three.js draws no VSMShadowMap"

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import check_points, listed
-from ..._misc import array_module, as_float, concrete, normalize
+from ..._misc import array_module, as_float, as_number, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
 from ...settings.scene import UP
 from ...settings.scene import DirectionalLight as Settings
@@ -41,13 +41,13 @@ class DirectionalLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    direction: Vec3 = eqx.field(converter=as_float)
-    center: Vec3 = eqx.field(converter=as_float)
-    extent: Vec2 = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    angular_radius: Scalar = eqx.field(converter=as_float, default=Settings.angular_radius)
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
+    direction: Vec3 = eqx.field(converter=as_number)
+    center: Vec3 = eqx.field(converter=as_number)
+    extent: Vec2 = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    angular_radius: Scalar = eqx.field(converter=as_number, default=Settings.angular_radius)
+    up: Vec3 = eqx.field(converter=as_number, default=UP)
 
     def _check_rules(self):
         check_direction("the directional light", self.direction)

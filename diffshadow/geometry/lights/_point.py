@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._checks import check_points
-from ..._misc import as_float, normalize, safe_norm, safe_sqrt
+from ..._misc import as_float, as_number, normalize, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Vec3
 from ...settings.scene import PointLight as Settings
 from .._camera import check_near_far
@@ -52,11 +52,11 @@ class PointLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
-    guard: Scalar = eqx.field(converter=as_float, default=Settings.guard)
+    position: Vec3 = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    guard: Scalar = eqx.field(converter=as_number, default=Settings.guard)
 
     def _check_rules(self):
         check_position("the point light", self.position)

@@ -7,7 +7,7 @@ import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_float, as_number
 from ..._types import Scalar, Vec2, Vec3
 from ...settings.scene import RectangleLight as Settings
 from .._view import View
@@ -34,13 +34,13 @@ class RectangleLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_float)
-    direction: Vec3 = eqx.field(converter=as_float)
-    size: Vec2 = eqx.field(converter=as_float)
-    outer_angle: Scalar = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    up: Vec3 = eqx.field(converter=as_float, default=Settings.up)
+    position: Vec3 = eqx.field(converter=as_number)
+    direction: Vec3 = eqx.field(converter=as_number)
+    size: Vec2 = eqx.field(converter=as_number)
+    outer_angle: Scalar = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    up: Vec3 = eqx.field(converter=as_number, default=Settings.up)
 
     def _check_rules(self):
         check_position("the rectangle light", self.position)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, dot, normalize
+from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Scalar, Vec3
 from ...settings.scene import UP
 from ...settings.scene import SpotLight as Settings
@@ -39,17 +39,15 @@ class SpotLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_float)
-    direction: Vec3 = eqx.field(converter=as_float)
-    outer_angle: Scalar = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
-    inner_angle: Scalar | None = eqx.field(
-        converter=lambda x: None if x is None else as_float(x), default=Settings.inner_angle
-    )
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
-    aspect: Scalar = eqx.field(converter=as_float, default=Settings.aspect)
+    position: Vec3 = eqx.field(converter=as_number)
+    direction: Vec3 = eqx.field(converter=as_number)
+    outer_angle: Scalar = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    inner_angle: Scalar | None = eqx.field(converter=as_number, default=Settings.inner_angle)
+    up: Vec3 = eqx.field(converter=as_number, default=UP)
+    aspect: Scalar = eqx.field(converter=as_number, default=Settings.aspect)
 
     def _check_rules(self):
         check_position("the spot light", self.position)

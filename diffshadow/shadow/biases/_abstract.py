@@ -8,8 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._checks import CheckedModule
-from ..._misc import as_float
-from ..._types import Scalar, VectorMap
+from ..._types import VectorMap
 from ...settings.biases import BiasUnit
 from .._receiver import Receiver
 
@@ -55,11 +54,6 @@ def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> F
     """Converts a `bias` along the light's axis to window depth."""
     per_unit = receiver.depth_per_texel if unit == "texels" else jnp.ones_like(receiver.depth_per_texel)
     return bias * per_unit
-
-
-def optional_float(x: Any) -> Scalar | None:
-    """`x` as a scalar; none stays none."""
-    return None if x is None else as_float(x)
 
 
 def _either(both: Any, a: Array | None, b: Array | None) -> Array | None:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ..._misc import as_float, dot
+from ..._misc import as_number, dot
 from ..._types import Scalar
 from ...settings.biases import AdaptiveBias as Settings
 from .._receiver import Receiver
@@ -31,7 +31,7 @@ class AdaptiveBias(AbstractBias):
 
     settings: ClassVar = Settings
 
-    epsilon: Scalar = eqx.field(converter=as_float, default=Settings.epsilon)
+    epsilon: Scalar = eqx.field(converter=as_number, default=Settings.epsilon)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         centre = jnp.floor(lax.stop_gradient(receiver.texel)) + 0.5

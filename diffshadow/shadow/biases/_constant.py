@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit
@@ -25,7 +25,7 @@ class ConstantBias(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "constant"
 
-    value: Scalar = eqx.field(converter=as_float)
+    value: Scalar = eqx.field(converter=as_number)
     unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

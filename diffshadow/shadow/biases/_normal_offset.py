@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import OffsetProfile
@@ -25,7 +25,7 @@ class NormalOffset(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "normal_offset"
 
-    value: Scalar = eqx.field(converter=as_float)
+    value: Scalar = eqx.field(converter=as_number)
     profile: OffsetProfile = eqx.field(static=True, default=Settings.normal_offset_profile)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

@@ -5,11 +5,11 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float, at_most
+from ..._misc import as_number, at_most
 from ..._types import Scalar
 from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth, optional_float
+from ._abstract import AbstractBias, BiasTerms, in_depth
 
 
 class ReceiverPlane(AbstractBias):
@@ -36,9 +36,9 @@ class ReceiverPlane(AbstractBias):
 
     settings: ClassVar = Settings
 
-    fudge: Scalar = eqx.field(converter=as_float, default=Settings.fudge)
-    limit: Scalar | None = eqx.field(converter=optional_float, default=Settings.limit)
-    deepening: Scalar | None = eqx.field(converter=optional_float, default=Settings.deepening)
+    fudge: Scalar = eqx.field(converter=as_number, default=Settings.fudge)
+    limit: Scalar | None = eqx.field(converter=as_number, default=Settings.limit)
+    deepening: Scalar | None = eqx.field(converter=as_number, default=Settings.deepening)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         fudge = at_most(self.fudge * jnp.sum(jnp.abs(receiver.slope), axis=-1), self.limit)

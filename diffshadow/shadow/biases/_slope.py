@@ -4,12 +4,12 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_float, at_least, at_most
+from ..._misc import as_number, at_least, at_most
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit, SlopeProfile
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth, optional_float
+from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
 
 
@@ -32,10 +32,10 @@ class SlopeBias(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "slope"
 
-    value: Scalar = eqx.field(converter=as_float)
+    value: Scalar = eqx.field(converter=as_number)
     profile: SlopeProfile = eqx.field(static=True, default=Settings.slope_profile)
-    least: Scalar | None = eqx.field(converter=optional_float, default=Settings.slope_least)
-    most: Scalar | None = eqx.field(converter=optional_float, default=Settings.slope_most)
+    least: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_least)
+    most: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_most)
     unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

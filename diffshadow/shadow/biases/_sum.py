@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from ..._misc import as_float
+from ..._misc import as_numbers
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
@@ -50,7 +50,7 @@ class Bias(AbstractBias):
         self.slope = slope if isinstance(slope, AbstractBias) else SlopeBias(slope)
         self.normal_offset = normal_offset if isinstance(normal_offset, AbstractBias) else NormalOffset(normal_offset)
         self.plane, self.terms = plane, terms
-        self.factors = None if factors is None else tuple(as_float(factor) for factor in factors)
+        self.factors = as_numbers(factors)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         terms = self.constant(receiver) + self.slope(receiver) + self.normal_offset(receiver)

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import as_tuple
-from ..._misc import as_float, concrete, dot, normalize, safe_norm
+from ..._misc import as_float, as_number, concrete, dot, normalize, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
@@ -91,14 +91,14 @@ class BabylonJs(AbstractEngineShadows):
 
     settings: ClassVar = Settings
 
-    bias: Scalar = eqx.field(converter=as_float, default=Settings.bias)
-    normal_bias: Scalar = eqx.field(converter=as_float, default=Settings.normal_bias)
-    darkness: Scalar = eqx.field(converter=as_float, default=Settings.darkness)
-    blur_scale: Scalar = eqx.field(converter=as_float, default=Settings.blur_scale)
-    depth_scale: Scalar = eqx.field(converter=as_float, default=Settings.depth_scale)
-    frustum_edge_falloff: Scalar = eqx.field(converter=as_float, default=Settings.frustum_edge_falloff)
+    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    darkness: Scalar = eqx.field(converter=as_number, default=Settings.darkness)
+    blur_scale: Scalar = eqx.field(converter=as_number, default=Settings.blur_scale)
+    depth_scale: Scalar = eqx.field(converter=as_number, default=Settings.depth_scale)
+    frustum_edge_falloff: Scalar = eqx.field(converter=as_number, default=Settings.frustum_edge_falloff)
     contact_hardening_light_size_uv_ratio: Scalar = eqx.field(
-        converter=as_float, default=Settings.contact_hardening_light_size_uv_ratio
+        converter=as_number, default=Settings.contact_hardening_light_size_uv_ratio
     )
     compare: AbstractCompare = HardCompare()
     filter: BabylonFilter = eqx.field(static=True, default=Settings.filter)

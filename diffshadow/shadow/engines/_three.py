@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import as_tuple
-from ..._misc import as_float, safe_norm, safe_sqrt
+from ..._misc import as_number, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
@@ -57,10 +57,10 @@ class ThreeJs(AbstractEngineShadows):
 
     settings: ClassVar = Settings
 
-    bias: Scalar = eqx.field(converter=as_float, default=Settings.bias)
-    normal_bias: Scalar = eqx.field(converter=as_float, default=Settings.normal_bias)
-    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
-    intensity: Scalar = eqx.field(converter=as_float, default=Settings.intensity)
+    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    intensity: Scalar = eqx.field(converter=as_number, default=Settings.intensity)
     compare: AbstractCompare = HardCompare()
     shadow_type: ShadowType = eqx.field(static=True, default=Settings.shadow_type)
     blur_samples: int = eqx.field(static=True, default=Settings.blur_samples)

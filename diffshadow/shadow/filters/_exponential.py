@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialShadowMap as Settings
 from ...settings.filters import Shape
@@ -41,7 +41,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
         light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.exponent = as_float(exponent)
+        self.exponent = as_number(exponent)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the far plane, so that exponentials neither overflow nor underflow.

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialVarianceShadowMap as Settings
 from ...settings.filters import Shape
@@ -51,9 +51,9 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
         light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.positive_exponent = as_float(positive_exponent)
-        self.negative_exponent = as_float(negative_exponent)
-        self.least_variance = as_float(least_variance)
+        self.positive_exponent = as_number(positive_exponent)
+        self.negative_exponent = as_number(negative_exponent)
+        self.least_variance = as_number(least_variance)
 
     @property
     def _exponents(self) -> tuple[Scalar, Scalar]:

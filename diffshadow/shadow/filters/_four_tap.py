@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar, Visibility
 from ...settings.filters import FourTap as Settings
 from .._compare import AbstractCompare
@@ -24,7 +24,7 @@ class FourTap(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_float, default=Settings.radius)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

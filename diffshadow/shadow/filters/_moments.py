@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, safe_divide, safe_sqrt
+from ..._misc import as_number, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import MomentShadowMap as Settings
 from ...settings.filters import Shape
@@ -49,7 +49,7 @@ class MomentShadowMap(AbstractPrefiltered):
         light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.moment_bias = as_float(moment_bias)
+        self.moment_bias = as_number(moment_bias)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         w = 2 * depth - 1

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, safe_sqrt
+from ..._misc import as_number, safe_sqrt
 from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
 from ...settings.filters import PercentageCloserSoft as Settings
@@ -67,11 +67,11 @@ class PercentageCloserSoft(AbstractFilter):
         min_radius: float | Scalar = Settings.min_radius,
         max_radius: float | Scalar = Settings.max_radius,
     ):
-        self.light_size = None if light_size is None else as_float(light_size)
+        self.light_size = as_number(light_size)
         self.search = stratified(Settings.search_samples, seed=1) if search is None else search
         self.pattern = stratified() if pattern is None else pattern
-        self.min_radius = as_float(min_radius)
-        self.max_radius = as_float(max_radius)
+        self.min_radius = as_number(min_radius)
+        self.max_radius = as_number(max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import Prefiltered as Settings
 from ...settings.filters import Shape
@@ -69,10 +69,10 @@ class AbstractPrefiltered(AbstractFilter):
     light_bleeding: Scalar
 
     def __init__(self, radius: float | Scalar, max_radius: float | None, kernel: Shape, light_bleeding: float | Scalar):
-        self.radius = as_float(radius)
+        self.radius = as_number(radius)
         self.max_radius = radius_limit(radius, max_radius)
         self.kernel = kernel
-        self.light_bleeding = as_float(light_bleeding)
+        self.light_bleeding = as_number(light_bleeding)
 
     def _check_rules(self):
         check_radius(self)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Mask, Scalar, Visibility
 from ...settings.filters import RandomDisk as Settings
 from ...settings.filters import TapMode
@@ -42,7 +42,7 @@ class RandomDisk(AbstractFilter):
         lookup: TapMode = Settings.lookup,
         early_out: bool = Settings.early_out,
     ):
-        self.radius = as_float(radius)
+        self.radius = as_number(radius)
         self.pattern = stratified() if pattern is None else pattern
         self.lookup = lookup
         self.early_out = early_out

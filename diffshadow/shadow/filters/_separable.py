@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
-from ..._misc import as_float
+from ..._misc import as_float, as_numbers
 from ..._types import Scalar, Visibility
 from ...settings.filters import Separable as Settings
 from .._compare import AbstractCompare
@@ -29,7 +29,7 @@ class Separable(AbstractFilter):
     weights: tuple[Scalar, ...]
 
     def __init__(self, weights: Sequence[float | Scalar] = Settings.weights):
-        self.weights = tuple(as_float(weight) for weight in weights)
+        self.weights = as_numbers(weights)
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar, Visibility
 from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare
@@ -31,7 +31,7 @@ class AbstractSizedFilter(AbstractFilter):
     max_radius: float = eqx.field(static=True)
 
     def __init__(self, radius: float | Scalar = Settings.radius, max_radius: float | None = None):
-        self.radius = as_float(radius)
+        self.radius = as_number(radius)
         self.max_radius = radius_limit(radius, max_radius)
 
     def _check_rules(self):

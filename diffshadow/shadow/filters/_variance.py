@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import Shape
 from ...settings.filters import VarianceShadowMap as Settings
@@ -41,7 +41,7 @@ class VarianceShadowMap(AbstractPrefiltered):
         light_bleeding: float | Scalar = Settings.light_bleeding,
     ):
         super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.least_variance = as_float(least_variance)
+        self.least_variance = as_number(least_variance)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the middle of the range, where squares lose the fewest digits.

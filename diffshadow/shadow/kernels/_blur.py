@@ -9,22 +9,27 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._checks import check_order, check_value
-from ..._misc import at_most, sums_along, take
+from ..._misc import at_most, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
 from ...settings.filters import Shape
 from ._separable import weight_between
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
-    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out."""
-    if max_radius is not None and not 0 <= max_radius < math.inf:
-        return max_radius
-    limit = float(radius) if max_radius is None else max_radius
-    return max(1.0, math.ceil(2 * limit) / 2) if math.isfinite(limit) else 1.0
+    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out.
+
+    What makes no sense is returned as it is, for `check_radius`.
+    """
+    given = radius if max_radius is None else max_radius
+    known = concrete(given)
+    if known is not None and not (known.dtype.kind in "iuf" and known.shape == () and 0 <= known < np.inf):
+        return 1.0 if max_radius is None else max_radius
+    return max(1.0, math.ceil(2 * float(given)) / 2)
 
 
 def check_radius(module: Any, field: str = "radius") -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, concrete
+from ..._misc import as_float, as_number, as_numbers, concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, CascadedLight, View
 from ...raster import SUBPIXELS, Surface
@@ -105,18 +105,15 @@ class Cascades(AbstractFittedLayout):
         fade: float = Settings.fade,
         margin: float | None = Settings.margin,
     ):
-        self.count = count if distances is None else len(distances)
-        self.logarithmic = as_float(logarithmic)
-        self.distances = None if distances is None else tuple(as_float(each) for each in distances)
+        self.logarithmic, self.blend = as_number(logarithmic), as_number(blend)
+        self.distances, self.shares = as_numbers(distances), as_numbers(shares)
+        self.count = len(self.distances) if isinstance(self.distances, tuple) else count
         self.depths, self.fit, self.stabilize, self.select = depths, fit, stabilize, select
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.shares = None if shares is None else tuple(as_float(each) for each in shares)
-        if max_share is None:
-            max_share = 1.0 if not shares else max(map(float, shares)) / (sum(map(float, shares)) or 1.0)
-        self.max_share = max_share
-        self.blend = as_float(blend)
-        self.max_blend = float(blend) if max_blend is None else max_blend
-        self.fade, self.margin = float(fade), MARGIN if margin is None else float(margin)
+        self.shadow_distance = as_number(shadow_distance)
+        self.max_share = _greatest(self.shares) if max_share is None else max_share
+        is_number = eqx.is_array(self.blend) and self.blend.ndim == 0
+        self.max_blend = max_blend if max_blend is not None else float(self.blend) if is_number else 1.0
+        self.fade, self.margin = fade, MARGIN if margin is None else margin
 
     def _check_rules(self):
         if self.distances is not None:
@@ -284,6 +281,12 @@ def _cascaded_light(
         scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
     margin, own_sides = 2 * layout.margin / texels, None if layout.shares is None else sides[:, 0]
     return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps, own_sides)
+
+
+def _greatest(shares: Any) -> float:
+    """The greatest part of all texels that one of `shares` is; 1 if these are wrong, or none."""
+    numbers = [share for share in shares or () if eqx.is_array(share)]
+    return float(max(numbers)) / (float(sum(numbers)) or 1.0) if numbers else 1.0
 
 
 def _side(resolution: int, part: Any) -> Any:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import as_float, dot, normalize
+from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
@@ -79,9 +79,9 @@ class ResolutionMatched(AbstractFittedLayout):
         shadow_distance: float | Scalar | None = Settings.shadow_distance,
         margin: float | None = Settings.margin,
     ):
-        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_float(level_bias)
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.depths, self.margin = "surface", MARGIN if margin is None else float(margin)
+        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_number(level_bias)
+        self.shadow_distance = as_number(shadow_distance)
+        self.depths, self.margin = "surface", MARGIN if margin is None else margin
 
     def _check_rules(self):
         for name, value in (("page", self.page), ("finest", self.finest)):

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import as_float, concrete, safe_divide, safe_norm
+from ..._misc import as_number, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
 from ...geometry import (
     AbstractCamera,
@@ -101,10 +101,10 @@ class PerspectiveWarp(AbstractFittedLayout):
         margin: float | None = Settings.margin,
     ):
         self.method, self.depths = method, depths
-        self.strength = None if strength is None else as_float(strength)
-        self.focus = as_float(focus)
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.margin = MARGIN if margin is None else float(margin)
+        self.strength = as_number(strength)
+        self.focus = as_number(focus)
+        self.shadow_distance = as_number(shadow_distance)
+        self.margin = MARGIN if margin is None else margin
 
     def light(
         self,

@@ -29,7 +29,7 @@ class Pattern(eqx.Module):
     """
 
     offsets: Float[Array, "n p p 2"]
-    rotated: bool = eqx.field(static=True, default=False)
+    rotated: bool = eqx.field(static=True, default=Settings.rotated)
 
     def __check_init__(self):
         shape = self.offsets.shape
@@ -59,7 +59,7 @@ def check_counts(samples: int | tuple[int, int], pattern_size: int) -> None:
     """**Raises** `ValueError` if a number is out of its range, or there are too many taps in a tile."""
     for count in samples if isinstance(samples, tuple) else (samples,):
         check_value("the pattern's samples", count, PatternSamples)
-    check_arguments("the pattern", Settings, pattern_size=pattern_size)
+    check_arguments(Settings, pattern_size=pattern_size)
     taps = math.prod(np.atleast_1d(samples).tolist()) * pattern_size**2
     if taps > MAX_PATTERN_TAPS:
         raise ValueError(
