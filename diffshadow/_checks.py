@@ -49,7 +49,8 @@ def check_settings(module: Any, part: str = "") -> None:
     for key, (field, setting) in fields.items():
         check_value(f"{type(module).__name__}.{field}", getattr(module, field), setting, units.get(key))
     for low, high, *equal in settings.ascending:
-        check_order(module, *(fields[key][0] if key in fields else key for key in (low, high)), bool(equal))
+        first, second = (fields[key][0] if key in fields else key for key in (low, high))
+        check_order(module, first, second, bool(equal))
 
 
 def _fields(settings: type[Settings], part: str) -> dict[str, tuple[str, Setting]]:

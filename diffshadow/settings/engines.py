@@ -30,7 +30,7 @@ ImportedTechnique = Literal["three.js", "shadow_map"]
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
 # Window depth is from 0 to 1.
-_Depth = Annotated[float, Limits(-1, 1)]
+_Depth = Annotated[float, Limits(-1, 1), Fitted()]
 _Length = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
 
 
@@ -54,12 +54,9 @@ class ThreeJs(Engine):
     bias: Annotated[
         _Depth,
         Unit("window depth"),
-        Fitted(),
         "light.shadow.bias: added to receivers' depth, so negative values lift them",
     ] = 0.0
-    normal_bias: Annotated[_Length, Fitted(), "light.shadow.normalBias: how far receivers move along their normals"] = (
-        0.0
-    )
+    normal_bias: Annotated[_Length, Fitted(), "light.shadow.normalBias: shift of receivers along their normals"] = 0.0
     radius: Annotated[Texels, Fitted(), "light.shadow.radius: of the filter; without effect in BasicShadowMap"] = 1.0
     intensity: Annotated[Fraction, "light.shadow.intensity"] = 1.0
     blur_samples: Annotated[int, Limits(1, 256), "light.shadow.blurSamples, in VSMShadowMap"] = 8
@@ -78,9 +75,7 @@ class BabylonJs(Engine):
     type: Literal["babylon.js"] = "babylon.js"
     filter: Annotated[BabylonFilter, "the generator's FILTER_ constant"] = "NONE"
     quality: Annotated[BabylonQuality, "filteringQuality, for filters PCF and PCSS"] = "HIGH"
-    bias: Annotated[_Depth, Unit("parts of the depth range"), Fitted(), "bias: pushes casters away from the light"] = (
-        5e-5
-    )
+    bias: Annotated[_Depth, Unit("parts of the depth range"), "bias: pushes casters away from the light"] = 5e-5
     normal_bias: Annotated[
         _Length,
         Fitted(searched=True),

@@ -157,9 +157,7 @@ class Prefiltered(Filter):
 
     radius: Annotated[KernelRadius, "radius of the blur, in texels"] = Sized.radius
     kernel: Annotated[Shape, "shape of the blur"] = "box"
-    light_bleeding: Annotated[float, Limits(0, 0.99), Fitted(), "visibility up to which a receiver counts as dark"] = (
-        0.0
-    )
+    light_bleeding: Annotated[float, Limits(0, 0.99), Fitted(), "visibility up to which receivers count as dark"] = 0.0
     beyond_radius: ClassVar[float] = 0.5
     grows_with_radius: ClassVar[bool] = True
 
@@ -189,11 +187,9 @@ class ExponentialVarianceShadowMap(Prefiltered):
     """The lesser of Chebyshev's bounds for two exponentials of depth."""
 
     type: Literal["evsm"] = "evsm"
-    positive_exponent: Annotated[_Exponent, "exponent of the positive warp, which separates overlapping occluders"] = (
-        40.0
-    )
+    positive_exponent: Annotated[_Exponent, "exponent of the positive warp; it separates overlapping occluders"] = 40.0
     negative_exponent: Annotated[
-        _Exponent, "exponent of the negative warp, which separates receivers from deeper surfaces"
+        _Exponent, "exponent of the negative warp; it separates receivers from deeper surfaces"
     ] = 5.0
     least_variance: _LeastVariance = 1e-6
 

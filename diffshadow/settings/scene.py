@@ -54,9 +54,7 @@ class DirectionalLight(Light):
 
     type: Literal["directional"] = "directional"
     size_key: ClassVar[str] = "angular_radius"
-    angular_radius: Annotated[HalfAngle, "half the angular diameter of the light, in degrees; 0 casts hard shadows"] = (
-        0.0
-    )
+    angular_radius: Annotated[HalfAngle, "half the light's angular diameter, in degrees; 0 casts hard shadows"] = 0.0
 
 
 class Sun(DirectionalLight):

@@ -89,12 +89,8 @@ class Cascades(FittedLayout):
         "how many texels each cascade has, relative to the others, of count times shadow_map.resolution; "
         "default: as many",
     ] = None
-    depths: Annotated[DepthRange, "what is sliced: from the camera's near to its far, or the depths that it sees"] = (
-        "camera"
-    )
-    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its slice's end"] = (
-        "cascade"
-    )
+    depths: Annotated[DepthRange, "what is sliced: the camera's near to its far, or the depths that it sees"] = "camera"
+    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its end"] = "cascade"
     stabilize: Annotated[bool, "whether texels stay where they are on surfaces as the camera moves and turns"] = True
     select: Annotated[
         CascadeSelection, "a receiver's cascade: that of its depth, or the first whose map contains it"
@@ -142,9 +138,7 @@ class ResolutionMatched(FittedLayout):
     finest: Annotated[
         int, Limits(32, MAX_VIRTUAL), Unit("texels"), "side of the map at its finest level, a power of two, in texels"
     ] = 16384
-    norm: Annotated[LevelNorm, "what of a texel on the screen is matched to a pixel: its area, or longest extent"] = (
-        "area"
-    )
+    norm: Annotated[LevelNorm, "what of a texel on the screen matches a pixel: its area, or longest extent"] = "area"
     level_bias: Annotated[
         float,
         Limits(-MAX_LEVEL_BIAS, MAX_LEVEL_BIAS),
@@ -157,9 +151,7 @@ class ShadowVolumes(Technique):
     """Hard shadows from shadow volumes, without a map."""
 
     type: Literal["shadow_volumes"] = "shadow_volumes"
-    method: Annotated[VolumeMethod, "which volume faces are counted: those behind the surface, or in front of it"] = (
-        "z_fail"
-    )
+    method: Annotated[VolumeMethod, "which volume faces count: those behind the surface, or in front of it"] = "z_fail"
 
 
 class IrregularZBuffer(Technique):

@@ -68,21 +68,13 @@ class ProjectiveShadow(AbstractTechnique):
 
     settings: ClassVar = Settings
 
-    resolution: Resolution = eqx.field(static=True)
-    blur: Scalar
-    max_blur: float = eqx.field(static=True)
-    kernel: Shape = eqx.field(static=True)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Settings.resolution)
+    blur: Scalar = eqx.field(converter=as_number, default=Settings.blur)
+    max_blur: float = eqx.field(static=True, default=None, kw_only=True)
+    kernel: Shape = eqx.field(static=True, default=Settings.kernel, kw_only=True)
 
-    def __init__(
-        self,
-        resolution: Resolution = Settings.resolution,
-        blur: float | Scalar = Settings.blur,
-        *,
-        max_blur: float | None = None,
-        kernel: Shape = Settings.kernel,
-    ):
-        self.resolution, self.blur, self.kernel = as_tuple(resolution), as_number(blur), kernel
-        self.max_blur = radius_limit(blur, max_blur)
+    def __post_init__(self):
+        self.max_blur = radius_limit(self.blur, self.max_blur)
 
     def _check_rules(self):
         check_radius(self, "blur")

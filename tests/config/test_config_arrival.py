@@ -194,7 +194,7 @@ def is_same(a: Any, b: Any) -> bool:
     return np.shape(a) == np.shape(b) and bool(np.allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-6))
 
 
-@pytest.mark.parametrize(("where", "section", "slot", "key"), cases())
+@pytest.mark.parametrize(("where", "section", "slot", "key"), [*cases()])
 def test_a_key_arrives_in_its_field_and_in_no_other(where, section, slot, key):
     value = another(slot, key, list(section.model_fields).index(key))
     before = numbers_of(built(where, section, data_with(where, section)))

@@ -10,7 +10,6 @@ import pytest
 
 from diffshadow import fit, geometry, shading, shadow
 from diffshadow.fit import Anneal, Solver
-from diffshadow.geometry import PinholeCamera
 
 
 def said_by(*arguments: str) -> list[str]:
@@ -38,7 +37,7 @@ NAMED = {
     "shadow.PercentageCloser(1, float('inf'))": "max_radius is inf",
     "shadow.RandomDisk(lookup='biliner')": "did you mean 'bilinear'?",
     "shadow.Bias(factors=[1, -2])": "factors[1] is -2.0",
-    "shadow.LinearBias({'one': 1e9})": "weights['one'] is 1000000000.0",
+    "shadow.LinearBias({'one': 1e9})": "weights['one'] is 1e+09",
     "shadow.sobol(0)": "samples is 0",
     "shadow.stratified((4, 0))": "samples is 0",
     "shadow.uniform(pattern_size=1000)": "pattern_size is 1000",
@@ -49,6 +48,11 @@ NAMED = {
     "fit.Loss(false_shadow=0, false_light=0)": "both 0",
     "geometry.DirectionalLight((0, 1e-12, 0), (0, 0, 0), (1, 1), 0, 1)": "expected a vector at least 1e-09 long",
     "geometry.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], albedo=2.0)": "albedo",
+    # Lists are taken as tuples, which compiled programs need.
+    "shadow.BabylonJs(back_face_culling=[True, False]).back_face_culling": "(True, False)",
+    "shadow.ThreeJs(side=['front', 'back'], resolution=[64, 64]).side": "('front', 'back')",
+    "shadow.MapSettings([64, 32]).resolution": "(64, 32)",
+    "geometry.PinholeCamera((0, 0, 1), (0, 0, 0), resolution=[8, 8]).resolution": "(8, 8)",
 }
 
 
@@ -57,19 +61,12 @@ def test_each_mistake_has_one_clear_error():
         from diffshadow import fit, geometry, shadow
         for text in {list(NAMED)!r}:
             try:
-                print(text, "was taken", eval(text))
+                print(eval(text))
             except (ValueError, TypeError) as error:
                 print(str(error).replace(chr(10), " "))
     """
     for line, expected in zip(said_by("-c", textwrap.dedent(script)), NAMED.values(), strict=True):
         assert expected in line
-
-
-def test_lists_are_taken_as_tuples():
-    assert shadow.BabylonJs(back_face_culling=[True, False]).back_face_culling == (True, False)
-    assert shadow.ThreeJs(side=["front", "back"], resolution=[64, 64]).side == ("front", "back")
-    assert shadow.MapSettings([64, 32]).resolution == (64, 32)
-    assert PinholeCamera((0, 0, 1), (0, 0, 0), resolution=[8, 8]).resolution == (8, 8)
 
 
 def test_replaced_settings_are_checked():

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ...settings import Form, Unit
+from ...settings import Form, Limits, Unit
 from ...settings.quantities import Size
 from .._errors import KeyPath, dotted, listing, show
 from ._axes import LABEL
@@ -67,12 +67,11 @@ class AdviseConfig(Section):
         min_length=1,
         description="[height, width] of the maps, in texels; default: shadow_map.resolution, and half of it",
     )
-    within: float = Field(
-        default=0.03,
-        ge=0,
-        le=1,
-        description="the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
-    )
+    within: Annotated[
+        float,
+        Limits(0, 1),
+        "the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
+    ] = 0.03
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

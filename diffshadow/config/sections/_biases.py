@@ -28,19 +28,17 @@ _Numbers = Annotated[tuple[Number, ...], Form("a list of numbers")]
 class LayerConfig(Section):
     """A hidden layer of a network."""
 
-    weight: Annotated[tuple[_Numbers, ...], Form("a list of lists of numbers")] = Field(
-        description="a list of weights for each of the layer's values"
-    )
-    bias: _Numbers = Field(description="what is added to each of the layer's values")
+    weight: Annotated[
+        tuple[_Numbers, ...], Form("a list of lists of numbers"), "a list of weights for each of the layer's values"
+    ]
+    bias: Annotated[_Numbers, "what is added to each of the layer's values"]
 
 
 class NetworkConfig(Section):
     """A perceptron that corrects the terms. Its inputs are all features of the terms except `one`."""
 
-    hidden: Annotated[tuple[LayerConfig, ...], Form("a list of layers")] = Field(
-        description="hidden layers, each with weight and bias"
-    )
-    last: _Numbers = Field(description="weights of the last hidden layer's values, in texels")
+    hidden: Annotated[tuple[LayerConfig, ...], Form("a list of layers"), "hidden layers, each with weight and bias"]
+    last: Annotated[_Numbers, "weights of the last hidden layer's values, in texels"]
 
 
 def _has_terms(bias: Mapping[str, Any]) -> bool:
@@ -55,7 +53,7 @@ class BiasConfig(Section, biases.Bias):
     terms: TermsConfig = Field(
         default_factory=TermsConfig, description="a bias that depends on several things that a shader knows"
     )
-    network: NetworkConfig | None = Field(default=None, description="a perceptron that corrects terms; default: none")
+    network: Annotated[NetworkConfig | None, "a perceptron that corrects terms; default: none"] = None
     plane: PlaneConfig = Field(default_factory=PLANES.make, description="bias from the receiver's plane")
 
     @classmethod

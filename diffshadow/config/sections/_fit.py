@@ -19,11 +19,9 @@ class FitParameterConfig(Section):
     For numbers of the scene with a traced reference, the values in `scene` are the truth.
     """
 
-    initial: float | None = Field(
-        default=None, description="where the fit starts; default: the value of the key it names"
-    )
-    lower: float = Field(description="least value")
-    upper: float = Field(description="greatest value")
+    initial: Annotated[float | None, "where the fit starts; default: the value of the key it names"] = None
+    lower: Annotated[float, "least value"]
+    upper: Annotated[float, "greatest value"]
     ascending = (("lower", "upper"),)
 
     @classmethod
@@ -61,17 +59,14 @@ class FitConfig(Section, fit.Fit):
     )
     solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
     anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
-    views: ViewsConfig | None = Field(
-        default=None, description="scenes to fit to together, instead of the configuration's own"
-    )
-    validation: ValidationConfig | None = Field(
-        default=None, description="scenes to measure the result on, which the fit does not see"
-    )
-    prefer: Annotated[tuple[str, ...], _as_names, Form("least_bias, or a list of parameters")] = Field(
-        default=(),
-        description="parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, "
-        "then radii",
-    )
+    views: Annotated[ViewsConfig | None, "scenes to fit to together, instead of the configuration's own"] = None
+    validation: Annotated[ValidationConfig | None, "scenes to measure the result on, which the fit does not see"] = None
+    prefer: Annotated[
+        tuple[str, ...],
+        _as_names,
+        Form("least_bias, or a list of parameters"),
+        "parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, then radii",
+    ] = ()
     loss: LossConfig = Field(default_factory=LossConfig, description="what the fit minimises")
 
     @classmethod

@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
 from ...settings import Limits, Unit, scene
 from ...settings.quantities import Degrees, Direction, Distance, Position, Turn
 from ._section import Conflict, Section, Variants, exclusive, fault, given
@@ -16,36 +14,34 @@ Radii = Annotated[float, Limits(0, 1e4, above_low=True), Unit("radii")]
 class LightOrbit(Section):
     """A light placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Turn = Field(default=60.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
-    elevation: Degrees = Field(default=60.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Radii = Field(default=4.0, description="distance from the mesh's middle, in radii of its bounding sphere")
+    azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 60.0
+    elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 60.0
+    distance: Annotated[Radii, "distance from the mesh's middle, in radii of its bounding sphere"] = 4.0
 
 
 class ShadowCamera(Section, scene.ShadowCamera):
     """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
     `position`, which looks along the light with +y up."""
 
-    position: Position = Field(description="where near, far and the window are measured from, in world units")
+    position: Annotated[Position, "where near, far and the window are measured from, in world units"]
 
 
 class DirectionalLightConfig(Section, scene.Sun):
     """Light from infinitely far away."""
 
-    azimuth: Turn | None = Field(
-        default=None, description="where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"
+    azimuth: Annotated[Turn | None, "where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"] = None
+    elevation: Annotated[
+        Degrees | None, Limits(-90, 90), "angle above the horizon it comes from, in degrees; default 45"
+    ] = None
+    direction: Annotated[Direction | None, "direction of travel, of any length; instead of azimuth and elevation"] = (
+        None
     )
-    elevation: Degrees | None = Field(
-        default=None, ge=-90, le=90, description="angle above the horizon it comes from, in degrees; default 45"
-    )
-    direction: Direction | None = Field(
-        default=None, description="direction of travel, of any length; instead of azimuth and elevation"
-    )
-    frame: Literal["scene", "casters"] = Field(
-        default="scene", description="what the map is fitted to; with casters, pixels outside the map do not count"
-    )
-    shadow_camera: ShadowCamera | None = Field(
-        default=None, description="camera of the map, instead of one that is fitted; pixels outside do not count"
-    )
+    frame: Annotated[
+        Literal["scene", "casters"], "what the map is fitted to; with casters, pixels outside the map do not count"
+    ] = "scene"
+    shadow_camera: Annotated[
+        ShadowCamera | None, "camera of the map, instead of one that is fitted; pixels outside do not count"
+    ] = None
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -64,12 +60,10 @@ class DirectionalLightConfig(Section, scene.Sun):
 class _PlacedLightConfig(Section):
     """A light at a finite position."""
 
-    orbit: LightOrbit | None = Field(
-        default=None, description="placement by angles about the first mesh, instead of position"
-    )
-    position: Position | None = Field(default=None, description="position of the light, in world units")
-    near: Distance | None = Field(default=None, description="near plane of the map, in world units; default: tight")
-    far: Distance | None = Field(default=None, description="far plane of the map, in world units; default: tight")
+    orbit: Annotated[LightOrbit | None, "placement by angles about the first mesh, instead of position"] = None
+    position: Annotated[Position | None, "position of the light, in world units"] = None
+    near: Annotated[Distance | None, "near plane of the map, in world units; default: tight"] = None
+    far: Annotated[Distance | None, "far plane of the map, in world units; default: tight"] = None
     ascending = (("near", "far"),)
 
     @classmethod
@@ -84,12 +78,12 @@ class _PlacedLightConfig(Section):
 class _AimedLightConfig(_PlacedLightConfig):
     """A light with a direction."""
 
-    target: Position | None = Field(
-        default=None, description="point the light is aimed at, in world units; default: the scene's middle"
+    target: Annotated[Position | None, "point the light is aimed at, in world units; default: the scene's middle"] = (
+        None
     )
-    outer_angle: scene.OuterAngle | None = Field(
-        default=None, description="half the map's field of view, in degrees; default: just wide enough for the scene"
-    )
+    outer_angle: Annotated[
+        scene.OuterAngle | None, "half the map's field of view, in degrees; default: just wide enough for the scene"
+    ] = None
 
 
 class SpotLightConfig(_AimedLightConfig, scene.SpotLight):

@@ -29,34 +29,26 @@ class MeshConfig(Section):
         description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="keyword options of a builtin mesh")
-    size: Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None = Field(
-        default=None, description="longest side to scale the mesh to, in world units"
-    )
-    drop_to_ground: bool = Field(
-        default=False, description="whether to move the mesh up or down until it stands on y = 0"
-    )
-    translate: Position = Field(
-        default=(0.0, 0.0, 0.0), description="translation, after scale and rotate, in world units"
-    )
-    rotate: Angles = Field(
-        default=(0.0, 0.0, 0.0), description="rotation about the x, then the y, then the z axis, in degrees"
-    )
+    size: Annotated[
+        Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None,
+        "longest side to scale the mesh to, in world units",
+    ] = None
+    drop_to_ground: Annotated[bool, "whether to move the mesh up or down until it stands on y = 0"] = False
+    translate: Annotated[Position, "translation, after scale and rotate, in world units"] = (0.0, 0.0, 0.0)
+    rotate: Annotated[Angles, "rotation about the x, then the y, then the z axis, in degrees"] = (0.0, 0.0, 0.0)
     # Enough to scale the largest scenes to the smallest, and back.
-    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="scale factor about the origin")
-    crease_angle: Degrees = Field(
-        default=30.0, ge=0, le=180, description="edges of a mesh file bent by more are shaded sharp, in degrees"
-    )
-    normals: Literal["creases", "file"] = Field(
-        default="creases", description="normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
-    )
-    albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each component in [0, 1]")
-    casts: bool = Field(
-        default=True,
-        description="whether it casts shadows with the technique, or only receives them; in the reference all cast",
-    )
-    receives: bool = Field(
-        default=True, description="whether an engine shows shadows on it; pixels of others count in no error"
-    )
+    scale: Annotated[float, Limits(1e-15, 1e15), "scale factor about the origin"] = 1.0
+    crease_angle: Annotated[
+        Degrees, Limits(0, 180), "edges of a mesh file bent by more are shaded sharp, in degrees"
+    ] = 30.0
+    normals: Annotated[
+        Literal["creases", "file"], "normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
+    ] = "creases"
+    albedo: Annotated[Colour, "diffuse colour, each component in [0, 1]"] = (0.8, 0.8, 0.8)
+    casts: Annotated[
+        bool, "whether it casts shadows with the technique, or only receives them; in the reference all cast"
+    ] = True
+    receives: Annotated[bool, "whether an engine shows shadows on it; pixels of others count in no error"] = True
 
     @property
     def builtin(self) -> str | None:
@@ -83,17 +75,15 @@ class MeshConfig(Section):
 class CameraOrbit(Section):
     """A camera placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Turn = Field(default=30.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
-    elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Radii = Field(default=2.5, description="distance from the mesh's middle, in radii of its bounding sphere")
+    azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 30.0
+    elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 30.0
+    distance: Annotated[Radii, "distance from the mesh's middle, in radii of its bounding sphere"] = 2.5
 
 
 class _CameraConfig(Section):
-    orbit: CameraOrbit | None = Field(
-        default=None, description="placement by angles about the first mesh, instead of eye"
-    )
-    eye: Position | None = Field(default=None, description="position, in world units")
-    target: Position | None = Field(default=None, description="point in the middle of the image, in world units")
+    orbit: Annotated[CameraOrbit | None, "placement by angles about the first mesh, instead of eye"] = None
+    eye: Annotated[Position | None, "position, in world units"] = None
+    target: Annotated[Position | None, "point in the middle of the image, in world units"] = None
     ascending = (("near", "far"),)
 
     @classmethod
@@ -110,24 +100,16 @@ class _CameraConfig(Section):
 class PinholeCameraConfig(_CameraConfig, scene.PinholeCamera):
     """A perspective camera."""
 
-    near: Distance | None = Field(
-        default=None, description="distance of the near plane, in world units; default: tight"
-    )
-    far: Distance | None = Field(default=None, description="distance of the far plane, in world units; default: tight")
+    near: Annotated[Distance | None, "distance of the near plane, in world units; default: tight"] = None
+    far: Annotated[Distance | None, "distance of the far plane, in world units; default: tight"] = None
 
 
 class OrthographicCameraConfig(_CameraConfig, scene.OrthographicCamera):
     """An orthographic camera."""
 
-    height: Distance | None = Field(
-        default=None, description="height of the view, in world units; default: the whole scene"
-    )
-    near: Coordinate | None = Field(
-        default=None, description="distance of the near plane, in world units; default: tight"
-    )
-    far: Coordinate | None = Field(
-        default=None, description="distance of the far plane, in world units; default: tight"
-    )
+    height: Annotated[Distance | None, "height of the view, in world units; default: the whole scene"] = None
+    near: Annotated[Coordinate | None, "distance of the near plane, in world units; default: tight"] = None
+    far: Annotated[Coordinate | None, "distance of the far plane, in world units; default: tight"] = None
 
 
 CAMERAS = Variants(scene.Camera, "pinhole", __name__)
@@ -137,14 +119,16 @@ CameraConfig = Annotated[scene.Camera, CAMERAS]
 class SceneConfig(Section):
     """Meshes, camera and lights."""
 
-    meshes: Annotated[tuple[MeshConfig, ...], Form("a list of meshes, each with a path")] = Field(
-        description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
-    )
+    meshes: Annotated[
+        tuple[MeshConfig, ...],
+        Form("a list of meshes, each with a path"),
+        "surfaces, each a caster and a receiver; cameras and lights orbit the first",
+    ]
     camera: CameraConfig = Field(default_factory=CAMERAS.make, description="camera of the image")
-    light: LightConfig | None = Field(default=None, description="light that casts the shadows")
-    lights: Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None = Field(
-        default=None, description="several lights instead of one"
-    )
+    light: Annotated[LightConfig | None, "light that casts the shadows"] = None
+    lights: Annotated[
+        Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
+    ] = None
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import as_tuple
-from ..._misc import as_float, as_number, concrete, dot, normalize, safe_norm
+from ..._misc import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
@@ -173,7 +173,8 @@ def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
 def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visibility:
     _, receives = state.of_pixels(surface)
     of = _in_cube if isinstance(state.light, PointLight) else _in_window
-    return jnp.where(receives, of(settings, state, surface.position), 1)
+    # With a bias far from 0, the formula of `PCSS` goes beyond what is lit.
+    return jnp.where(receives, in_unit_range(of(settings, state, surface.position)), 1)
 
 
 class Receivers(NamedTuple):

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import as_tuple
-from ..._misc import as_number, safe_norm, safe_sqrt
+from ..._misc import as_number, in_unit_range, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
@@ -107,7 +107,7 @@ def _visibility(settings: ThreeJs, state: EngineMap, surface: Surface) -> Visibi
     position = surface.position + settings.normal_bias * factor * surface.interpolated_normal
     of = _in_cube if isinstance(state.light, PointLight) else _in_window
     lit = of(settings, state, position)
-    return jnp.where(receives, 1 + (lit - 1) * settings.intensity, 1)
+    return jnp.where(receives, in_unit_range(1 + (lit - 1) * settings.intensity), 1)
 
 
 def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:

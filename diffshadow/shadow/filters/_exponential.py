@@ -2,13 +2,13 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialShadowMap as Settings
-from ...settings.filters import Shape
 from ._prefilter import AbstractPrefiltered
 
 
@@ -30,18 +30,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    exponent: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = Settings.radius,
-        max_radius: float | None = None,
-        kernel: Shape = Settings.kernel,
-        exponent: float | Scalar = Settings.exponent,
-        light_bleeding: float | Scalar = Settings.light_bleeding,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.exponent = as_number(exponent)
+    exponent: Scalar = eqx.field(converter=as_number, default=Settings.exponent, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the far plane, so that exponentials neither overflow nor underflow.

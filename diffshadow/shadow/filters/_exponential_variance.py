@@ -2,13 +2,13 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialVarianceShadowMap as Settings
-from ...settings.filters import Shape
 from ._prefilter import AbstractPrefiltered, chebyshev
 
 # Clamp on the log of moments relative to the receiver's: larger ones leave no bound, and their squares would overflow.
@@ -36,24 +36,9 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    positive_exponent: Scalar
-    negative_exponent: Scalar
-    least_variance: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = Settings.radius,
-        max_radius: float | None = None,
-        kernel: Shape = Settings.kernel,
-        positive_exponent: float | Scalar = Settings.positive_exponent,
-        negative_exponent: float | Scalar = Settings.negative_exponent,
-        least_variance: float | Scalar = Settings.least_variance,
-        light_bleeding: float | Scalar = Settings.light_bleeding,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.positive_exponent = as_number(positive_exponent)
-        self.negative_exponent = as_number(negative_exponent)
-        self.least_variance = as_number(least_variance)
+    positive_exponent: Scalar = eqx.field(converter=as_number, default=Settings.positive_exponent, kw_only=True)
+    negative_exponent: Scalar = eqx.field(converter=as_number, default=Settings.negative_exponent, kw_only=True)
+    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     @property
     def _exponents(self) -> tuple[Scalar, Scalar]:

@@ -2,13 +2,13 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_number, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import MomentShadowMap as Settings
-from ...settings.filters import Shape
 from ._prefilter import AbstractPrefiltered
 
 # Moments of the weights 3/16, 5/8 and 3/16 at -1, 0 and 1: far from the moments of any two depths.
@@ -38,18 +38,7 @@ class MomentShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    moment_bias: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = Settings.radius,
-        max_radius: float | None = None,
-        kernel: Shape = Settings.kernel,
-        moment_bias: float | Scalar = Settings.moment_bias,
-        light_bleeding: float | Scalar = Settings.light_bleeding,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.moment_bias = as_number(moment_bias)
+    moment_bias: Scalar = eqx.field(converter=as_number, default=Settings.moment_bias, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         w = 2 * depth - 1

@@ -53,25 +53,11 @@ class PercentageCloserSoft(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    light_size: Scalar | None
-    search: Pattern
-    pattern: Pattern
-    min_radius: Scalar
-    max_radius: Scalar
-
-    def __init__(
-        self,
-        light_size: float | Scalar | None = Settings.light_size,
-        search: Pattern | None = None,
-        pattern: Pattern | None = None,
-        min_radius: float | Scalar = Settings.min_radius,
-        max_radius: float | Scalar = Settings.max_radius,
-    ):
-        self.light_size = as_number(light_size)
-        self.search = stratified(Settings.search_samples, seed=1) if search is None else search
-        self.pattern = stratified() if pattern is None else pattern
-        self.min_radius = as_number(min_radius)
-        self.max_radius = as_number(max_radius)
+    light_size: Scalar | None = eqx.field(converter=as_number, default=Settings.light_size)
+    search: Pattern = eqx.field(default_factory=lambda: stratified(Settings.search_samples, seed=1))
+    pattern: Pattern = eqx.field(default_factory=stratified)
+    min_radius: Scalar = eqx.field(converter=as_number, default=Settings.min_radius)
+    max_radius: Scalar = eqx.field(converter=as_number, default=Settings.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)

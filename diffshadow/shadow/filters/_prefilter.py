@@ -63,16 +63,13 @@ class AbstractPrefiltered(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
-    kernel: Shape = eqx.field(static=True)
-    light_bleeding: Scalar
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    max_radius: float = eqx.field(static=True, default=None)
+    kernel: Shape = eqx.field(static=True, default=Settings.kernel)
+    light_bleeding: Scalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
 
-    def __init__(self, radius: float | Scalar, max_radius: float | None, kernel: Shape, light_bleeding: float | Scalar):
-        self.radius = as_number(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-        self.kernel = kernel
-        self.light_bleeding = as_number(light_bleeding)
+    def __post_init__(self):
+        self.max_radius = radius_limit(self.radius, self.max_radius)
 
     def _check_rules(self):
         check_radius(self)

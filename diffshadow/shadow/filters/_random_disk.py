@@ -30,22 +30,10 @@ class RandomDisk(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar
-    pattern: Pattern
-    lookup: TapMode = eqx.field(static=True)
-    early_out: bool = eqx.field(static=True)
-
-    def __init__(
-        self,
-        radius: float | Scalar = Settings.radius,
-        pattern: Pattern | None = None,
-        lookup: TapMode = Settings.lookup,
-        early_out: bool = Settings.early_out,
-    ):
-        self.radius = as_number(radius)
-        self.pattern = stratified() if pattern is None else pattern
-        self.lookup = lookup
-        self.early_out = early_out
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    pattern: Pattern = eqx.field(default_factory=stratified)
+    lookup: TapMode = eqx.field(static=True, default=Settings.lookup)
+    early_out: bool = eqx.field(static=True, default=Settings.early_out)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         def mean(pattern: Pattern, active: Mask | None = None) -> Visibility:

@@ -1,7 +1,8 @@
 """A separable kernel whose weights are free."""
 
-from collections.abc import Sequence
 from typing import ClassVar
+
+import equinox as eqx
 
 from ..._misc import as_float, as_numbers
 from ..._types import Scalar, Visibility
@@ -26,10 +27,7 @@ class Separable(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    weights: tuple[Scalar, ...]
-
-    def __init__(self, weights: Sequence[float | Scalar] = Settings.weights):
-        self.weights = as_numbers(weights)
+    weights: tuple[Scalar, ...] = eqx.field(converter=as_numbers, default=Settings.weights)
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:

@@ -27,12 +27,11 @@ class AbstractSizedFilter(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    max_radius: float = eqx.field(static=True, default=None)
 
-    def __init__(self, radius: float | Scalar = Settings.radius, max_radius: float | None = None):
-        self.radius = as_number(radius)
-        self.max_radius = radius_limit(radius, max_radius)
+    def __post_init__(self):
+        self.max_radius = radius_limit(self.radius, self.max_radius)
 
     def _check_rules(self):
         check_radius(self)

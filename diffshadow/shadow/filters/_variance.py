@@ -2,12 +2,12 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
-from ...settings.filters import Shape
 from ...settings.filters import VarianceShadowMap as Settings
 from ._prefilter import AbstractPrefiltered, chebyshev
 
@@ -30,18 +30,7 @@ class VarianceShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    least_variance: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = Settings.radius,
-        max_radius: float | None = None,
-        kernel: Shape = Settings.kernel,
-        least_variance: float | Scalar = Settings.least_variance,
-        light_bleeding: float | Scalar = Settings.light_bleeding,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.least_variance = as_number(least_variance)
+    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the middle of the range, where squares lose the fewest digits.

@@ -16,10 +16,10 @@ from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, CascadedLight, View
 from ...raster import SUBPIXELS, Surface
 from ...settings.quantities import MAX_TEXELS
-from ...settings.techniques import MARGIN, CascadeFit, CascadeSelection, DepthRange
+from ...settings.techniques import CascadeFit, CascadeSelection, DepthRange
 from ...settings.techniques import Cascades as Settings
 from ._abstract import Choice
-from ._fitted import AbstractFittedLayout, check_depths
+from ._fitted import AbstractFittedLayout, check_depths, margin_of
 from ._frustum import ViewFrustum, depths_of
 
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
@@ -113,7 +113,7 @@ class Cascades(AbstractFittedLayout):
         self.max_share = _greatest(self.shares) if max_share is None else max_share
         is_number = eqx.is_array(self.blend) and self.blend.ndim == 0
         self.max_blend = max_blend if max_blend is not None else float(self.blend) if is_number else 1.0
-        self.fade, self.margin = fade, MARGIN if margin is None else margin
+        self.fade, self.margin = fade, margin_of(margin)
 
     def _check_rules(self):
         if self.distances is not None:

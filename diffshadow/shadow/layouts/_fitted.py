@@ -9,7 +9,7 @@ from ..._misc import concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
-from ...settings.techniques import DepthRange
+from ...settings.techniques import MARGIN, DepthRange
 from ._abstract import AbstractLayout
 
 
@@ -52,6 +52,11 @@ class AbstractFittedLayout(AbstractLayout):
             raise ValueError("the layout follows the depths of the surface, and none was given; expected a surface")
         if self.shadow_distance is not None:
             check_depths("shadow_distance is", [self.shadow_distance], camera)
+
+
+def margin_of(margin: float | None) -> float:
+    """`margin`, or that of a layout that knows of no filter."""
+    return MARGIN if margin is None else margin
 
 
 def check_depths(what: str, depths: Sequence[Scalar], camera: AbstractCamera) -> None:

@@ -12,11 +12,11 @@ from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, PagedLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
-from ...settings.techniques import MARGIN, MAX_ACROSS, MAX_LEVEL_BIAS, DepthRange, LevelNorm
+from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, DepthRange, LevelNorm
 from ...settings.techniques import ResolutionMatched as Settings
 from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
 from ._abstract import Choice
-from ._fitted import AbstractFittedLayout
+from ._fitted import AbstractFittedLayout, margin_of
 
 # By which fraction of a level the bias is raised until all pages fit.
 _STEPS = 16
@@ -61,27 +61,13 @@ class ResolutionMatched(AbstractFittedLayout):
 
     settings: ClassVar = Settings
 
-    shadow_distance: Scalar | None
-    level_bias: Scalar
-    depths: DepthRange = eqx.field(static=True)
-    page: int = eqx.field(static=True)
-    finest: int = eqx.field(static=True)
-    norm: LevelNorm = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
-
-    def __init__(
-        self,
-        page: int = Settings.page,
-        finest: int = Settings.finest,
-        *,
-        norm: LevelNorm = Settings.norm,
-        level_bias: float | Scalar = Settings.level_bias,
-        shadow_distance: float | Scalar | None = Settings.shadow_distance,
-        margin: float | None = Settings.margin,
-    ):
-        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_number(level_bias)
-        self.shadow_distance = as_number(shadow_distance)
-        self.depths, self.margin = "surface", MARGIN if margin is None else margin
+    page: int = eqx.field(static=True, default=Settings.page)
+    finest: int = eqx.field(static=True, default=Settings.finest)
+    norm: LevelNorm = eqx.field(static=True, default=Settings.norm, kw_only=True)
+    level_bias: Scalar = eqx.field(converter=as_number, default=Settings.level_bias, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
+    depths: DepthRange = eqx.field(static=True, init=False, default="surface")
 
     def _check_rules(self):
         for name, value in (("page", self.page), ("finest", self.finest)):

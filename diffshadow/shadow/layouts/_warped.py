@@ -21,10 +21,10 @@ from ...geometry import (
     transform_vectors,
 )
 from ...raster import Surface
-from ...settings.techniques import MARGIN, DepthRange, WarpMethod
+from ...settings.techniques import DepthRange, WarpMethod
 from ...settings.techniques import PerspectiveWarp as Settings
 from ._abstract import Choice
-from ._fitted import AbstractFittedLayout
+from ._fitted import AbstractFittedLayout, margin_of
 from ._frustum import ViewFrustum, depths_of
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
@@ -83,28 +83,12 @@ class PerspectiveWarp(AbstractFittedLayout):
 
     settings: ClassVar = Settings
 
-    strength: Scalar | None
-    focus: Scalar
-    shadow_distance: Scalar | None
-    method: WarpMethod = eqx.field(static=True)
-    depths: DepthRange = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
-
-    def __init__(
-        self,
-        method: WarpMethod = Settings.method,
-        *,
-        strength: float | Scalar | None = Settings.strength,
-        focus: float | Scalar = Settings.focus,
-        shadow_distance: float | Scalar | None = Settings.shadow_distance,
-        depths: DepthRange = Settings.depths,
-        margin: float | None = Settings.margin,
-    ):
-        self.method, self.depths = method, depths
-        self.strength = as_number(strength)
-        self.focus = as_number(focus)
-        self.shadow_distance = as_number(shadow_distance)
-        self.margin = MARGIN if margin is None else margin
+    method: WarpMethod = eqx.field(static=True, default=Settings.method)
+    strength: Scalar | None = eqx.field(converter=as_number, default=Settings.strength, kw_only=True)
+    focus: Scalar = eqx.field(converter=as_number, default=Settings.focus, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    depths: DepthRange = eqx.field(static=True, default=Settings.depths, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 
     def light(
         self,
