@@ -29,7 +29,8 @@ class CheckedModule(eqx.Module):
         super().__init_subclass__(**options)
         if "settings" in vars(cls):
             ranges = (f"    - `{field}`: {each.expected()}" for field, each in _fields(cls.settings, cls.part).values())
-            cls.__doc__ = "\n".join([f"{cls.__doc__}", "    **Ranges:**", "", *ranges, "    "])
+            heading = f"{cls.__doc__}\n    **Ranges**, beyond which it raises `ValueError`:\n"
+            cls.__doc__ = "\n".join([heading, *ranges, "    "])
 
     def __check_init__(self):
         check_settings(self, self.part)
@@ -164,12 +165,6 @@ def _shown(value: Any) -> str:
     if known.size > _MAX_SHOWN:
         return f"an array of shape {known.shape}"
     return str(known) if known.ndim == 0 else listed(known)
-
-
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """**Raises** `ValueError` if `value` is not one of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
 
 
 def check_instance(name: str, value: Any, kind: type, example: str) -> None:

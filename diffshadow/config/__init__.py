@@ -44,22 +44,9 @@ if TYPE_CHECKING:
     from .building._modules import build_shadow_mapping as build_shadow_mapping
     from .building._modules import build_technique as build_technique
 
-_NEED_JAX = frozenset(
-    {
-        "FitPlan",
-        "build_fit",
-        "build_mesh",
-        "build_scene",
-        "build_shading",
-        "build_fittable",
-        "build_shadow_mapping",
-        "build_technique",
-    }
-)
-
 
 def __getattr__(name: str) -> Any:
-    if name not in _NEED_JAX:
+    if not name.startswith("build_") and name != "FitPlan":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .building import _modules
 

@@ -39,7 +39,7 @@ class Loss(CheckedModule):
 
         in which the logarithm stands for Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
-    **Raises** `ValueError` if `over` is unknown, a number is out of its range, or both factors are 0.
+    **Raises** `ValueError` if both factors are 0.
     """
 
     settings: ClassVar = Settings

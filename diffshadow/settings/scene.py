@@ -12,6 +12,11 @@ OuterAngle = Annotated[Degrees, Limits(NARROWEST, 90 - NARROWEST)]
 _Length = Annotated[float, Limits(0, FARTHEST)]
 
 
+PIECES = (
+    *("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot"),
+    *("fence", "thin_wall", "chair", "blob"),
+)
+"""The meshes of the library: names of functions in `geometry/_library.py`."""
 LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
 

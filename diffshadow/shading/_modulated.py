@@ -30,8 +30,6 @@ class ModulatedShadow(AbstractShading):
 
     - `lit`: shading of the scene without shadows.
     - `factor`: fraction of the colour that is left in shadow: 0 is black, 1 is no shadow.
-
-    **Raises** `ValueError` for a factor out of its range.
     """
 
     settings: ClassVar = Settings

@@ -32,8 +32,6 @@ class Attenuation(CheckedModule):
     """Distance attenuation, `1 / (constant + linear · d + quadratic · d²)`, with distance `d` in world units.
 
     As in the OpenGL specification, version 2.1, section 2.14.1. The default is no attenuation.
-
-    **Raises** `ValueError` if a number is out of its range.
     """
 
     settings: ClassVar = shading.Attenuation
@@ -60,8 +58,6 @@ class Phong(AbstractShading):
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 
     Colours are linear; give one number or three. A spot light with an inner angle lights only its cone.
-
-    **Raises** `ValueError` if the model is unknown, or a number is out of its range.
     """
 
     settings: ClassVar = shading.Phong

@@ -44,8 +44,6 @@ class HardCompare(AbstractCompare):
     """The compare of graphics hardware: 1 if lit, 0 if shadowed. Its gradient is zero everywhere.
 
     - `operator`: `"less_equal"`, lit where `receiver <= stored`, or `"less"`, lit where `receiver < stored`.
-
-    **Raises** `ValueError` if `operator` is unknown.
     """
 
     settings: ClassVar = maps.HardCompare
@@ -94,8 +92,6 @@ class SoftCompare(AbstractCompare):
     - `kernel`: `"logistic"`, 1 / (1 + exp(-t)); `"gaussian"`, the normal CDF with standard deviation `width`;
         `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"`, min(1, exp(t)), as in exponential
         shadow maps (Annen et al. 2008).
-
-    **Raises** `ValueError` if `width` is out of its range, or `kernel` is unknown.
     """
 
     settings: ClassVar = maps.SoftCompare

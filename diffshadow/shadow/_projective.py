@@ -63,7 +63,7 @@ class ProjectiveShadow(AbstractTechnique):
     Differentiable with respect to the blur and to where receivers fall in the texture. Coverage is sampled at texel
     centres, so it has no derivative with respect to casters or light: do not rely on gradients of their poses.
 
-    **Raises** `ValueError` if a number is out of its range, `blur` is above `max_blur`, or `kernel` is unknown.
+    **Raises** `ValueError` if `blur` is above `max_blur`.
     """
 
     settings: ClassVar = Settings

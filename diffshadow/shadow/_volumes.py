@@ -94,8 +94,6 @@ class ShadowVolumes(AbstractTechnique):
     whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid this.
 
     The counts are integers and have no gradient.
-
-    **Raises** `ValueError` if the method is unknown.
     """
 
     settings: ClassVar = Settings

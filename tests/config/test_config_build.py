@@ -33,13 +33,6 @@ def build(*overrides: str, text: str = TINY):
     return build_scene(parse_config(text, overrides))
 
 
-def test_builtin_names_are_those_of_the_library():
-    from diffshadow.config.sections._scene import BUILTIN_MESHES
-    from diffshadow.geometry import LIBRARY
-
-    assert set(BUILTIN_MESHES) == set(LIBRARY)
-
-
 def test_mesh_is_sized_dropped_scaled_turned_and_moved():
     text = "scene: {meshes: [{path: 'builtin:box', size: 2, drop_to_ground: true, scale: 0.5}]}"
     moved = build("scene.meshes.0.translate=[1, 2, 3]", "scene.meshes.0.rotate=[90, 0, 90]", text=text)

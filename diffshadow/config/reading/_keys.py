@@ -10,8 +10,7 @@ from pydantic_core import PydanticUndefined
 
 from ...settings import Setting, Unit, bare
 from .._errors import KeyPath, dotted
-from ..sections._marks import marked
-from ..sections._section import Section, Variants, type_of
+from ..sections._section import Section, Variants, marked, type_of
 from ..whole._schema import Config
 
 

@@ -11,9 +11,8 @@ from ...settings.engines import Engine
 from .._errors import did_you_mean, listing
 from ._biases import PLANES, BiasConfig, TermsConfig
 from ._filters import FILTERS
-from ._marks import marked
 from ._poses import could_be_pose, is_pose, pose_faults, pose_of
-from ._section import Conflict, Section, fault, is_index, is_number, type_of, value_at
+from ._section import Conflict, Section, fault, is_index, is_number, marked, type_of, value_at
 from ._technique import TECHNIQUES
 
 

@@ -7,18 +7,13 @@ from pydantic import Field
 
 from ...settings import Form, Limits, Unit, scene
 from ...settings.quantities import FARTHEST, SMALLEST, Angles, Colour, Coordinate, Degrees, Distance, Position, Turn
+from ...settings.scene import PIECES
 from .._errors import KeyPath, listing, nearest
 from ._lights import LightConfig, Radii
 from ._section import Conflict, Section, Variants, exclusive, fault, given, value_at
 
 BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
-
-# The names in geometry.LIBRARY, kept here so that a misspelling is found without loading JAX.
-BUILTIN_MESHES = (
-    *("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot"),
-    *("fence", "thin_wall", "chair", "blob"),
-)
 
 
 class MeshConfig(Section):
@@ -61,10 +56,10 @@ class MeshConfig(Section):
         if not isinstance(path, str):
             return
         name = path.removeprefix(BUILTIN)
-        if path.startswith(BUILTIN) and name not in BUILTIN_MESHES:
-            suggestion = nearest(name, BUILTIN_MESHES)
+        if path.startswith(BUILTIN) and name not in PIECES:
+            suggestion = nearest(name, PIECES)
             mend = "name one of these" if suggestion is None else f"did you mean {BUILTIN + suggestion!r}?"
-            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(BUILTIN_MESHES)}", mend)
+            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(PIECES)}", mend)
         if not path.startswith(BUILTIN) and options:
             what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
             yield ("options",), what

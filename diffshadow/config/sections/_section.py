@@ -1,6 +1,7 @@
 """The base of all sections of a configuration: strict validation, variants, and checks across keys."""
 
 import functools
+import itertools
 import math
 import operator
 import sys
@@ -16,11 +17,11 @@ from pydantic import (
     create_model,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from ...settings import Form, LongerThan, Settings, bare, is_union
 from .._errors import show
-from ._marks import marked
 
 # Enough digits for any 32-bit index.
 _LONGEST_INDEX = 10
@@ -36,6 +37,13 @@ def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
     """A validation error: what was given, what was expected, and how to mend it."""
     words = {"given": given, "expected": expected, "mend": mend}
     return PydanticCustomError(FAULT, "{given}; expected {expected}; {mend}", words)
+
+
+def marked(field: FieldInfo) -> tuple[Any, tuple[Any, ...]]:
+    """The bare type of `field`, and all of its marks."""
+    kind, marks = bare(field.annotation)
+    inner = (mark.metadata if isinstance(mark, FieldInfo) else (mark,) for mark in (*field.metadata, *marks))
+    return kind, tuple(itertools.chain.from_iterable(inner))
 
 
 class Section(BaseModel, Settings):

@@ -25,8 +25,6 @@ class AdaptiveBias(AbstractBias):
     - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length converted to window depth at the
         receiver; the paper's length is a fraction of the scene's size, here it is a fraction of a texel. Rounding is
         covered separately (`Receiver.rounding`).
-
-    **Raises** `ValueError` if `epsilon` is out of its range.
     """
 
     settings: ClassVar = Settings

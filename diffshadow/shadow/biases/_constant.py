@@ -18,8 +18,6 @@ class ConstantBias(AbstractBias):
     - `value`: along the light's axis, in `unit`. On a plane with depth slopes `g_x` and `g_y` along the map's axes,
         nearest look-ups need `(|g_x| + |g_y|) / 2` texels.
     - `unit`: `"texels"`, or `"depth"` for window depth. A value in window depth suits one scene, light and map only.
-
-    **Raises** `ValueError` if `value` is out of its range, or `unit` is unknown.
     """
 
     settings: ClassVar = Settings

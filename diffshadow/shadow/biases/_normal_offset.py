@@ -18,8 +18,6 @@ class NormalOffset(AbstractBias):
     """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
     - `profile`: `"sine"` sin θ, `"constant"` 1, or `"one_minus_cosine"` 1 - cos θ.
-
-    **Raises** `ValueError` if `value` is out of its range, or `profile` is unknown.
     """
 
     settings: ClassVar = Settings

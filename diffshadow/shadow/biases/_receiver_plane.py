@@ -30,8 +30,6 @@ class ReceiverPlane(AbstractBias):
         kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something touches the
         wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes are clamped
         at 89.4°.
-
-    **Raises** `ValueError` if a number is out of its range.
     """
 
     settings: ClassVar = Settings

@@ -26,7 +26,7 @@ class SlopeBias(AbstractBias):
         unit="depth")` is the common bias of shader tutorials. To convert such values to texels, divide them by the
         window depth per texel, `view.texel_size(distance, resolution) · view.depth_slope(distance)`.
 
-    **Raises** `ValueError` if a number is out of its range, a choice is unknown, or `least` is above `most`.
+    **Raises** `ValueError` if `least` is above `most`.
     """
 
     settings: ClassVar = Settings

@@ -25,7 +25,7 @@ class Bias(AbstractBias):
     - `factors`: for a map with layers, such as cascades: a factor for each layer, by which all of these but `plane` are
         multiplied there. Biases are in texels of their own layer with or without it.
 
-    **Raises** `ValueError` if a number is out of its range; and when called with `factors` for a map without layers.
+    **Raises** `ValueError` when called with `factors` for a map without layers.
     """
 
     settings: ClassVar = Settings

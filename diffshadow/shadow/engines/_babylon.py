@@ -86,7 +86,7 @@ class BabylonJs(AbstractEngineShadows):
 
     The rotation of `PCSS` depends on the sine of the device: pixels differ from those of another, and means agree.
 
-    **Raises** `ValueError` for a value that is not allowed, or a map that is not square.
+    **Raises** `ValueError` for a map that is not square.
     """
 
     settings: ClassVar = Settings

@@ -51,8 +51,6 @@ class ThreeJs(AbstractEngineShadows):
 
     The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
     reads single texels.
-
-    **Raises** `ValueError` for a value that is not allowed.
     """
 
     settings: ClassVar = Settings

@@ -26,8 +26,6 @@ class Castano(AbstractFilter):
     `Separable` has weights, and `Tent` a radius.
 
     - `size`: 3, 5 or 7.
-
-    **Raises** `ValueError` for any other size.
     """
 
     settings: ClassVar = Settings

@@ -24,8 +24,6 @@ class ExponentialShadowMap(AbstractPrefiltered):
     - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k
         behind an occluder.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
     settings: ClassVar = Settings

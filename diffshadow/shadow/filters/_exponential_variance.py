@@ -30,8 +30,6 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     - `least_variance`: lower bound on the variance of linear depth, which the warps scale by their slope at the
         receiver.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
     settings: ClassVar = Settings

@@ -17,10 +17,7 @@ from ._abstract import AbstractFilter
 
 
 class FourTap(AbstractFilter):
-    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all.
-
-    **Raises** `ValueError` if `radius` is out of its range.
-    """
+    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all."""
 
     settings: ClassVar = Settings
 

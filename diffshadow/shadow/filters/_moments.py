@@ -32,8 +32,6 @@ class MomentShadowMap(AbstractPrefiltered):
         larger one bleeds more light.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which
         compensates the moment bias.
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
     settings: ClassVar = Settings

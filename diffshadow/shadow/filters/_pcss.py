@@ -47,8 +47,8 @@ class PercentageCloserSoft(AbstractFilter):
     - `pattern`: pattern of the filter taps; stratified points if left out.
     - `min_radius`, `max_radius`: bounds on the penumbra's half width, in texels; `max_radius` bounds the search too.
 
-    **Raises** `ValueError` if the light's size or a radius is out of its range, or `min_radius` is above `max_radius`;
-    and when called without `light_size` for a light that has no size.
+    **Raises** `ValueError` if `min_radius` is above `max_radius`, and when called without `light_size` for a light that
+    has no size.
     """
 
     settings: ClassVar = Settings

@@ -24,8 +24,6 @@ class RandomDisk(AbstractFilter):
     - `pattern`: where the taps lie; stratified points if left out.
     - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
     - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.
-
-    **Raises** `ValueError` if `radius` is out of its range, or `lookup` is unknown.
     """
 
     settings: ClassVar = Settings

@@ -21,8 +21,6 @@ class Separable(AbstractFilter):
     With n weights there are (2n + 1)² compares. All of `Castano`'s kernels are such: 3/4 and 1/4 are that of size 5.
 
     - `weights`: of the compares 1, 2, ... texels from the middle, relative to the middle's; each 0 or more.
-
-    **Raises** `ValueError` if there are too few or too many, or one is out of its range.
     """
 
     settings: ClassVar = Settings

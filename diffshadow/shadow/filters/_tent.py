@@ -18,7 +18,7 @@ class Tent(AbstractSizedFilter):
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
         rounded up to a half texel.
 
-    **Raises** `ValueError` if `radius` is out of its range or above `max_radius`.
+    **Raises** `ValueError` if `radius` is above `max_radius`.
     """
 
     settings: ClassVar = Settings

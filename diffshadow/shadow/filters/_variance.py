@@ -24,8 +24,6 @@ class VarianceShadowMap(AbstractPrefiltered):
     - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
         its far plane. It hides rounding errors and acne, and blurs contact shadows.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
     """
 
     settings: ClassVar = Settings

@@ -2,7 +2,6 @@
 Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments", VRCIA 2006)."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -67,53 +66,33 @@ class Cascades(AbstractFittedLayout):
         border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset.
 
-    **Raises** `ValueError` for a number out of range, or distances that do not increase.
+    **Raises** `ValueError` for distances that do not increase.
     """
 
     settings: ClassVar = Settings
 
-    logarithmic: Scalar
-    distances: tuple[Scalar, ...] | None
-    shares: tuple[Scalar, ...] | None
-    shadow_distance: Scalar | None
-    blend: Scalar
-    count: int = eqx.field(static=True)
-    depths: DepthRange = eqx.field(static=True)
-    fit: CascadeFit = eqx.field(static=True)
-    stabilize: bool = eqx.field(static=True)
-    select: CascadeSelection = eqx.field(static=True)
-    max_share: float = eqx.field(static=True)
-    max_blend: float = eqx.field(static=True)
-    fade: float = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
+    count: int = eqx.field(static=True, default=Settings.count)
+    logarithmic: Scalar = eqx.field(converter=as_number, default=Settings.logarithmic)
+    distances: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.distances, kw_only=True)
+    shares: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.shares, kw_only=True)
+    max_share: float = eqx.field(static=True, default=None, kw_only=True)
+    depths: DepthRange = eqx.field(static=True, default=Settings.depths, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    fit: CascadeFit = eqx.field(static=True, default=Settings.fit, kw_only=True)
+    stabilize: bool = eqx.field(static=True, default=Settings.stabilize, kw_only=True)
+    select: CascadeSelection = eqx.field(static=True, default=Settings.select, kw_only=True)
+    blend: Scalar = eqx.field(converter=as_number, default=Settings.blend, kw_only=True)
+    max_blend: float = eqx.field(static=True, default=Settings.max_blend, kw_only=True)
+    fade: float = eqx.field(static=True, default=Settings.fade, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 
-    def __init__(
-        self,
-        count: int = Settings.count,
-        logarithmic: float | Scalar = Settings.logarithmic,
-        *,
-        distances: Sequence[float | Scalar] | None = Settings.distances,
-        shares: Sequence[float | Scalar] | None = Settings.shares,
-        max_share: float | None = None,
-        depths: DepthRange = Settings.depths,
-        shadow_distance: float | Scalar | None = Settings.shadow_distance,
-        fit: CascadeFit = Settings.fit,
-        stabilize: bool = Settings.stabilize,
-        select: CascadeSelection = Settings.select,
-        blend: float | Scalar = Settings.blend,
-        max_blend: float | None = Settings.max_blend,
-        fade: float = Settings.fade,
-        margin: float | None = Settings.margin,
-    ):
-        self.logarithmic, self.blend = as_number(logarithmic), as_number(blend)
-        self.distances, self.shares = as_numbers(distances), as_numbers(shares)
-        self.count = len(self.distances) if isinstance(self.distances, tuple) else count
-        self.depths, self.fit, self.stabilize, self.select = depths, fit, stabilize, select
-        self.shadow_distance = as_number(shadow_distance)
-        self.max_share = _greatest(self.shares) if max_share is None else max_share
-        is_number = eqx.is_array(self.blend) and self.blend.ndim == 0
-        self.max_blend = max_blend if max_blend is not None else float(self.blend) if is_number else 1.0
-        self.fade, self.margin = fade, margin_of(margin)
+    def __post_init__(self):
+        distances, shares, blend = as_numbers(self.distances), as_numbers(self.shares), as_number(self.blend)
+        self.count = len(distances) if isinstance(distances, tuple) else self.count
+        if self.max_share is None:
+            self.max_share = _greatest(shares)
+        if self.max_blend is None:
+            self.max_blend = float(blend) if eqx.is_array(blend) and blend.ndim == 0 else 1.0
 
     def _check_rules(self):
         if self.distances is not None:

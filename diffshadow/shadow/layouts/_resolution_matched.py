@@ -55,8 +55,6 @@ class ResolutionMatched(AbstractFittedLayout):
         the camera's far.
     - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of
         the filter, plus half a texel if its look-ups are bilinear, plus any normal offset.
-
-    **Raises** `ValueError` for a number out of range.
     """
 
     settings: ClassVar = Settings

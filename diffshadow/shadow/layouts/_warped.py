@@ -77,8 +77,6 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
         the border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset. At the far end, a strong warp has less of it: no more than `1 / (2 w)` of the map.
-
-    **Raises** `ValueError` for a number out of range.
     """
 
     settings: ClassVar = Settings
