@@ -9,7 +9,7 @@ The technique ignores depth order: casters shadow neither themselves nor each ot
 is shadowed like one behind it.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -70,7 +70,7 @@ class ProjectiveShadow(AbstractTechnique):
 
     resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Settings.resolution)
     blur: Scalar = eqx.field(converter=as_number, default=Settings.blur)
-    max_blur: float = eqx.field(static=True, default=None, kw_only=True)
+    max_blur: float | Any = eqx.field(static=True, default=None, kw_only=True)
     kernel: Shape = eqx.field(static=True, default=Settings.kernel, kw_only=True)
 
     def __post_init__(self):

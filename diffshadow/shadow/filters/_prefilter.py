@@ -5,7 +5,7 @@ border counts as depth 1, which is lit, and shadows near the border are blurred 
 """
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -64,7 +64,7 @@ class AbstractPrefiltered(AbstractFilter):
     settings: ClassVar = Settings
 
     radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
-    max_radius: float = eqx.field(static=True, default=None)
+    max_radius: float | Any = eqx.field(static=True, default=None)
     kernel: Shape = eqx.field(static=True, default=Settings.kernel)
     light_bleeding: Scalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
 

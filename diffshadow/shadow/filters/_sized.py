@@ -1,7 +1,7 @@
 """Percentage-closer filters of any radius."""
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 
@@ -28,7 +28,7 @@ class AbstractSizedFilter(AbstractFilter):
     settings: ClassVar = Settings
 
     radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
-    max_radius: float = eqx.field(static=True, default=None)
+    max_radius: float | Any = eqx.field(static=True, default=None)
 
     def __post_init__(self):
         self.max_radius = radius_limit(self.radius, self.max_radius)
