@@ -1,30 +1,171 @@
 """Checks of values that users give."""
 
 import dataclasses
+import difflib
 import math
-from typing import Any
+from typing import Any, ClassVar, get_args, get_origin
 
 import equinox as eqx
 import numpy as np
 
 from ._misc import concrete
-from ._types import Scalar
+from .settings import Limits, LongerThan, Setting, Settings
 
-MOST_PIXELS_ACROSS = 8192
-"""The most pixels along a side of an image, or texels along a side of a map."""
-
-
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """**Raises** `ValueError` if `value` is not one of `choices`."""
-    if value not in choices:
-        raise ValueError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
+_MAX_SHOWN = 16
 
 
-def check_not_negative(name: str, value: Scalar | None, unit: str = "texels") -> None:
-    """**Raises** `ValueError` if `value` is known, and negative or not finite."""
-    known = None if value is None else concrete(value)
-    if known is not None and not (known >= 0 and np.isfinite(known)):
-        raise ValueError(f"{name} is {known}; expected 0 or more {unit}")
+class CheckedModule(eqx.Module):
+    """A module whose fields are checked as it is made.
+
+    - `settings`: what describes them. Their ranges are added to the module's docstring.
+    - `part`: where the module stands in what these settings describe, if it is only a part of that.
+
+    **Raises** what `check_settings` raises.
+    """
+
+    settings: ClassVar[type[Settings]] = Settings
+    part: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        if "settings" in vars(cls):
+            ranges = (f"    - `{field}`: {each.expected()}" for field, each in _fields(cls.settings, cls.part).values())
+            heading = f"{cls.__doc__}\n    **Ranges**, beyond which it raises `ValueError`:\n"
+            cls.__doc__ = "\n".join([heading, *ranges, "    "])
+
+    def __check_init__(self):
+        check_settings(self, self.part)
+        self._check_rules()
+
+    def _check_rules(self) -> None:
+        """Rules between fields."""
+
+
+def check_settings(module: Any, part: str = "") -> None:
+    """Checks the fields of `module` that its `settings` describe.
+
+    **Raises** `ValueError` that names the first field that is known and not allowed.
+    """
+    settings, units = module.settings, module.settings.units(module)
+    fields = _fields(settings, part)
+    for key, (field, setting) in fields.items():
+        check_value(f"{type(module).__name__}.{field}", getattr(module, field), setting, units.get(key))
+    for low, high, *equal in settings.ascending:
+        first, second = (fields[key][0] if key in fields else key for key in (low, high))
+        check_order(module, first, second, bool(equal))
+
+
+def _fields(settings: type[Settings], part: str) -> dict[str, tuple[str, Setting]]:
+    """The field of each setting, by its key, in a module that stands at `part`."""
+    paths = {key: [path.rpartition(".") for path in each.paths(key)] for key, each in settings.each().items()}
+    of = lambda key: next((field for holder, _, field in paths[key] if holder == part), None)
+    return {key: (field, setting) for key, setting in settings.each().items() if (field := of(key)) is not None}
+
+
+def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
+    """**Raises** `ValueError` unless field `low` is less than `high`, or `equal` to it, where both are known."""
+    a, b = (None if (value := getattr(module, name, None)) is None else concrete(value) for name in (low, high))
+    if a is None or b is None:
+        return
+    # Rounded alike: one may be an array of single precision, and the other a number.
+    first, second = (number.astype(min(a.dtype, b.dtype)) for number in (a, b))
+    if not (first <= second if equal else first < second):
+        relation = "at most" if equal else "below"
+        raise ValueError(f"{type(module).__name__}.{low} is {a} and {high} is {b}; expected {low} {relation} {high}")
+
+
+def check_arguments(settings: type[Settings], **values: Any) -> None:
+    """Checks arguments of a function, by the keys of `settings`.
+
+    **Raises** `ValueError` that names the first that is not allowed.
+    """
+    for key, value in values.items():
+        check_value((*settings.each()[key].paths(key), key)[0], value, settings.each()[key])
+
+
+def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None = None) -> None:
+    """Checks one value, unless it is traced.
+
+    **Arguments:**
+
+    - `setting`: what is allowed, or its type with marks.
+    - `unit`: in place of the setting's own.
+
+    **Raises** `ValueError` if it is not allowed.
+    """
+    setting = setting if isinstance(setting, Setting) else Setting.of(setting)
+    unit = setting.unit if unit is None else unit
+    entries = _entries(setting, value)
+    if not (_allows(setting, value) if entries is None else _has_length(setting, entries)):
+        words = [choice for choice in setting.choices if isinstance(choice, str)]
+        near = difflib.get_close_matches(str(value).lower(), words, n=1) if isinstance(value, str) else []
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"{name} is {_shown(value)}; expected {setting.expected(unit)}{hint}")
+    for i, entry in enumerate(entries or ()):
+        check_value(f"{name}[{i}]", entry, setting.entry(i), unit)
+    least = next((mark.length for mark in setting.marks if isinstance(mark, LongerThan)), None)
+    is_known = entries is not None and all(concrete(entry) is not None for entry in entries)
+    if least is not None and is_known and np.linalg.norm(np.asarray(entries, float)) < least:
+        raise ValueError(f"{name} is {_shown(value)}; expected a vector at least {least:g} long")
+
+
+def _entries(setting: Setting, value: Any) -> tuple[Any, ...] | None:
+    """The entries of a list that is known, if one is allowed."""
+    if get_origin(setting.kind) is not tuple:
+        return None
+    if isinstance(value, tuple | list):
+        return tuple(value)
+    known = concrete(value) if hasattr(value, "shape") else None
+    return tuple(known) if known is not None and known.ndim == 1 else None
+
+
+def _has_length(setting: Setting, entries: tuple[Any, ...]) -> bool:
+    kinds, lengths = get_args(setting.kind), setting.lengths
+    if kinds[-1] is not Ellipsis:
+        return len(entries) == len(kinds)
+    return lengths.min_length <= len(entries) <= (len(entries) if lengths.max_length is None else lengths.max_length)
+
+
+def _allows(setting: Setting, value: Any) -> bool:
+    """Whether `value` is allowed, or traced."""
+    if value is None:
+        return setting.optional
+    if setting.alternatives:
+        return any(_allows(one, value) for one in setting.alternatives)
+    if setting.choices:
+        return any(type(value) is type(choice) and value == choice for choice in setting.choices)
+    entries = _entries(setting, value)
+    if entries is not None:
+        return _has_length(setting, entries) and all(_allows(setting.entry(i), part) for i, part in enumerate(entries))
+    if get_origin(setting.kind) is tuple:
+        return hasattr(value, "shape") and concrete(value) is None
+    if setting.kind is bool:
+        return isinstance(value, bool | np.bool_)
+    if setting.kind is int and (isinstance(value, bool) or not isinstance(value, int | np.integer)):
+        return False
+    known = concrete(value)
+    return known is None or (known.shape == () and _is_within(known, setting.limits))
+
+
+def _is_within(number: np.ndarray, limits: Limits) -> bool:
+    if not (np.issubdtype(number.dtype, np.number) and np.isrealobj(number) and np.isfinite(number)):
+        return False
+    # Limits are rounded as the number is.
+    kind = number.dtype if np.issubdtype(number.dtype, np.floating) else None
+    low, high = (None if end is None else np.asarray(end, kind).item() for end in (limits.low, limits.high))
+    limits = Limits(low, high, limits.above_low, limits.below_high)
+    return not (limits.undercut_by(number) or limits.exceeded_by(number))
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple | list) and len(value) <= _MAX_SHOWN:
+        return f"[{', '.join(map(_shown, value))}]"
+    known = concrete(value) if hasattr(value, "shape") else None
+    if known is None:
+        return f"a list of {len(value)}" if isinstance(value, tuple | list) else repr(value)
+    if known.size > _MAX_SHOWN:
+        return f"an array of shape {known.shape}"
+    return str(known) if known.ndim == 0 else listed(known)
 
 
 def check_instance(name: str, value: Any, kind: type, example: str) -> None:
@@ -32,12 +173,6 @@ def check_instance(name: str, value: Any, kind: type, example: str) -> None:
     if not isinstance(value, kind):
         given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
         raise TypeError(f"{name} is {given}; expected {example}")
-
-
-def check_vector(name: str, value: Any) -> None:
-    """**Raises** `ValueError` unless `value` is three numbers."""
-    if np.shape(value) != (3,):
-        raise ValueError(f"{name} has shape {np.shape(value)}; expected (3,): x, y and z")
 
 
 def check_points(name: str, points: Any) -> None:
@@ -49,13 +184,9 @@ def check_points(name: str, points: Any) -> None:
         raise ValueError(f"{name} have shape {shape}; expected (n, 3), at least one point with x, y and z")
 
 
-def check_resolution(name: str, resolution: Any) -> None:
-    """**Raises** `ValueError` unless `resolution` is two integers from 1 to `MOST_PIXELS_ACROSS`."""
-    is_pair = isinstance(resolution, tuple | list) and len(resolution) == 2
-    if not is_pair or not all(isinstance(n, int | np.integer) and 1 <= n <= MOST_PIXELS_ACROSS for n in resolution):
-        raise ValueError(
-            f"{name} is {resolution!r}; expected (height, width), each an integer from 1 to {MOST_PIXELS_ACROSS}"
-        )
+def as_tuple(value: Any) -> Any:
+    """A list as a tuple, which can be part of a compiled program; any other value as it is."""
+    return tuple(value) if isinstance(value, list) else value
 
 
 def text_within(value: float, lower: float, upper: float, digits: int = 4) -> str:

@@ -19,6 +19,21 @@ def as_float(x: Any) -> Array:
     return _as(x, jnp.result_type(float))
 
 
+def as_number(x: Any) -> Any:
+    """As `as_float`; what is no number stays as it is, so that a check can name it."""
+    if x is None or isinstance(x, str):
+        return x
+    try:
+        return as_float(x)
+    except (TypeError, ValueError):
+        return x
+
+
+def as_numbers(xs: Any) -> Any:
+    """A sequence of numbers as a tuple of these; what is no sequence stays as it is."""
+    return tuple(map(as_number, xs)) if np.ndim(xs) or isinstance(xs, Sequence) else xs
+
+
 def in_float64(tree: Any) -> Any:
     """`tree` with every floating-point array in float64. Call it under `jax.enable_x64`."""
     return jax.tree.map(lambda x: as_float(x) if eqx.is_inexact_array(x) else x, tree)

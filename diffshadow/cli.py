@@ -25,6 +25,7 @@ from ._memory import collect_rarely, keep_freed_memory
 from ._xla import use_all_cores
 from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable, settings_file
 from .console import Console
+from .settings.engines import ImportedTechnique, ShadowType, ThreeJs
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
@@ -289,8 +290,8 @@ def import_(
     *,
     camera: str | None = None,
     light: str | None = None,
-    technique: Literal["three.js", "shadow_map"] = "three.js",
-    shadow_type: Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"] = "PCFShadowMap",
+    technique: ImportedTechnique = "three.js",
+    shadow_type: ShadowType = ThreeJs.shadow_type,
     output: Path | None = None,
 ) -> None:
     """Makes a configuration of SCENE, a file that three.js or another program stored: JSON of scene.toJSON(), GLB or

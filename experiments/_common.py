@@ -28,7 +28,6 @@ from diffshadow import collect_rarely, fit, geometry, io, keep_freed_memory, ras
 from diffshadow.config import (
     Config,
     ConfigError,
-    ImageReferenceConfig,
     Mistake,
     Place,
     build_fit,
@@ -37,6 +36,7 @@ from diffshadow.config import (
     load_config,
 )
 from diffshadow.console import Console
+from diffshadow.settings.reference import ImageReference
 from diffshadow.study import style
 
 BIAS, RADIUS = "bias.constant", "filter.radius"
@@ -143,7 +143,7 @@ def draw(settings: Config) -> Case:
 def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
     """The truth of a scene with one light; a traced one is cached on disk."""
     section = settings.reference
-    if isinstance(section, ImageReferenceConfig):
+    if isinstance(section, ImageReference):
         try:
             return reference.reference_from_image(io.read_visibility(section.path), scene)
         except ValueError as error:

@@ -31,9 +31,9 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from diffshadow import fit
-from diffshadow.config import EngineConfig
 from diffshadow.console import Console
 from diffshadow.raster import Surface
+from diffshadow.settings import engines
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
 from diffshadow.study import style
 
@@ -67,7 +67,7 @@ def main(config: Path, /, *overrides: str, grid: int = 0, output: Path | None = 
     common.expect("grid", grid, grid == 0 or 2 <= grid <= 32, "0, or 2 to 32 points")
     to = () if output is None else (f"output={output}",)
     settings = common.load(config, overrides)
-    if not isinstance(settings.technique, EngineConfig):
+    if not isinstance(settings.technique, engines.Engine):
         what = f"is {settings.technique.type}; expected three.js or babylon.js, which can be drawn here: change it"
         raise common.mistake(settings, "technique.type", what)
     settings = common.load(config, (*overrides, SUBPIXELS, *to))

@@ -5,6 +5,7 @@ up to `fit` are pure.
 """
 
 import ast
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -14,7 +15,10 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
-COMMON = {"_types", "_misc", "_checks"}
+COMMON = {"_types", "_misc", "_checks", "settings"}
+# Their modules are public, and they need neither JAX nor pydantic.
+SETTINGS = "settings"
+OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
 # Folders and files within a subpackage, each of which imports only those to its left. Files that are not listed come
 # before all of them.
 FOLDERS = {
@@ -47,7 +51,7 @@ IMPURE_CALLS = {"open", "print", "input"}
 def may_import(subpackage: str) -> set[str]:
     """The other subpackages that `subpackage` may import."""
     if subpackage in COMMON:
-        return COMMON
+        return set() if subpackage == SETTINGS else COMMON
     if subpackage in ASIDE_IMPORTS:
         return COMMON | ASIDE_IMPORTS[subpackage]
     if subpackage == "":  # the package itself
@@ -92,6 +96,8 @@ def import_breach(module: str, target: str, name: str | None) -> str | None:
     """What is wrong with `module` importing `target`, or `name` from it."""
     subpackage, top = subpackage_of(module), target.split(".")[0]
     if top != PACKAGE:
+        if subpackage == SETTINGS and top not in OF_SETTINGS:
+            return f"imports {top}, but settings need nothing but the standard library"
         impure = subpackage in PURE and top in IMPURE_MODULES and (subpackage, top) not in EXCEPTIONS
         return f"imports {top}, but {subpackage} is pure" if impure else None
     imported = subpackage_of(target)
@@ -101,7 +107,8 @@ def import_breach(module: str, target: str, name: str | None) -> str | None:
         return f"imports {PACKAGE} itself; import the subpackage that is meant"
     if imported not in may_import(subpackage):
         return f"imports {imported}, which {subpackage or PACKAGE} must not import"
-    if target.count(".") > 1 or (name is not None and name.startswith("_")):
+    is_private = any(part.startswith("_") for part in [*target.split(".")[2:], name or ""])
+    if is_private or (target.count(".") > 1 and imported != SETTINGS):
         return f"imports {'.'.join(filter(None, [target, name]))}; import from the public {PACKAGE}.{imported} instead"
     return None
 
@@ -171,13 +178,16 @@ SOUND = {
     "__init__.py": "",
     "_types.py": "from numpy import ndarray\n",
     "_misc.py": "from ._types import Array\n",
+    "settings/__init__.py": "from ._settings import Setting\n",
+    "settings/_settings.py": "from dataclasses import dataclass\nfrom annotated_types import Ge\n",
+    "settings/filters.py": "from ._settings import Setting\n",
     "geometry/__init__.py": "from ._mesh import Mesh as Mesh\n",
     "geometry/_mesh.py": "from .._misc import dot\n",
     "raster/__init__.py": "",
     "shadow/__init__.py": "from . import filters\n",
     "shadow/_bias.py": "from ..raster import draw\n",
     "shadow/filters/__init__.py": "from ._pcf import Pcf\n",
-    "shadow/filters/_pcf.py": "from ...geometry import Mesh\nfrom .._bias import Bias\n",
+    "shadow/filters/_pcf.py": "from ...geometry import Mesh\nfrom ...settings.maps import A\nfrom .._bias import B\n",
     "fit/__init__.py": "",
     "metrics/__init__.py": "",
     "reference/__init__.py": "import numpy as np\nfrom ..geometry import Mesh\n",
@@ -208,6 +218,10 @@ SOUND = {
         ("raster/__init__.py", "from ..geometry._mesh import Mesh", "import from the public diffshadow.geometry"),
         ("raster/__init__.py", "from ..geometry import _mesh", "import from the public diffshadow.geometry"),
         ("study/__init__.py", "from ..shadow.filters import Pcf", "import from the public diffshadow.shadow"),
+        ("raster/__init__.py", "from ..settings._settings import At", "import from the public diffshadow.settings"),
+        ("settings/filters.py", "from ..geometry import Mesh", "imports geometry, which settings must not import"),
+        ("settings/filters.py", "from .._types import Array", "imports _types, which settings must not import"),
+        ("settings/filters.py", "import jax", "imports jax, but settings need nothing but the standard library"),
         ("fit/__init__.py", "import os.path", "imports os, but fit is pure"),
         ("shadow/_bias.py", "from matplotlib import pyplot", "imports matplotlib, but shadow is pure"),
         ("raster/__init__.py", "open('x')", "calls open(), but raster is pure"),

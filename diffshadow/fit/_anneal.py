@@ -1,41 +1,36 @@
 """How the soft compare of a fit hardens."""
 
-from typing import NamedTuple
+import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
-from ..shadow import SoftKernel
+from .._checks import check_settings
+from ..settings.fit import Anneal as Settings
+from ..settings.maps import SoftKernel
 
 
-class Anneal(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Anneal:
     """How the soft compare hardens: `phases` widths from `start` to `end` texels, in geometric steps.
 
     A single phase has the width `end`.
+
+    **Raises** `ValueError` for a value that is not allowed, or `end` above `start`.
     """
 
-    start: float = 2.0
-    end: float = 0.05
-    phases: int = 4
-    kernel: SoftKernel = "logistic"
+    settings: ClassVar = Settings
+
+    start: float = Settings.start
+    end: float = Settings.end
+    phases: int = Settings.phases
+    kernel: SoftKernel = Settings.kernel
+
+    def __post_init__(self):
+        check_settings(self)
 
     @property
     def widths(self) -> list[float]:
         """The width of each phase, in texels."""
         # Downwards from the end, so that a single width is the end's.
         return [float(w) for w in np.geomspace(self.end, self.start, self.phases)[::-1]]
-
-
-def check_anneal(anneal: Anneal) -> None:
-    """**Raises** `ValueError` unless the widths are positive and shrink, in at least one phase."""
-    if anneal.phases < 1:
-        raise ValueError(f"the anneal has {anneal.phases} phases; expected 1 or more")
-    for name, value in (("start", anneal.start), ("end", anneal.end)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(
-                f"the anneal's {name} is {value} texels; expected a finite width above 0: a fit ends with the hard "
-                "compare in any case"
-            )
-    if anneal.end > anneal.start:
-        raise ValueError(
-            f"the anneal widens from {anneal.start} to {anneal.end} texels; expected end at most start: swap the two"
-        )

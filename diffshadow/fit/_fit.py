@@ -4,15 +4,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from .._checks import check_instance
+from .._checks import check_arguments, check_instance
 from .._misc import as_float
+from ..settings.fit import FEWEST_POINTS
+from ..settings.fit import Fit as Settings
 from ..shadow import FittableTechnique
-from ._anneal import Anneal, check_anneal
+from ._anneal import Anneal
 from ._arrangement import Arrangement
 from ._bounds import AtBound, at_bounds
-from ._front import FEWEST, FrontPoint, front_of
+from ._front import FrontPoint, front_of
 from ._history import Step
 from ._loss import Loss
 from ._parameters import Parameter, Parameters
@@ -22,7 +22,7 @@ from ._profile import Bound, Profile, Profiler
 from ._run import Outcome, Run, Start
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
-from .solvers import Solver, check_solver
+from .solvers import Solver
 
 PIXELS = 1 << 16
 """The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
@@ -82,16 +82,16 @@ def fit(
     *,
     solver: Solver | None = None,
     anneal: Anneal | None = None,
-    blurs: Sequence[float] | None = None,
-    starts: int = 1,
+    blurs: Sequence[float] | None = Settings.blurs,
+    starts: int = Settings.multistart,
     seed: int = 0,
-    evaluations: int = 30,
+    evaluations: int = Settings.evaluations,
     loss: Loss | None = None,
     pixels: int = PIXELS,
-    within: Sequence[float] = (),
+    within: Sequence[float] = Settings.intervals,
     prefer: Sequence[tuple[str, Bound]] = (),
-    tolerance: float = 0.01,
-    front: int = 0,
+    tolerance: float = Settings.tolerance,
+    front: int = Settings.front,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
@@ -130,9 +130,8 @@ def fit(
         repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, `solver`, `anneal`, `blurs`, `starts`, `evaluations` or `pixels` hold values that make no
-    sense, no pixel counts, the visibility is not finite at the start, or the number of silhouettes never settles; and
-    `TypeError` for objects of another kind.
+    technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite at the
+    start, or the number of silhouettes never settles; and `TypeError` for objects of another kind.
     """
     solver, anneal = solver or Solver(), anneal or Anneal()
     check_instance("the solver", solver, Solver, 'a fit.Solver, such as Solver("adam")')
@@ -142,15 +141,22 @@ def fit(
     for parameter in parameters:
         check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
     fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
-    check_solver(solver)
-    check_anneal(anneal)
-    if evaluations < 1:
-        raise ValueError(f"{evaluations} evaluations were requested for the search; expected 1 or more")
+    check_arguments(
+        Settings,
+        blurs=None if blurs is None else tuple(blurs),
+        multistart=starts,
+        evaluations=evaluations,
+        intervals=tuple(within),
+        tolerance=tolerance,
+        front=front,
+    )
     if pixels < 1:
         raise ValueError(f"pixels is {pixels}; expected 1 or more")
-    _check_choice(joint, parameters, within, prefer, tolerance)
-    if front and (front < FEWEST or joint.moves):
-        raise ValueError(f"a front of {front} points is asked for; expected {FEWEST} or more, in a fit of a technique")
+    _check_choice(joint, parameters, within, prefer)
+    if front and (front < FEWEST_POINTS or joint.moves):
+        raise ValueError(
+            f"a front of {front} points is asked for; expected {FEWEST_POINTS} or more, in a fit of a technique"
+        )
     check_problem(joint, fitted)
     solver = solver.for_problem(joint.moves)
     offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
@@ -227,14 +233,10 @@ def _check_choice(
     parameters: Sequence[Parameter],
     within: Sequence[float],
     prefer: Sequence[tuple[str, Bound]],
-    tolerance: float,
 ) -> None:
     """**Raises** `ValueError` for intervals and preferences that cannot be found."""
     if (within or prefer) and joint.moves:
         raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
-    for fraction in (*within, tolerance):
-        if not 0 < fraction < np.inf:
-            raise ValueError(f"a fraction of the error is {fraction}; expected a number greater than 0, such as 0.05")
     names = [p.name for p in parameters]
     for name, _ in prefer:
         if name not in names:

@@ -9,14 +9,13 @@ from jaxtyping import Float
 
 from .._misc import as_float
 from .._types import HostArray
+from ..settings.fit import FEWEST_POINTS
 from ._run import Run, Values
 from ._search import search
 from ._starts import starts_within
 
 # The ratio of the factors of false shadow and false light at one end of a front; at the other end, its inverse.
 _MOST_RATIO = 256.0
-FEWEST = 3
-"""The fewest points of a front."""
 # Settings over all of the bounds that are tried first, for each parameter. The corners are tried as well, if they are
 # of no more than so many parameters.
 _SPREAD, _MOST_CORNERS = 32, 4
@@ -210,4 +209,4 @@ def _chosen(points: Sequence[FrontPoint], count: int) -> list[FrontPoint]:
 
 def _knee(points: Sequence[FrontPoint]) -> int | None:
     """The index of the knee; none unless there is a point between the ends."""
-    return int(np.argmin(_scaled(points).sum(axis=1))) if len(points) >= FEWEST else None
+    return int(np.argmin(_scaled(points).sum(axis=1))) if len(points) >= FEWEST_POINTS else None

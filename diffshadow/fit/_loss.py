@@ -1,18 +1,17 @@
 """What a fit minimises: the errors of several images as one number."""
 
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import check_choice
-from .._misc import as_float, concrete
+from .._checks import CheckedModule
+from .._misc import as_float, as_number, concrete
 from .._types import Scalar
-
-Over = Literal["mean", "worst", "cvar"]
+from ..settings.fit import Loss as Settings
+from ..settings.fit import Over
 
 Errors = Float[Array, " v"]
 """A number for each image, (v,)."""
@@ -23,7 +22,7 @@ _FIRST_POWER, _LAST_POWER = 4.0, 64.0
 _REACH, _HALVINGS = 7.0, 44
 
 
-class Loss(eqx.Module):
+class Loss(CheckedModule):
     """How the mean square errors E of several images become the loss L of a fit.
 
     All of these are convex in E, and homogeneous: L(s E) = s L(E). So L = Σ w E with the weights w = ∂L/∂E, and least
@@ -40,27 +39,21 @@ class Loss(eqx.Module):
 
         in which the logarithm stands for Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
-    **Raises** `ValueError` if `over` is unknown, `fraction` is not in (0, 1], or a factor is negative or both are 0.
+    **Raises** `ValueError` if both factors are 0.
     """
 
-    over: Over = eqx.field(static=True, default="mean")
-    fraction: Scalar = eqx.field(converter=as_float, default=0.1)
-    false_shadow: Scalar = eqx.field(converter=as_float, default=1.0)
-    false_light: Scalar = eqx.field(converter=as_float, default=1.0)
+    settings: ClassVar = Settings
+
+    over: Over = eqx.field(static=True, default=Settings.over)
+    fraction: Scalar = eqx.field(converter=as_number, default=Settings.fraction)
+    false_shadow: Scalar = eqx.field(converter=as_number, default=Settings.false_shadow)
+    false_light: Scalar = eqx.field(converter=as_number, default=Settings.false_light)
     power: Scalar | None = None
 
-    def __check_init__(self):
-        check_choice("over", self.over, Over.__args__)
-        fraction, dark, light = (concrete(x) for x in (self.fraction, self.false_shadow, self.false_light))
-        if fraction is not None and not 0 < fraction <= 1:
-            raise ValueError(f"fraction is {fraction}; expected more than 0 and at most 1")
-        if dark is None or light is None:
-            return
-        factors = np.array([dark, light])
-        if not (factors.min() >= 0 < factors.max() < np.inf):
-            raise ValueError(
-                f"false_shadow is {dark} and false_light is {light}; expected 0 or more, and one of them greater than 0"
-            )
+    def _check_rules(self):
+        dark, light = concrete(self.false_shadow), concrete(self.false_light)
+        if dark is not None and light is not None and dark == light == 0:
+            raise ValueError("false_shadow and false_light are both 0; expected one of them greater than 0")
 
     def in_phase(self, part: float) -> "Loss":
         """For a phase at `part` of the way from the first, 0, to the last, 1: with the power that it takes."""
@@ -76,7 +69,9 @@ class Loss(eqx.Module):
     def reweighted(self, ratio: float) -> "Loss":
         """With the ratio of its two factors, false shadow to false light, multiplied by `ratio`."""
         root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
-        return Loss(self.over, self.fraction, dark * root, light / root, self.power)
+        factors = lambda loss: (loss.false_shadow, loss.false_light)
+        # Unchecked: a ratio may carry a factor beyond its limit.
+        return eqx.tree_at(factors, self, (as_float(dark * root), as_float(light / root)))
 
     def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """A difference of visibilities, times the square root of the factor of its sign."""

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 from .._misc import as_float
 from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
-from ._anneal import Anneal, check_anneal
+from ._anneal import Anneal
 from .problems import TechniqueProblem, of_one_structure, together
-from .solvers import Solver, Stop, check_solver, optimistix_options, optimistix_solver
+from .solvers import Solver, Stop, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
 # A number with a lower bound starts at least this far above it.
@@ -82,12 +82,10 @@ def train(
         pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
     - `on_phase`: called after each phase.
 
-    **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, a number starts below its
-    least value, or `solver` or `anneal` hold values that make no sense.
+    **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, or a number starts below
+    its least value.
     """
     solver, anneal = (solver or Solver()).for_problem(False), anneal or Anneal()
-    check_solver(solver)
-    check_anneal(anneal)
     if not problems:
         raise ValueError("got no view to train on; expected one or more problems")
     technique = _with_compare(problems[0].technique, HardCompare())

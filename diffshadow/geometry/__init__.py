@@ -1,5 +1,6 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
+from ..settings.techniques import CascadeSelection as CascadeSelection
 from ._camera import AbstractCamera as AbstractCamera
 from ._camera import MatrixCamera as MatrixCamera
 from ._camera import OrthographicCamera as OrthographicCamera

@@ -5,21 +5,24 @@
 
 import abc
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._checks import check_resolution, check_vector, listed
-from .._misc import array_module, as_float, concrete
+from .._checks import CheckedModule, as_tuple, check_value, listed
+from .._misc import array_module, as_float, as_number, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
+from ..settings import scene
+from ..settings.quantities import Position
+from ..settings.scene import Camera
 from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import centred_orthographic, centred_perspective, look_at
 from ._view import View
 
 
-class AbstractCamera(eqx.Module):
+class AbstractCamera(CheckedModule):
     """A view of the scene and the image it is drawn to.
 
     - `eye`, `target`: world positions; the camera looks from `eye` to `target`.
@@ -27,6 +30,8 @@ class AbstractCamera(eqx.Module):
     - `near`, `far`: distances along the view axis, world units, between which surfaces are seen.
     - `resolution`: (height, width) in pixels.
     """
+
+    settings: ClassVar = Camera
 
     eye: eqx.AbstractVar[Vec3]
     target: eqx.AbstractVar[Vec3]
@@ -55,8 +60,7 @@ class AbstractCamera(eqx.Module):
         height, width = self.resolution
         return width / height
 
-    def __check_init__(self):
-        check_resolution("the camera's resolution", self.resolution)
+    def _check_rules(self):
         check_pose("the camera", self.eye, self.target)
         check_near_far("the camera", self.near, self.far, positive=isinstance(self, PinholeCamera))
 
@@ -64,40 +68,38 @@ class AbstractCamera(eqx.Module):
 class PinholeCamera(AbstractCamera):
     """A perspective camera; `fov_y` is its full vertical field of view in degrees."""
 
-    eye: Vec3 = eqx.field(converter=as_float)
-    target: Vec3 = eqx.field(converter=as_float)
-    up: Vec3 = eqx.field(converter=as_float, default=(0.0, 1.0, 0.0))
-    fov_y: Scalar = eqx.field(converter=as_float, default=45.0)
-    near: Scalar = eqx.field(converter=as_float, default=0.1)
-    far: Scalar = eqx.field(converter=as_float, default=100.0)
-    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+    settings: ClassVar = scene.PinholeCamera
+
+    eye: Vec3 = eqx.field(converter=as_number)
+    target: Vec3 = eqx.field(converter=as_number)
+    up: Vec3 = eqx.field(converter=as_number, default=Camera.up)
+    fov_y: Scalar = eqx.field(converter=as_number, default=scene.PinholeCamera.fov_y)
+    near: Scalar = eqx.field(converter=as_number, default=0.1)
+    far: Scalar = eqx.field(converter=as_number, default=100.0)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Camera.resolution)
 
     def projection(self) -> Mat4:
         return centred_perspective(self.fov_y, self.near, self.far, as_float(self.aspect))
-
-    def __check_init__(self):
-        fov = concrete(self.fov_y)
-        if fov is not None and not 0 < fov < 180:
-            raise ValueError(f"the camera's fov_y is {fov}; expected degrees between 0 and 180")
 
 
 class OrthographicCamera(AbstractCamera):
     """A parallel camera; `height` is the height of what it sees, in world units."""
 
-    eye: Vec3 = eqx.field(converter=as_float)
-    target: Vec3 = eqx.field(converter=as_float)
-    up: Vec3 = eqx.field(converter=as_float, default=(0.0, 1.0, 0.0))
-    height: Scalar = eqx.field(converter=as_float, default=2.0)
-    near: Scalar = eqx.field(converter=as_float, default=0.1)
-    far: Scalar = eqx.field(converter=as_float, default=100.0)
-    resolution: Resolution = eqx.field(static=True, default=(512, 512))
+    eye: Vec3 = eqx.field(converter=as_number)
+    target: Vec3 = eqx.field(converter=as_number)
+    up: Vec3 = eqx.field(converter=as_number, default=Camera.up)
+    height: Scalar = eqx.field(converter=as_number, default=2.0)
+    near: Scalar = eqx.field(converter=as_number, default=0.1)
+    far: Scalar = eqx.field(converter=as_number, default=100.0)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Camera.resolution)
 
     def projection(self) -> Mat4:
         return centred_orthographic(self.height * as_float([self.aspect, 1.0]), self.near, self.far)
 
-    def __check_init__(self):
+    def _check_rules(self):
+        super()._check_rules()
         height = concrete(self.height)
-        if height is not None and not height > 0:
+        if height is not None and not 0 < height < math.inf:
             raise ValueError(f"the camera's height is {height}; expected a positive size in world units")
 
 
@@ -126,14 +128,14 @@ class MatrixCamera(AbstractCamera):
         self,
         world_to_eye: Any,
         eye_to_clip: Any,
-        resolution: Resolution = (512, 512),
+        resolution: Resolution = Camera.resolution,
         is_perspective: bool | None = None,
     ):
         matrices = matrices_of("the matrix camera", world_to_eye, eye_to_clip, is_perspective)
         self.world_to_eye, self.eye_to_clip, self.is_perspective = matrices
-        self.resolution = resolution
+        self.resolution = as_tuple(resolution)
 
-    def __check_init__(self):
+    def _check_rules(self):
         check_near_far("the matrix camera", self.near, self.far, positive=self.is_perspective)
 
     @property
@@ -182,13 +184,11 @@ def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation:
 
 def check_pose(name: str, eye: Vec3, target: Vec3) -> None:
     """**Raises** `ValueError` if `eye` and `target` do not define a view direction."""
-    check_vector(f"{name}'s eye", eye)
-    check_vector(f"{name}'s target", target)
+    check_value(f"{name}'s eye", eye, Position)
+    check_value(f"{name}'s target", target, Position)
     e, t = concrete(eye), concrete(target)
     if e is None or t is None:
         return
-    if not (np.isfinite(e).all() and np.isfinite(t).all()):
-        raise ValueError(f"{name} looks from {listed(e)} to {listed(t)}; expected finite coordinates")
     if np.array_equal(e, t):
         raise ValueError(f"{name}'s eye and target are both {listed(e)}; expected two different points")
 

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import HostArray
+from ..settings.scene import PIECES
 from ._mesh import Mesh
 from ._normals import crease_normals
 
@@ -257,12 +258,7 @@ def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, 
     return _mesh((radius * (1 + amplitude * np.tanh(noise)))[:, None] * directions, faces, _SMOOTH)
 
 
-LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType(
-    {
-        piece.__name__: piece
-        for piece in (plane, box, sphere, low_poly_sphere, torus, torus_knot, fence, thin_wall, chair, blob)
-    }
-)
+LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType({name: globals()[name] for name in PIECES})
 """The pieces by name."""
 
 

@@ -10,8 +10,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._checks import listed
 from .._misc import array_module, as_float, as_int, concrete, normalize, padded_to, shared_mesh_size
 from .._types import Faces, Mat4, Vertices
+from ..settings import Setting
+from ..settings.quantities import Fraction
 from ._transforms import transform_points, transform_vectors
 
 
@@ -38,8 +41,8 @@ class Mesh(eqx.Module):
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey.
 
-    **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, or an array
-    has another shape or type.
+    **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo is
+    out of its range, or an array has another shape or type.
     """
 
     vertices: Vertices
@@ -73,6 +76,9 @@ class Mesh(eqx.Module):
                 f"{len(bad)} of the mesh's {len(vertices)} vertices are NaN or infinite (the first is vertex "
                 f"{bad[0]}); expected finite coordinates: repair the mesh"
             )
+        albedo, limits = concrete(self.albedo), Setting.of(Fraction).limits
+        if albedo is not None and not ((albedo >= limits.low) & (albedo <= limits.high)).all():
+            raise ValueError(f"the mesh's albedo is {listed(albedo[0])} and so on; expected numbers {limits.words}")
         if faces is not None and (faces.min() < 0 or faces.max() >= self.vertices.shape[0]):
             raise ValueError(
                 f"the mesh's faces use vertices {faces.min()} to {faces.max()}, but it has {self.vertices.shape[0]}; "

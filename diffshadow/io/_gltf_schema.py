@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
+from ..settings.scene import LightKind
 from ._errors import MeshError, damaged
 from ._text import decode, excerpt, listed
 
@@ -145,7 +146,7 @@ class Spot(_Part):
 class Light(_Part):
     """Of `LIGHTS`."""
 
-    type: Literal["directional", "point", "spot"]
+    type: LightKind
     name: str = ""
     spot: Spot = Spot()
 

@@ -1,9 +1,8 @@
 """Rasterization: the face that each pixel sees, and its depth and attributes."""
 
-from ._bins import Cull as Cull
+from ..settings.maps import Cull as Cull
 from ._counts import count_fragments as count_fragments
 from ._depth_test import DepthTest as DepthTest
-from ._fixed import MOST_VIRTUAL as MOST_VIRTUAL
 from ._fixed import SUBPIXELS as SUBPIXELS
 from ._fixed import at_steps as at_steps
 from ._grid_crossings import GridCrossings as GridCrossings

@@ -7,7 +7,7 @@ drawn in windows of the same size. Triangles too big for the largest window are 
 In arrays of corners, (3, n), triangles come last: that is what vectorizes.
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,11 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._misc import take
 from .._types import ClipVertices, Faces, Viewport
+from ..settings.maps import Cull
 from ._clip import needs_clipping
 from ._compact import Groups, group
 from ._fixed import OfCorners, first_centre, last_centre, signed_area, snap
 
-Cull = Literal["none", "back", "front"]
 Facing = tuple[bool | Bool[Array, ""], bool | Bool[Array, ""]]
 """Whether front faces are drawn, and back faces. It may be known only when a program runs."""
 FACING: dict[Cull, tuple[bool, bool]] = {"none": (True, True), "back": (True, False), "front": (False, True)}

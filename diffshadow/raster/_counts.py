@@ -17,7 +17,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_choice
+from .._checks import check_value
 from .._misc import as_array, padded_to
 from .._types import ClipVertices, DepthMap, Faces
 from ._bins import FACING, bin_triangles
@@ -52,7 +52,7 @@ def count_fragments(
 
     **Raises** `ValueError` if `when` is neither.
     """
-    check_choice("which fragments count", when, ("pass", "fail"))
+    check_value("which fragments count", when, When)
     if not isinstance(weights, Tracer):
         clip, faces = padded(clip, faces)
         weights = as_array(padded_to(weights, faces.shape[0]))

@@ -1,11 +1,13 @@
 """How a depth buffer stores and compares depths, as OpenGL defines it."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_choice
+from .._checks import check_value
+from ..settings import maps
+from ..settings.maps import DepthFormat, DepthOperator
 
 _STEPS = {"unorm24": (1 << 24) - 1, "unorm16": (1 << 16) - 1}
 
@@ -20,13 +22,13 @@ class DepthTest(NamedTuple):
     `rasterize` **raises** `ValueError` for anything else.
     """
 
-    format: Literal["float32", "unorm24", "unorm16"] = "float32"
-    compare: Literal["less", "less_equal"] = "less"
+    format: DepthFormat = maps.ShadowMap.depth_format
+    compare: DepthOperator = "less"
 
     def check(self) -> None:
         """**Raises** `ValueError` if a field is not one of its choices."""
-        check_choice("the depth format", self.format, ("float32", *_STEPS))
-        check_choice("the depth comparison", self.compare, ("less", "less_equal"))
+        check_value("the depth test's format", self.format, DepthFormat)
+        check_value("the depth test's compare", self.compare, DepthOperator)
 
     def encode(self, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The buffer's value for window `depth`: the depth, or the number of steps, which float32 holds exactly."""

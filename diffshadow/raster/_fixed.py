@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from .._misc import as_float
 from .._types import Resolution
+from ..settings.quantities import MAX_VIRTUAL
 
 OfCorners = Sequence[Int[Array, " n"]] | Int[Array, "3 n"]
 """A number for each corner of triangles, three (n,) or (3, n)."""
@@ -31,15 +32,14 @@ SUBPIXELS = 1 << SUBPIXEL_BITS
 # Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
 # within 2²¹.
 GUARD_BAND = 4096
-# Nothing within a virtual map is clipped, of up to this many pixels a side: coefficients are within 2²⁴.
-MOST_VIRTUAL = 65536
 # Beyond this an edge function cannot change sign within a block of 16 x 16 pixels (2²⁴ · 2 · 15 < 2²⁹).
 _FAR = 1 << 29
 
 
 def snap(window: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Window coordinates in pixels, rounded to the nearest sub-pixel."""
-    limit = float(MOST_VIRTUAL * SUBPIXELS)
+    # Nothing within a virtual map is clipped: coefficients are within 2²⁴.
+    limit = float(MAX_VIRTUAL * SUBPIXELS)
     return jnp.round(jnp.clip(window * SUBPIXELS, -limit, limit)).astype(jnp.int32)
 
 

@@ -11,12 +11,15 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._checks import MOST_PIXELS_ACROSS, check_choice, check_resolution
+from .._checks import check_value
 from .._misc import as_float, padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
+from ..settings import maps
+from ..settings.maps import Cull
+from ..settings.quantities import MAX_TEXELS, Size
 from ._band_pass import BandDrawing, bands_of
-from ._bins import FACING, Cull, bin_triangles
+from ._bins import FACING, bin_triangles
 from ._depth_test import DepthTest
 from ._page_pass import PagedDrawing
 from ._windows import Drawing, DrawPass, least_depth, least_depth_and_face
@@ -57,7 +60,7 @@ def rasterize(
     faces: Faces,
     resolution: Resolution,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
     behind: Int[Array, "*l h w"] | None = None,
@@ -98,7 +101,7 @@ def rasterize_depth(
     faces: Faces,
     resolution: Resolution,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
 ) -> Float[Array, "*b h w"]:
@@ -109,14 +112,12 @@ def rasterize_depth(
 def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer) -> Any:
     test = test or DepthTest()
     test.check()
-    check_resolution("the resolution", resolution)
-    check_choice("cull", cull, tuple(FACING))
-    if buffer is not None and not all(
-        n <= size <= MOST_PIXELS_ACROSS for n, size in zip(resolution, buffer, strict=True)
-    ):
+    check_value("the resolution", resolution, Size, "pixels")
+    check_value("cull", cull, Cull)
+    if buffer is not None and not all(n <= size <= MAX_TEXELS for n, size in zip(resolution, buffer, strict=True)):
         raise ValueError(
-            f"the buffer is {buffer}; expected (height, width), at least {resolution} and at most {MOST_PIXELS_ACROSS} "
-            "pixels each"
+            f"the buffer is {buffer}; expected (height, width), at least {resolution} and at most {MAX_TEXELS} pixels "
+            "each"
         )
     if pages is not None and resolution != (pages.side, pages.side):
         raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")

@@ -8,8 +8,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._misc import safe_divide
+from ..settings.quantities import MAX_VIRTUAL
 from ._bins import Corners
-from ._fixed import MOST_VIRTUAL, SUBPIXEL_BITS, SUBPIXELS, first_centre, last_centre
+from ._fixed import SUBPIXEL_BITS, SUBPIXELS, first_centre, last_centre
 
 # A span is this much wider on both sides than it is found to be, in sub-pixels: more than what rounding can lose.
 _SLACK = SUBPIXELS // 8
@@ -46,6 +47,6 @@ def span(
     """
     x, y = ([at.astype(jnp.float32) for at in along] for along in (corners.x, corners.y))
     low, high = (((row << SUBPIXEL_BITS) + SUBPIXELS // 2).astype(jnp.float32) for row in (bottom, top))
-    beyond = 2 * MOST_VIRTUAL * SUBPIXELS
+    beyond = 2 * MAX_VIRTUAL * SUBPIXELS
     left, right = (jnp.clip(side, -beyond, beyond).astype(jnp.int32) for side in extent(x, y, low, high))
     return first_centre(left - _SLACK), last_centre(right + _SLACK)

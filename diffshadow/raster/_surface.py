@@ -8,7 +8,8 @@ from .._checks import check_instance
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, View, face_normals
-from ._bins import Cull
+from ..settings import maps
+from ..settings.maps import Cull
 from ._fixed import at_steps
 from ._interpolate import (
     Rows,
@@ -55,7 +56,7 @@ def draw_surface(
     mesh: Mesh,
     camera: AbstractCamera,
     *,
-    cull: Cull = "none",
+    cull: Cull = maps.ShadowMap.cull,
     buffer: Resolution | None = None,
     subpixels: int | None = None,
 ) -> Surface:

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Scene
-from ._sampling import Sampler, check_sampling
-from ._visibility import Blockers, blocking_faces
+from ..settings.reference import Blockers, Sampler
+from ..settings.reference import TracedReference as Settings
+from ._sampling import check_sampling
+from ._visibility import blocking_faces
 
 # Increase it whenever a change to this subpackage changes its images.
 _ALGORITHM = 2
@@ -17,11 +19,11 @@ _OF_SHADING = {"inner_angle"}
 
 def cache_key(
     scene: Scene,
-    samples: int = 64,
-    sampler: Sampler = "sobol",
+    samples: int = Settings.samples,
+    sampler: Sampler = Settings.sampler,
     seed: int = 0,
-    supersampling: int = 1,
-    blockers: Blockers = "casters",
+    supersampling: int = Settings.supersampling,
+    blockers: Blockers = Settings.blockers,
 ) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines the result of `trace_visibility`.
 
@@ -30,7 +32,7 @@ def cache_key(
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
-    check_sampling(samples, sampler, supersampling)
+    check_sampling(samples, sampler, supersampling, blockers)
     light = scene.light
     of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
     sampling = (*of_light, int(supersampling))

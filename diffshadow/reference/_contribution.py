@@ -8,8 +8,9 @@ from jaxtyping import Bool
 
 from .._types import HostArray
 from ..geometry import Scene
+from ..settings.reference import Blockers
 from ._embree import EmbreeTracer
-from ._visibility import BATCH, Blockers, Centre, Job, blocking_faces, sampling_of
+from ._visibility import BATCH, Centre, Job, blocking_faces, sampling_of
 
 # Shadow rays per pixel to a light that has a size.
 _SAMPLES = 16

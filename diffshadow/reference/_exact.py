@@ -7,11 +7,12 @@ from jaxtyping import Bool, Float, Float64, Int
 
 from .._types import HostArray
 from ..geometry import Scene
+from ..settings.reference import Blockers, Sampler
+from ..settings.reference import TracedReference as Settings
 from ._rays import Hits, Rays, Triangles
 from ._reference import Reference
-from ._sampling import Sampler
 from ._tracer import AbstractTracer
-from ._visibility import Blockers, trace_with
+from ._visibility import trace_with
 
 # Ray-triangle pairs tested at once: at 3 float64 each they take tens of megabytes.
 _PAIRS = 1 << 19
@@ -84,12 +85,12 @@ class ExactTracer(AbstractTracer):
 
 def trace_visibility_exact(
     scene: Scene,
-    samples: int = 64,
-    sampler: Sampler = "sobol",
+    samples: int = Settings.samples,
+    sampler: Sampler = Settings.sampler,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-    supersampling: int = 1,
-    blockers: Blockers = "casters",
+    supersampling: int = Settings.supersampling,
+    blockers: Blockers = Settings.blockers,
 ) -> Reference:
     """`trace_visibility` with every ray in float64 and tested against every triangle.
 

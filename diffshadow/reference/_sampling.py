@@ -1,46 +1,24 @@
 """Samples of a light: the points that each pixel's shadow rays are aimed at."""
 
-import difflib
 import math
 from collections.abc import Callable
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+from .._checks import check_arguments
 from .._types import HostArray
 from ..geometry import Domain
-
-Sampler = Literal["sobol", "stratified"]
-"""How points of a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
-
-MAX_SAMPLES = 1 << 16
-"""The most samples per pixel. More gain nothing in float32."""
-
-MAX_SUPERSAMPLING = 8
-"""The most camera rays along a pixel's side (64 per pixel). More are not worth their memory."""
+from ..settings.reference import TracedReference as Settings
 
 _ALL = slice(None)
 
 
-def check_sampling(samples: int, sampler: str, supersampling: int = 1) -> None:
-    """**Raises** `ValueError` unless `samples` and `supersampling` are integers in range and `sampler` is known."""
-    whole = lambda number: isinstance(number, int | np.integer) and not isinstance(number, bool)
-    if not whole(supersampling) or not 1 <= supersampling <= MAX_SUPERSAMPLING:
-        raise ValueError(
-            f"supersampling is {supersampling!r}; expected an integer from 1 to {MAX_SUPERSAMPLING}, the camera rays "
-            "along a pixel's side (4 gives 16 per pixel)"
-        )
-    if not whole(samples) or not 1 <= samples <= MAX_SAMPLES:
-        raise ValueError(
-            f"samples is {samples!r}; expected an integer from 1 to {MAX_SAMPLES}, the shadow rays per pixel "
-            "(64 is usual, 1024 leaves no visible noise)"
-        )
-    known = get_args(Sampler)
-    if sampler not in known:
-        near = difflib.get_close_matches(str(sampler).lower(), known, n=1, cutoff=0.4)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        raise ValueError(f"sampler is {sampler!r}; expected one of {', '.join(map(repr, known))}{hint}")
+def check_sampling(
+    samples: int, sampler: str, supersampling: int = Settings.supersampling, blockers: str = Settings.blockers
+) -> None:
+    """**Raises** `ValueError` unless the numbers are integers in range, and the sampler and blockers are known."""
+    check_arguments(Settings, samples=samples, sampler=sampler, supersampling=supersampling, blockers=blockers)
 
 
 def concentric_disk(square: Float[HostArray, "*n 2"]) -> Float[HostArray, "*n 2"]:

@@ -4,23 +4,21 @@ import dataclasses
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
-from .._checks import check_choice
 from .._types import HostArray
 from ..geometry import AbstractLight, Scene
+from ..settings.reference import Blockers, Sampler
+from ..settings.reference import TracedReference as Settings
 from ._embree import EmbreeTracer
 from ._lamp import Lamp
 from ._rays import CameraRays, Hits, Rays, Triangles, hits_on_planes
 from ._reference import Reference
-from ._sampling import LightSampler, Sampler, check_sampling
+from ._sampling import LightSampler, check_sampling
 from ._tracer import AbstractTracer
-
-Blockers = Literal["casters", "all"]
-"""Which meshes block shadow rays: those that cast, or all."""
 
 # Rays per batch: few enough to stay in cache, and to keep memory at tens of megabytes per thread.
 BATCH = 1 << 16
@@ -31,12 +29,12 @@ _SHORT_OF_LIGHT = 2.0**-20
 
 def trace_visibility(
     scene: Scene,
-    samples: int = 64,
-    sampler: Sampler = "sobol",
+    samples: int = Settings.samples,
+    sampler: Sampler = Settings.sampler,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-    supersampling: int = 1,
-    blockers: Blockers = "casters",
+    supersampling: int = Settings.supersampling,
+    blockers: Blockers = Settings.blockers,
 ) -> Reference:
     """Traces how much of the scene's light is visible from each pixel of its camera.
 
@@ -107,8 +105,7 @@ def trace_with(
     blockers: Blockers,
 ) -> Reference:
     """`trace_visibility` with the tracer that `make_tracer` makes from the scene's triangles."""
-    check_sampling(samples, sampler, supersampling)
-    check_choice("blockers", blockers, get_args(Blockers))
+    check_sampling(samples, sampler, supersampling, blockers)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")
     sampling = sampling_of(scene.light, max(1, samples // supersampling**2), sampler, int(seed))
@@ -171,7 +168,7 @@ class Job:
         make_tracer: Callable[[Triangles], AbstractTracer],
         scene: Scene,
         sampling: Sampling | None,
-        blockers: Blockers = "casters",
+        blockers: Blockers = Settings.blockers,
     ):
         self.scene, self.sampling = scene, sampling
         self.triangles = Triangles(scene.mesh)

@@ -3,10 +3,10 @@
 import abc
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._checks import CheckedModule
 from .._types import VectorMap, Visibility
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
@@ -15,7 +15,7 @@ Lights = AbstractLight | Sequence[AbstractLight]
 Visibilities = Float[Array, "*l h w"] | Sequence[Visibility]
 
 
-class AbstractShading(eqx.Module):
+class AbstractShading(CheckedModule):
     """Turns visibility into an image."""
 
     @abc.abstractmethod

@@ -1,12 +1,15 @@
 """Shadow that darkens the lit image, as in the fixed-function pipeline of OpenGL 1.4."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._misc import as_float, concrete
+from .._misc import as_number
 from .._types import Scalar, VectorMap
 from ..geometry import AbstractCamera
 from ..raster import Surface
+from ..settings.shading import ModulatedShadow as Settings
 from ._abstract import AbstractShading, Lights, Visibilities, each_light
 from ._phong import Phong
 
@@ -26,18 +29,13 @@ class ModulatedShadow(AbstractShading):
     shadows black.
 
     - `lit`: shading of the scene without shadows.
-    - `factor`: fraction of the colour that is left in shadow, 0 to 1.
-
-    **Raises** `ValueError` for a factor outside [0, 1].
+    - `factor`: fraction of the colour that is left in shadow: 0 is black, 1 is no shadow.
     """
 
-    lit: AbstractShading = eqx.field(default_factory=Phong)
-    factor: Scalar = eqx.field(converter=as_float, default=0.5)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        factor = concrete(self.factor)
-        if factor is not None and not 0 <= factor <= 1:
-            raise ValueError(f"the shadow's factor is {factor}; expected 0 (black) to 1 (no shadow)")
+    lit: AbstractShading = eqx.field(default_factory=Phong)
+    factor: Scalar = eqx.field(converter=as_number, default=Settings.factor)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
         """The image of `surface`; arguments, result and errors are those of `AbstractShading`. Pixels without a surface

@@ -7,47 +7,38 @@ with the sum over the lights. Shadow removes the light's own contribution, and n
 linear.
 """
 
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import check_choice
-from .._misc import as_float, concrete, dot, normalize, safe_norm
+from .._checks import CheckedModule
+from .._misc import as_float, as_number, dot, normalize, safe_norm
 from .._types import Scalar, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
+from ..settings import shading
+from ..settings.shading import INTENSITY, Highlight
 from ._abstract import AbstractShading, Lights, Visibilities, each_light
-
-Model = Literal["blinn_phong", "phong"]
 
 
 def _colour(value: Any) -> Vec3:
-    value = as_float(value)
-    return value if value.shape == (3,) else as_float([value] * 3)
+    value = as_number(value)
+    return as_float([value] * 3) if eqx.is_array(value) and not value.ndim else value
 
 
-class Attenuation(eqx.Module):
+class Attenuation(CheckedModule):
     """Distance attenuation, `1 / (constant + linear · d + quadratic · d²)`, with distance `d` in world units.
 
     As in the OpenGL specification, version 2.1, section 2.14.1. The default is no attenuation.
-
-    **Raises** `ValueError` unless all are 0 or more and `constant` is more than 0.
     """
 
-    constant: Scalar = eqx.field(converter=as_float, default=1.0)
-    linear: Scalar = eqx.field(converter=as_float, default=0.0)
-    quadratic: Scalar = eqx.field(converter=as_float, default=0.0)
+    settings: ClassVar = shading.Attenuation
 
-    def __check_init__(self):
-        values = [concrete(v) for v in (self.constant, self.linear, self.quadratic)]
-        known = [float(v) for v in values if v is not None]
-        if any(not (v >= 0 and np.isfinite(v)) for v in known) or (values[0] is not None and not values[0] > 0):
-            raise ValueError(
-                f"the attenuation is {known}; expected three finite numbers of 0 or more, the constant one above 0"
-            )
+    constant: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.constant)
+    linear: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.linear)
+    quadratic: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.quadratic)
 
     def __call__(self, distance: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The fraction of the light that arrives at `distance`, in world units."""
@@ -67,23 +58,17 @@ class Phong(AbstractShading):
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 
     Colours are linear; give one number or three. A spot light with an inner angle lights only its cone.
-
-    **Raises** `ValueError` if the model is unknown or the shininess is not above 0.
     """
 
-    ambient: Vec3 = eqx.field(converter=_colour, default=0.3)
-    intensity: Vec3 = eqx.field(converter=_colour, default=0.7)
-    specular: Scalar = eqx.field(converter=as_float, default=0.15)
-    shininess: Scalar = eqx.field(converter=as_float, default=32.0)
-    background: Vec3 = eqx.field(converter=_colour, default=0.9)
-    attenuation: Attenuation = eqx.field(default_factory=Attenuation)
-    model: Model = eqx.field(static=True, default="blinn_phong")
+    settings: ClassVar = shading.Phong
 
-    def __check_init__(self):
-        check_choice("the shading model", self.model, Model.__args__)
-        shininess = concrete(self.shininess)
-        if shininess is not None and not shininess > 0:
-            raise ValueError(f"the shininess is {shininess}; expected more than 0")
+    ambient: Vec3 = eqx.field(converter=_colour, default=shading.Phong.ambient)
+    intensity: Vec3 = eqx.field(converter=_colour, default=INTENSITY)
+    specular: Scalar = eqx.field(converter=as_number, default=shading.Phong.specular)
+    shininess: Scalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
+    background: Vec3 = eqx.field(converter=_colour, default=shading.Phong.background)
+    attenuation: Attenuation = eqx.field(default_factory=Attenuation)
+    model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
         """The image of `surface`; arguments, result and errors are those of `AbstractShading`."""

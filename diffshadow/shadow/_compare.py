@@ -1,21 +1,21 @@
 """Depth compares: whether a receiver lies behind the stored depth, as a hard or a smooth step."""
 
 import abc
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_choice
-from .._misc import as_float, concrete
+from .._checks import CheckedModule
+from .._misc import as_number
 from .._types import Scalar
+from ..settings import maps
+from ..settings.maps import DepthOperator, SoftKernel
 
-SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponential"]
 
-
-class AbstractCompare(eqx.Module):
+class AbstractCompare(CheckedModule):
     """Compares stored depth with receiver depth.
 
     - `has_depth_derivative`: whether the result has a derivative with respect to depth. If not, it changes only where
@@ -46,10 +46,9 @@ class HardCompare(AbstractCompare):
     - `operator`: `"less_equal"`, lit where `receiver <= stored`, or `"less"`, lit where `receiver < stored`.
     """
 
-    operator: Literal["less_equal", "less"] = eqx.field(static=True, default="less_equal")
+    settings: ClassVar = maps.HardCompare
 
-    def __check_init__(self):
-        check_choice("the comparison", self.operator, ("less_equal", "less"))
+    operator: DepthOperator = eqx.field(static=True, default=maps.HardCompare.operator)
 
     @property
     def has_depth_derivative(self) -> bool:
@@ -95,14 +94,10 @@ class SoftCompare(AbstractCompare):
         shadow maps (Annen et al. 2008).
     """
 
-    width: Scalar = eqx.field(converter=as_float)
-    kernel: SoftKernel = eqx.field(static=True, default="logistic")
+    settings: ClassVar = maps.SoftCompare
 
-    def __check_init__(self):
-        check_choice("the soft compare's kernel", self.kernel, tuple(_KERNELS))
-        width = concrete(self.width)
-        if width is not None and not width > 0:
-            raise ValueError(f"the soft compare's width is {width}; expected more than 0 texels, or a HardCompare")
+    width: Scalar = eqx.field(converter=as_number, default=maps.SoftCompare.width)
+    kernel: SoftKernel = eqx.field(static=True, default=maps.SoftCompare.kernel)
 
     def __call__(self, stored, receiver, depth_per_texel):
         return _KERNELS[self.kernel]((stored - receiver) * (1 / (self.width * depth_per_texel)))

@@ -17,7 +17,9 @@ from .biases import (
     PerceptronBias,
     SlopeBias,
 )
-from .filters import AbstractFilter, Castano, Separable
+from .filters import AbstractFilter
+from .filters._castano import Castano
+from .filters._separable import Separable
 
 _ARGUMENTS = ", ".join(f"{kind} {name}" for name, (kind, _) in GLSL_INPUTS.items())
 _COSINE_OF = {"sine": "sine", "constant": "one", "one_minus_cosine": "one_minus_cosine"}

@@ -5,6 +5,8 @@ projected into the light's view, are the samples themselves, and triangles are t
 texels, and so no aliasing; there is no bias, since a surface's own face is left out.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Bool
@@ -13,6 +15,7 @@ from .._misc import as_array, as_float, dot, normalize, padded_to
 from .._types import Mask, Visibility
 from ..geometry import AbstractLight, Mesh, Scene
 from ..raster import Surface, hidden_points, seen_points
+from ..settings import techniques
 from ._technique import AbstractTechnique
 
 
@@ -40,6 +43,8 @@ class IrregularZBuffer(AbstractTechnique):
 
     Visibility is 0 or 1 and has no gradient.
     """
+
+    settings: ClassVar = techniques.IrregularZBuffer
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> IrregularScene:
         """The scene's triangles. It does not depend on `surface`: the points are sorted by `visibility`."""

@@ -1,6 +1,7 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it."""
 
-from typing import Any, Literal, NamedTuple
+import dataclasses
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -10,12 +11,11 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import MOST_PIXELS_ACROSS, check_choice, check_resolution
+from .._checks import as_tuple, check_settings
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, Tile, View
 from ..raster import (
-    Cull,
     DepthTest,
     Fragments,
     barycentrics,
@@ -24,10 +24,11 @@ from ..raster import (
     rasterize,
     visible_depth,
 )
+from ..settings.maps import Cull, DepthFormat, DepthLayer
+from ..settings.maps import ShadowMap as Settings
+from ..settings.quantities import MAX_TEXELS
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
-DepthFormat = Literal["float32", "unorm24", "unorm16"]
-DepthLayer = Literal["nearest", "midpoint", "second"]
 Overflow = Bool[Array, ""]
 """Whether some of a map's silhouettes are missing, since they cross more sides of texels than there is memory for."""
 
@@ -58,7 +59,7 @@ class ShadowMap(eqx.Module):
         self,
         depth: Float[Array, "*l h w"],
         light: AbstractLight,
-        depth_format: DepthFormat = "float32",
+        depth_format: DepthFormat = Settings.depth_format,
         silhouettes: SilhouetteMap | None = None,
         padded: Any = None,
         view: View | None = None,
@@ -80,10 +81,10 @@ def draw_shadow_map(
     light: AbstractLight,
     resolution: Resolution,
     *,
-    depth_layer: DepthLayer = "nearest",
-    cull: Cull = "none",
-    depth_format: DepthFormat = "float32",
-    polygon_offset: tuple[float, float] | None = None,
+    depth_layer: DepthLayer = Settings.depth_layer,
+    cull: Cull = Settings.cull,
+    depth_format: DepthFormat = Settings.depth_format,
+    polygon_offset: tuple[float, float] | None = Settings.polygon_offset,
     edges: Edges | None = None,
     crossings: int | None = None,
     raises: bool = True,
@@ -123,9 +124,9 @@ def draw_shadow_map(
     `edges` for one with pages or with cascades of several sizes, and what `rasterize` raises; and a runtime error if
     the silhouettes have more `crossings`.
     """
-    check_resolution("the shadow map's resolution", resolution)
+    # It checks them.
+    MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
     view = light.view() if shift is None else light.view().shifted(shift, resolution)
-    check_choice("the shadow map's depth_layer", depth_layer, DepthLayer.__args__)
     if edges is not None:
         _check_allows_edges(view, resolution, depth_layer, cull)
     if polygon_offset is not None and view.warp is not None:
@@ -186,10 +187,10 @@ def draw_shadow_map(
 
 def _check_allows_edges(view: View, resolution: Resolution, depth_layer: DepthLayer, cull: Cull) -> None:
     """**Raises** `ValueError` for a map that cannot have silhouettes."""
-    if max(resolution) >= MOST_PIXELS_ACROSS:
+    if max(resolution) >= MAX_TEXELS:
         raise ValueError(
             f"edges were given for a map of {resolution} texels, (height, width); expected at most "
-            f"{MOST_PIXELS_ACROSS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
+            f"{MAX_TEXELS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
             "the resolution"
         )
     if depth_layer != "nearest" or cull != "none":
@@ -209,23 +210,34 @@ def _check_allows_edges(view: View, resolution: Resolution, depth_layer: DepthLa
 _MOST_SHARED = 2049
 
 
-class MapSettings(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class MapSettings:
     """How a shadow map is drawn; see `draw_shadow_map`.
 
     - `silhouettes`: whether the map holds silhouettes. With `None`, it does if lights or meshes are fitted, because
         derivatives with respect to these need them.
+
+    **Raises** `ValueError` for a value that is not allowed.
     """
 
-    resolution: Resolution = (512, 512)
-    depth_layer: DepthLayer = "nearest"
-    cull: Cull = "none"
-    depth_format: DepthFormat = "float32"
-    polygon_offset: tuple[float, float] | None = None
-    silhouettes: bool | None = None
+    settings: ClassVar = Settings
+
+    resolution: Resolution = Settings.resolution
+    depth_layer: DepthLayer = Settings.depth_layer
+    cull: Cull = Settings.cull
+    depth_format: DepthFormat = Settings.depth_format
+    polygon_offset: tuple[float, float] | None = Settings.polygon_offset
+    silhouettes: bool | None = Settings.silhouettes
+
+    def __post_init__(self):
+        # Lists could not be part of a compiled program.
+        for name in ("resolution", "polygon_offset"):
+            object.__setattr__(self, name, as_tuple(getattr(self, name)))
+        check_settings(self)
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
         """The shadow map of `casters` under `light`; `edges`, `crossings` and `raises` as for `draw_shadow_map`."""
-        given = {name: value for name, value in self._asdict().items() if name != "silhouettes"}
+        given = {name: value for name, value in vars(self).items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 
     def buffer(self, image: Resolution) -> Resolution | None:

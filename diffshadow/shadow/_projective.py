@@ -9,18 +9,22 @@ The technique ignores depth order: casters shadow neither themselves nor each ot
 is shadowed like one behind it.
 """
 
+from typing import Any, ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_choice
-from .._misc import as_array, as_float, dot, in_unit_range, normalize
+from .._checks import as_tuple
+from .._misc import as_array, as_float, as_number, dot, in_unit_range, normalize
 from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
+from ..settings.filters import Shape
+from ..settings.techniques import ProjectiveShadow as Settings
 from ._receiver import project
 from ._technique import AbstractTechnique
-from .kernels import Blur, Shape, bilinear_fetch, check_radius, radius_limit
+from .kernels import Blur, bilinear_fetch, check_radius, radius_limit
 
 LayerMap = Int[Array, "h w"]
 
@@ -59,28 +63,21 @@ class ProjectiveShadow(AbstractTechnique):
     Differentiable with respect to the blur and to where receivers fall in the texture. Coverage is sampled at texel
     centres, so it has no derivative with respect to casters or light: do not rely on gradients of their poses.
 
-    **Raises** `ValueError` if `blur` is negative or above `max_blur`, or `kernel` is unknown.
+    **Raises** `ValueError` if `blur` is above `max_blur`.
     """
 
-    resolution: Resolution = eqx.field(static=True)
-    blur: Scalar
-    max_blur: float = eqx.field(static=True)
-    kernel: Shape = eqx.field(static=True)
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        resolution: Resolution = (512, 512),
-        blur: float | Scalar = 0.0,
-        *,
-        max_blur: float | None = None,
-        kernel: Shape = "box",
-    ):
-        self.resolution, self.blur, self.kernel = resolution, as_float(blur), kernel
-        self.max_blur = radius_limit(blur, max_blur)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Settings.resolution)
+    blur: Scalar = eqx.field(converter=as_number, default=Settings.blur)
+    max_blur: float | Any = eqx.field(static=True, default=None, kw_only=True)
+    kernel: Shape = eqx.field(static=True, default=Settings.kernel, kw_only=True)
 
-    def __check_init__(self):
-        check_choice("the projective texture's kernel", self.kernel, Shape.__args__)
-        check_radius("projective texture", self.blur, self.max_blur)
+    def __post_init__(self):
+        self.max_blur = radius_limit(self.blur, self.max_blur)
+
+    def _check_rules(self):
+        check_radius(self, "blur")
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ProjectiveTexture:
         """The silhouette of the scene's casters under its only light. It does not depend on `surface`."""

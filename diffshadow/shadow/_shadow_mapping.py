@@ -1,5 +1,6 @@
 """Shadow mapping: from a map and a surface to visibility."""
 
+import dataclasses
 import math
 from collections.abc import Mapping
 
@@ -67,7 +68,7 @@ class ShadowMapping(AbstractTechnique):
     @property
     def layers(self) -> MapSettings:
         """`map` with the resolution of a layer of the layout."""
-        return self.map._replace(resolution=self.layout.layer_resolution(self.map.resolution))
+        return dataclasses.replace(self.map, resolution=self.layout.layer_resolution(self.map.resolution))
 
     def plan(
         self, scene: Scene, surface: Surface | None = None, *, margin: float = 2.0, raises: bool = True

@@ -1,20 +1,17 @@
 """Techniques: algorithms that find which surfaces a light reaches."""
 
 import abc
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-import equinox as eqx
-
+from .._checks import CheckedModule
 from .._types import Mask, Visibility
 from ..geometry import Scene
 from ..raster import Surface
+from ..settings.engines import Side
 from ._compare import AbstractCompare
 
-Side = Literal["front", "back", "double"]
-"""Faces of a mesh: those whose corners run anticlockwise seen from the camera or the light, the others, or both."""
 
-
-class AbstractTechnique(eqx.Module):
+class AbstractTechnique(CheckedModule):
     """Draws the shadows of a scene in two steps.
 
     `prepare` makes a state from what the light sees: a shadow map, a texture, or the edges to extrude. `visibility`

@@ -10,14 +10,13 @@ cancel, and each remaining edge is extruded as many times as it remains (Kim, Ki
 algorithm for opaque and transparent non-manifold casters").
 """
 
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_choice
 from .._misc import as_float, dot, in_float64, normalize
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Scalar, Vec3, Visibility
 from ..geometry import (
@@ -40,6 +39,8 @@ from ..raster import (
     rasterize,
     silhouettes_by_adjacency,
 )
+from ..settings.techniques import ShadowVolumes as Settings
+from ..settings.techniques import VolumeMethod
 from ._technique import AbstractTechnique
 
 # Surfaces are moved this much nearer, in window depth, so that coplanar caps lie behind them despite rounding. It is
@@ -93,14 +94,11 @@ class ShadowVolumes(AbstractTechnique):
     whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid this.
 
     The counts are integers and have no gradient.
-
-    **Raises** `ValueError` if the method is unknown.
     """
 
-    method: Literal["z_fail", "z_pass"] = eqx.field(static=True, default="z_fail")
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_choice("the method of shadow volumes", self.method, ("z_fail", "z_pass"))
+    method: VolumeMethod = eqx.field(static=True, default=Settings.method)
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
         """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.

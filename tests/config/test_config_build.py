@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 from diffshadow.config import (
-    AdaptiveBiasConfig,
-    BiasConfig,
     ConfigError,
-    ReceiverPlaneConfig,
-    SoftCompareConfig,
     build_fit,
     build_scene,
     build_shading,
@@ -25,10 +21,11 @@ from diffshadow.config import (
     parse_config,
     with_fitted,
 )
-from diffshadow.config.sections._fitted import FILTERS
-from diffshadow.config.sections._marks import Limits, marked
+from diffshadow.config.sections._filters import FILTERS
 from diffshadow.fit import resolve
 from diffshadow.geometry import face_normals
+from diffshadow.settings import biases
+from diffshadow.settings.maps import SoftCompare
 from diffshadow.shadow import ThreeJs
 
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
@@ -36,13 +33,6 @@ TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
 
 def build(*overrides: str, text: str = TINY):
     return build_scene(parse_config(text, overrides))
-
-
-def test_builtin_names_are_those_of_the_library():
-    from diffshadow.config.sections._scene import BUILTIN_MESHES
-    from diffshadow.geometry import LIBRARY
-
-    assert set(BUILTIN_MESHES) == set(LIBRARY)
 
 
 def test_mesh_is_sized_dropped_scaled_turned_and_moved():
@@ -321,33 +311,11 @@ def technique_of(*overrides: str):
     return build_technique(parse_config(TINY, overrides))
 
 
-def test_every_filter_s_settings_reach_its_module():
-    for kind, section in FILTERS.items():
-        config = parse_config(TINY, [f"filter={{type: {kind}}}"])
-        built = build_technique(config).filter
-        for key in section.model_fields:
-            if key in ("type", "pattern", "samples", "pattern_size", "rotated", "search_samples"):
-                continue
-            given, found = getattr(config.filter, key), getattr(built, key)
-            assert found == given or float(found) == pytest.approx(given), (kind, key)
-
-
-def test_sections_and_modules_agree_on_how_far_filters_read():
-    for kind, section in FILTERS.items():
-        for values in ({}, *at_the_limits(section)):
-            config = parse_config(TINY, [f"filter={json.dumps({'type': kind, **values})}", "bias.normal_offset=1.5"])
-            built = build_technique(config)
-            assert built.reach == pytest.approx(config.reach({})[0]), (kind, values)
-    layered = "bias: {normal_offset: 2, factors: [1, 3]}\ntechnique: {type: cascades, count: 2}\n"
-    config = parse_config(TINY + layered + "filter: {type: bilinear}\n")
-    assert build_technique(config).reach == config.reach({})[0] == 0.5 + 2 * 3
-
-
-def at_the_limits(section) -> list[dict[str, float]]:
-    """The keys of `section` that are numbers, all at their least values, and all at their greatest."""
-    fields = {key: Limits.of(marked(field)[1]) for key, field in section.model_fields.items() if key != "type"}
-    fields = {key: limits for key, limits in fields.items() if limits.low is not None and key not in LARGE}
-    return [{key: limits[end] for key, limits in fields.items()} for end in (0, 1)]
+def at_the_limits(settings) -> list[dict[str, float]]:
+    """The keys of `settings` that are numbers, all at their least values, and all at their greatest."""
+    limits = {key: setting.limits for key, setting in settings.each().items() if not setting.choices}
+    limits = {key: each for key, each in limits.items() if each.low is not None and key not in LARGE}
+    return [{key: getattr(each, end) for key, each in limits.items()} for end in ("low", "high")]
 
 
 # Patterns of so many taps take seconds to make.
@@ -355,15 +323,14 @@ LARGE = ("samples", "search_samples", "pattern_size")
 
 
 def test_modules_take_what_their_keys_may_be_set_to():
-    for kind, section in FILTERS.items():
+    for kind, section in FILTERS.sections.items():
         for values in at_the_limits(section):
             technique_of(f"filter={json.dumps({'type': kind, **values})}")
-    for holder in (BiasConfig, ReceiverPlaneConfig, AdaptiveBiasConfig):
+    for holder in (biases.Bias, biases.ReceiverPlane, biases.AdaptiveBias):
         for values in at_the_limits(holder):
-            plane = {} if holder is BiasConfig else {"type": holder.model_fields["type"].default}
-            bias = {"plane": {**plane, **values}} if plane else values
+            bias = values if holder is biases.Bias else {"plane": {"type": holder.type, **values}}
             technique_of(f"bias={json.dumps(bias)}", "filter={type: nearest}")
-    for values in at_the_limits(SoftCompareConfig):
+    for values in at_the_limits(SoftCompare):
         technique_of(f"compare={json.dumps({'type': 'soft', **values})}")
 
 
@@ -406,7 +373,7 @@ def test_technique_follows_its_type():
 
 
 def test_everything_that_can_be_fitted_is_in_the_module_and_has_its_unit():
-    for kind in FILTERS:
+    for kind in FILTERS.sections:
         for plane in ("none", "receiver_plane", "adaptive"):
             text = f"{TINY}filter: {{type: {kind}}}\nbias: {{plane: {{type: {plane}}}}}\n"
             names = fit_paths(parse_config(text))

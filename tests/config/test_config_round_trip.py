@@ -10,9 +10,9 @@ import pytest
 
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
 from diffshadow.config.reading._keys import ROOT, Slot, _inside, slot_of
-from diffshadow.config.sections._marks import Limits
-from diffshadow.config.sections._scene import BUILTIN_MESHES
 from diffshadow.config.sections._section import Section
+from diffshadow.settings import Limits
+from diffshadow.settings.scene import PIECES
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 # Sections and keys that name files, or are made below by hand.
@@ -94,7 +94,7 @@ def section_of(rng: np.random.Generator, section: type[Section]) -> dict[str, An
 def random_data(rng: np.random.Generator) -> dict[str, Any]:
     (root,) = ROOT.variants
     data = section_of(rng, root)
-    names = rng.choice(BUILTIN_MESHES, rng.integers(1, 3), replace=False).tolist()
+    names = rng.choice(PIECES, rng.integers(1, 3), replace=False).tolist()
     scene = data.get("scene", {}) | {"meshes": [{"path": f"builtin:{name}", "scale": 2.5} for name in names]}
     data["scene"] = scene
     if rng.random() < 0.4:
@@ -146,5 +146,6 @@ def test_every_number_has_one_lower_and_one_upper_limit():
     assert len(found) > 80
     assert found.keys() >= AS_ANOTHER
     for path, slot in found.items():
-        counts = [sum(isinstance(mark, kinds) for mark in slot.marks) for kinds in ((Ge, Gt), (Le, Lt))]
+        marks = [single for mark in slot.marks for single in (mark if isinstance(mark, Limits) else (mark,))]
+        counts = [sum(isinstance(mark, kinds) for mark in marks) for kinds in ((Ge, Gt), (Le, Lt))]
         assert counts == ([0, 0] if path in AS_ANOTHER else [1, 1]), path

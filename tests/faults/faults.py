@@ -2933,7 +2933,7 @@ _IO = (
     _fault(
         "three.js: the default far of a shadow camera",
         "io/scenes/_three_schema.py",
-        "    far: float = 500.0",
+        "    far: float = scene.ShadowCamera.far",
         "    far: float = 50.0",
         "test_scene_files.py",
     ),
@@ -3048,8 +3048,8 @@ _CONFIG = (
     _fault(
         "limits of poses: those of sizes for angles",
         "config/sections/_poses.py",
-        "Limits(0, 90 - NARROWEST) if self.is_size else",
-        "Limits(0, 90 - NARROWEST) if not self.is_size else",
+        "Setting.of(kinds[0] if self.is_size else",
+        "Setting.of(kinds[0] if not self.is_size else",
         "test_config.py",
         "test_config_build.py",
     ),
@@ -3119,8 +3119,8 @@ _CONFIG = (
     _fault(
         "built shading: every light as bright as one",
         "config/building/_modules.py",
-        "default = _INTENSITY / len(config.scene.each_light)",
-        "default = _INTENSITY",
+        "default = INTENSITY / len(config.scene.each_light)",
+        "default = INTENSITY",
         "test_config_build.py",
     ),
     _fault(
@@ -3497,7 +3497,7 @@ _STUDY = (
     _fault(
         "import: a list of sides for the map's own",
         "study/imports/_settings.py",
-        'chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else _OTHER.__getitem__',
+        'chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else OTHER_SIDE.__getitem__',
         "chosen = lambda side: side",
         "test_import.py",
     ),

@@ -45,6 +45,8 @@ def test_every_subpackage_has_faults_that_its_tests_must_see():
     counts = Counter(fault.subpackage for fault in FAULTS)
     # One class, too short for as many.
     assert counts.pop("console") >= 2
+    # Facts, whose readers the tests compare with one another.
+    subpackages.remove("settings")
     assert counts.keys() == subpackages
     assert min(counts.values()) >= 6
 

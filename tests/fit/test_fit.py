@@ -405,10 +405,10 @@ def test_impossible_fits_are_refused(known):
             PercentageCloser(2.0),
             0.0,
             8.0,
-            "bounds go further than the technique allows: .*8.0 texels; expected 0 to max_radius",
+            "bounds go further than the technique allows: .*radius is 8.0 and max_radius is 2.0; expected",
         ),
-        (RandomDisk(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),
-        (FourTap(2.0), -1.0, 8.0, "radius is -1.0; expected 0 or more texels, or narrow the bounds"),
+        (RandomDisk(2.0), -1.0, 8.0, "radius is -1.0; expected a number at least 0 .*; narrow the bounds"),
+        (FourTap(2.0), -1.0, 8.0, "radius is -1.0; expected a number at least 0 .*; narrow the bounds"),
     ],
     ids=["pcf", "disk", "four"],
 )
@@ -421,7 +421,7 @@ def test_bounds_that_the_filter_does_not_allow_are_refused(kernel, lower, upper,
 
 
 def test_bounds_that_the_bias_does_not_allow_are_refused(known):
-    with pytest.raises(ValueError, match=r"bounds go further than the technique allows: .*bias is -1.0; expected 0 or"):
+    with pytest.raises(ValueError, match=r"bounds go further than the technique allows: .*value is -1\.0; expected"):
         fit(known, [Parameter("bias.constant", -0.5, -1.0, -0.2)])
 
 
@@ -435,31 +435,6 @@ def test_each_number_of_a_solver_is_where_it_belongs(name):
     if name == "adam":
         assert made.descent.steps == 7
         np.testing.assert_allclose(made.search.learning_rate, 0.02)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"anneal": Anneal(phases=0)}, "the anneal has 0 phases; expected 1 or more"),
-        ({"anneal": Anneal(start=0.0)}, "the anneal's start is 0.0 texels; expected a finite width above 0"),
-        ({"anneal": Anneal(end=-0.1)}, "the anneal's end is -0.1 texels"),
-        ({"anneal": Anneal(start=float("nan"))}, "the anneal's start is nan texels"),
-        (
-            {"anneal": Anneal(0.1, 2.0)},
-            "the anneal widens from 0.1 to 2.0 texels; expected end at most start: swap the two",
-        ),
-        (
-            {"solver": Solver("newton")},
-            "the solver is 'newton'; expected one of levenberg_marquardt, dogleg, bfgs, lbfgs",
-        ),
-        ({"solver": Solver(max_steps=0)}, "the solver's max_steps is 0; expected 1 or more"),
-        ({"solver": Solver(rtol=0.0)}, "the solver's rtol is 0.0; expected a finite number above 0"),
-        ({"solver": Solver(atol=float("nan"))}, "the solver's atol is nan"),
-    ],
-)
-def test_impossible_settings_are_refused(settings, message, known):
-    with pytest.raises(ValueError, match=message):
-        fit(known, [BIAS], **settings)
 
 
 def test_residual_squares_sum_to_the_mean_square_error_over_the_mask(known):

@@ -273,9 +273,12 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"within": [0.0]}, "a fraction of the error is 0.0"),
+        ({"within": [0.0]}, r"within\[0\] is 0.0; expected a number greater than 0"),
         ({"prefer": [("bias.slope", "lower")]}, "bias.slope is preferred and not fitted"),
         ({"front": 2}, "a front of 2 points"),
+        ({"starts": 0}, "starts is 0; expected a whole number at least 1"),
+        ({"tolerance": 11.0}, "tolerance is 11.0; expected a number"),
+        ({"blurs": [1.0, -1.0]}, r"blurs\[1\] is -1.0; expected a number"),
         ({"pixels": 0}, "pixels is 0; expected 1 or more"),
     ],
 )

@@ -230,8 +230,8 @@ def test_gradient_by_visibility_is_the_light_s_share():
         (lambda: Phong(model="lambert"), "lambert"),
         (lambda: Phong(shininess=0.0), "shininess"),
         (lambda: ModulatedShadow(factor=1.5), "factor"),
-        (lambda: Attenuation(0.0, 1.0, 1.0), "attenuation"),
-        (lambda: Attenuation(1.0, -1.0, 0.0), "attenuation"),
+        (lambda: Attenuation(0.0, 1.0, 1.0), "Attenuation"),
+        (lambda: Attenuation(1.0, -1.0, 0.0), "Attenuation"),
     ],
 )
 def test_nonsense_is_refused_by_name(make, said):

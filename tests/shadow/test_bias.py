@@ -145,7 +145,7 @@ def test_taps_that_follow_a_plane_go_no_deeper_than_its_deepening():
     shadow_map = ShadowMap(jnp.full((8, 8), 0.5), sun(floor_and_card()))
     slope, right = np.tan(np.radians(60)), np.array([-3.0, -1.0, 0.0, 1.0, 4.0])
     one = lambda x: Pattern(jnp.asarray(np.array([[[[x, 0.0]]]], np.float32)))
-    for deepening, most in ((1e9, np.inf), (1.0, 1.0), (0.0, 0.0)):
+    for deepening, most in ((8192.0, np.inf), (1.0, 1.0), (0.0, 0.0)):
         lit = np.array([taps_of_plane(shadow_map, at, ReceiverPlane(deepening=deepening), one(x)) for x in right])
         # In texels, from how dark a ramp finds it; a quarter of one from the receiver to the centre of its own.
         found = 20 * (1 - 2 * lit)
@@ -296,43 +296,20 @@ def test_any_two_biases_add_up(one, other):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ConstantBias(-1.0), r"constant bias is -1.0; expected 0 or more texels"),
-        (lambda: ConstantBias(float("nan"), "depth"), r"constant bias is nan; expected 0 or more of window depth"),
-        (lambda: Bias(float("inf")), r"constant bias is inf; expected 0 or more texels"),
-        (lambda: SlopeBias(-0.5), r"slope bias is -0.5; expected 0 or more texels"),
-        (lambda: SlopeBias(0.5, least=-1.0), r"slope bias's least is -1.0; expected 0 or more texels"),
-        (lambda: SlopeBias(0.5, most=float("nan")), r"slope bias's most is nan; expected 0 or more texels"),
-        (lambda: SlopeBias(0.5, least=2.0, most=1.0), r"least is 2.0, above its most, 1.0; expected least <= most"),
-        (lambda: NormalOffset(float("nan")), r"normal offset is nan; expected 0 or more texels"),
-        (lambda: ReceiverPlane(-1.0), r"receiver plane's fudge is -1.0; expected 0 or more times the slope"),
-        (lambda: ReceiverPlane(limit=-1.0), r"receiver plane's limit is -1.0; expected 0 or more texels"),
-        (lambda: ReceiverPlane(deepening=float("nan")), r"receiver plane's deepening is nan; expected 0 or more"),
+        (lambda: SlopeBias(0.5, least=2.0, most=1.0), r"least is 2.0 and most is 1.0; expected least at most most"),
         (lambda: LinearBias({}), r"linear bias has no terms; expected one or more"),
         (lambda: LinearBias({"tangent": 1.0}), r"linear bias has a term 'tangent'; expected some of one, slope, sine"),
-        (lambda: LinearBias({"one": float("nan")}), r"weight of one is nan; expected a finite number of texels"),
+        (lambda: LinearBias({"one": float("nan")}), r"weights\['one'\] is nan; expected a number"),
         (lambda: network((40,)), r"perceptron has 163 weights; expected at most 100"),
         (lambda: network(()), r"2 inputs and layers of 1 x 2 weights; expected one or more hidden layers"),
         (lambda: PerceptronBias.of(LINEAR, [([[1.0]], [0.0])], [1.0]), r"2 inputs and layers of 1 x 1, 1 x 1 weights"),
         (lambda: PerceptronBias.of(LINEAR, [([[1.0, 2.0]], [0.0] * 2)], [1.0]), r"and a bias for each row"),
         (lambda: PerceptronBias.of(LINEAR, [([[1.0], [1.0, 2.0]], [0.0] * 2)], [1.0]), r"lengths \[1, 2\]; expected"),
-        (lambda: AdaptiveBias(-0.1), r"adaptive bias's epsilon is -0.1.*; expected 0 or more texels"),
     ],
 )
 def test_impossible_biases_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-@pytest.mark.parametrize(
-    ("bias", "field"),
-    [(ConstantBias, "unit"), (SlopeBias, "unit"), (SlopeBias, "profile"), (NormalOffset, "profile")],
-)
-def test_unknown_choices_are_refused(bias, field):
-    made = bias(1.0)
-    # Where types are checked, as in these tests, the constructor does not get so far.
-    object.__setattr__(made, field, "metres")
-    with pytest.raises(ValueError, match=f"{field} is 'metres'; expected one of "):
-        made.__check_init__()
 
 
 def test_bias_takes_modules_for_its_parts():

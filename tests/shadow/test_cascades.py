@@ -544,7 +544,7 @@ def test_factors_scale_the_bias_of_each_cascade(grid_map):
     single = ShadowMap(jnp.ones(SIZE), grid_map.light.light)
     with pytest.raises(ValueError, match="2 factors, one for each layer, and the map has no layers"):
         eqx.filter_eval_shape(_biases, single, surface, factors)
-    with pytest.raises(ValueError, match=r"a factor of the bias is -1\.0"):
+    with pytest.raises(ValueError, match=r"factors\[1\] is -1\.0"):
         Bias(0.5, factors=(1.0, -1.0))
 
 
@@ -581,8 +581,6 @@ def test_cascades_lower_the_aliasing():
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda: Cascades(9), "count is 9; expected 1 to 8"),
-        (lambda: Cascades(4, 1.5), "logarithmic is 1.5; expected 0 to 1"),
         (lambda: Cascades(distances=(5.0, 2.0)), r"\[5.0, 2.0\]; expected each to be greater"),
         (lambda: Cascades(distances=(5.0,), shadow_distance=3.0), "remove the others"),
         (lambda: Cascades(blend=0.3, max_blend=0.2), "blend is .*; expected 0 to 0.2"),
@@ -599,7 +597,7 @@ def test_cascades_lower_the_aliasing():
             "margin is 5 texels, .* read 6 texels",
         ),
         (lambda: Cascades(3, shares=(1.0, 2.0)), "2 shares, and their count is 3; .* one for each"),
-        (lambda: Cascades(2, shares=(1.0, 0.0)), r"shares are \[1.0, 0.0\]; expected numbers greater than 0"),
+        (lambda: Cascades(2, shares=(1.0, 0.0)), r"shares\[1\] is 0.0; expected a number at least 0.001"),
         (lambda: Cascades(2, shares=(1.0, 3.0), max_share=0.6), "greatest 0.75 of all texels, and max_share is 0.6"),
         (lambda: Cascades(2, shares=(1.0, 1.0), max_share=0.0), "max_share is 0.0; expected more than 0"),
         (lambda: Cascades(2, shares=(1.0, 1.0)).layer_resolution((64, 32)), r"\(64, 32\) .* expected square maps"),

@@ -112,7 +112,7 @@ COPIED, SHIFTED = "camera copied", "camera shifted"
 ENGINE, CLOSE = {"compare": SOFT, "resolution": SQUARE}, {"few": 3, "close": 0.02}
 SINGLE = mapping(PercentageCloser(1.7))
 # Numbers of texels, samples and pages are those of the layouts' own tests, whose programs these are.
-CASCADES = Cascades(4, 0.8, blend=0.2, max_blend=0.3, margin=5.0, select="map")
+CASCADES = Cascades(4, logarithmic=0.8, blend=0.2, max_blend=0.3, margin=5.0, select="map")
 ROWS = {
     "single map": Row(SINGLE, "sun", (*ANYWHERE, "map exchanged", "light copied", COPIED, SHIFTED)),
     "parallel camera": Row(SINGLE, "sun", ("elsewhere", "mirrored", "eye behind", COPIED, SHIFTED), PARALLEL),
@@ -204,12 +204,15 @@ FILTERS = {
     "Castaño": (Castano(7), HARD),
     "free weights": (Separable((0.5, 0.3)), HARD),
     "PCSS": (PercentageCloserSoft(2.0, EIGHT, EIGHT), HARD),
-    "ESM": (ExponentialShadowMap(1.0, 3.0, "tent", 8.0), HARD),
+    "ESM": (ExponentialShadowMap(1.0, 3.0, "tent", exponent=8.0), HARD),
     "MSM": (MomentShadowMap(1.0, 3.0, "gaussian"), HARD),
     "disk": (RandomDisk(1.0, EIGHT), SoftCompare(1.0, "gaussian")),
     "four taps": (FourTap(1.0), HARD),
     "VSM": (VarianceShadowMap(1.0, 3.0), HARD),
-    "EVSM": (ExponentialVarianceShadowMap(1.0, 3.0, "box", 5.0, 3.0, 0.1), HARD),
+    "EVSM": (
+        ExponentialVarianceShadowMap(1.0, 3.0, "box", positive_exponent=5.0, negative_exponent=3.0, least_variance=0.1),
+        HARD,
+    ),
 }
 SELDOM = ("disk", "four taps", "VSM", "EVSM")
 EACH_FILTER = marked(FILTERS, SELDOM)

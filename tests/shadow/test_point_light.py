@@ -295,13 +295,9 @@ def test_projection_follows_the_light_and_its_guard():
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
-        ({"position": (math.nan, 0, 0)}, "position is .*expected finite world coordinates"),
+        ({"position": (math.nan, 0, 0)}, r"position\[0\] is nan; expected a number"),
         ({"near": 0.0}, "expected 0 < near < far"),
         ({"near": 3.0, "far": 2.0}, "near = 3.0 and far = 2.0"),
-        ({"radius": -1.0}, "radius is -1.0; expected world units, 0 or more"),
-        ({"radius": math.inf}, "radius is inf"),
-        ({"guard": -0.1}, "guard is -0.1.*0 to 1"),
-        ({"guard": 1.5}, "guard is 1.5"),
     ],
 )
 def test_bad_point_lights_are_refused(bad, said):

@@ -304,32 +304,3 @@ def test_no_gradient_is_nan_or_infinite(rng):
                 moved = Lookup(texel, depth, lookup.depth_per_texel, lookup.inside)
                 found = slopes_of_sum((kernels, shadow_map.depth, moved))
                 assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: VarianceShadowMap(-1.0), r"the variance shadow map's radius is -1.0 texels; expected 0 to max_radius"),
-        (lambda: MomentShadowMap(4.0, 2.0), r"the moment shadow map's radius is 4.0 texels; .* = 2: give a larger"),
-        (lambda: ExponentialShadowMap(exponent=90.0), r"exponential shadow map's exponent is 90.0; expected 0 to 80"),
-        (lambda: VarianceShadowMap(least_variance=0.0), r"least_variance is 0.0; expected 1e-12 to 1"),
-        (lambda: VarianceShadowMap(light_bleeding=1.0), r"light_bleeding is 1.0; expected 0 to 0.99"),
-        (
-            lambda: ExponentialVarianceShadowMap(positive_exponent=50.0),
-            r"positive_exponent is 50.0; expected 0.001 to 42",
-        ),
-        (lambda: MomentShadowMap(moment_bias=0.0), r"moment_bias is 0.0; expected 1e-07 to 1"),
-    ],
-)
-def test_impossible_settings_are_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_unknown_kernel_is_refused(name):
-    filter = KINDS[name]()
-    # Where types are checked, as in these tests, the constructor does not get so far.
-    object.__setattr__(filter, "kernel", "disk")
-    with pytest.raises(ValueError, match=r"shadow map's kernel is 'disk'; expected one of box, tent, gaussian"):
-        filter.__check_init__()

@@ -179,8 +179,8 @@ def test_receivers_have_a_gradient_within_the_texture():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"blur": -1.0}, "the projective texture's radius is -1.0 texels; expected 0 to max_radius"),
-        ({"blur": 3.0, "max_blur": 2.0}, "the projective texture's radius is 3.0 texels; expected 0 to max_radius = 2"),
+        ({"blur": -1.0}, "blur is -1.0; expected a number at least 0 and at most 256, in texels"),
+        ({"blur": 3.0, "max_blur": 2.0}, "blur is 3.0 and max_blur is 2.0; expected blur at most max_blur"),
     ],
 )
 def test_impossible_blurs_are_refused(options, message):

@@ -380,14 +380,11 @@ def test_depths_of_pages_have_the_plain_maps_derivatives():
 def test_bad_settings_are_refused():
     mesh = floor_and_card()
     for arguments, message in (
-        ({"page": 48}, r"pages' page is 48; expected a power of two from 16 to 1024"),
-        ({"page": 8}, r"pages' page is 8"),
-        ({"finest": 3000}, r"pages' finest is 3000; expected a power of two from 128 to 65536"),
-        ({"page": 64, "finest": 64}, r"pages' finest is 64"),
-        ({"page": 16, "finest": 32768}, r"from 32 to 16384"),
+        ({"page": 48}, r"page is 48; expected a power of two"),
+        ({"finest": 3000}, r"finest is 3000; expected a power of two"),
+        ({"page": 64, "finest": 64}, r"finest is 64, and pages are 64 texels wide; expected 2 to 1024 pages"),
+        ({"page": 16, "finest": 32768}, r"finest is 32768, and pages are 16 texels wide"),
         ({"margin": 33.0}, r"margin is 33, and pages are 64 texels wide; expected at most half"),
-        ({"margin": -1.0}, r"margin is -1\.0; expected 0 or more texels"),
-        ({"level_bias": 20.0}, r"level_bias is 20; expected -16 to 16"),
     ):
         with pytest.raises(ValueError, match=message):
             ResolutionMatched(**arguments)

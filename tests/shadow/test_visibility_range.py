@@ -1,5 +1,6 @@
 """Visibility lies in [0, 1], whatever the technique, its numbers and the map."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scenes import apply, drawn, floor_and_card, map_of, random_lookups, shadows, sun
+from scenes import apply, drawn, floor_and_card, map_of, random_lookups, shadows, side_camera, sun
 
 from diffshadow._misc import in_unit_range
-from diffshadow.geometry import Edges
+from diffshadow.geometry import Edges, Scene
+from diffshadow.raster import draw_surface
 from diffshadow.shadow import (
+    BabylonJs,
     Bias,
     Bilinear,
     Castano,
@@ -28,6 +31,7 @@ from diffshadow.shadow import (
     ShadowMapping,
     SoftCompare,
     Tent,
+    ThreeJs,
     VarianceShadowMap,
     draw_shadow_map,
     stratified,
@@ -124,3 +128,57 @@ def test_a_mean_beyond_the_range_keeps_its_derivative():
     values, tangents = jax.jvp(in_unit_range, (means,), (jnp.ones(5),))
     np.testing.assert_array_equal(values, [0, 0, 0.5, 1, 1])
     np.testing.assert_array_equal(tangents, 1)
+
+
+def within_ranges(module, rng):
+    """`module` with random numbers anywhere within the documented ranges; what is static stays."""
+    changed = {}
+    for key, setting in module.settings.each().items():
+        old, limits = getattr(module, key, None), setting.limits
+        if eqx.is_inexact_array(old) and old.ndim == 0 and limits.high is not None:
+            ends = limits.low + (0 if not limits.above_low else 1e-3 * limits.high), limits.high
+            low, high = ends[0], min(ends[1], getattr(module, f"max_{key}", ends[1]))
+            changed[key] = rng.choice([low, high, rng.uniform(low, high), low + (high - low) * rng.random() ** 6])
+    return eqx.tree_at(
+        lambda each: [getattr(each, key) for key in changed], module, [jnp.float32(x) for x in changed.values()]
+    )
+
+
+@pytest.mark.parametrize("name", ["disk", "PCSS", "VSM", "ESM", "EVSM", "MSM"])
+def test_no_number_within_its_range_carries_a_filter_out_of_the_unit_range(name):
+    kernel, compare = FILTERS[name]
+    if name == "PCSS":
+        # Its radii are in order, and the light's size is given.
+        kernel = eqx.tree_at(lambda f: f.max_radius, kernel, jnp.float32(8192))
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        made = within_ranges(kernel, rng)
+        if name == "PCSS":
+            made = eqx.tree_at(lambda f: f.min_radius, made, jnp.minimum(made.min_radius, made.max_radius))
+        lookup = random_lookups(rng, size=MAP)
+        assert_in_unit_range(apply(made, map_of(random_depths(seed, MAP)), lookup, compare), tolerance=1e-6)
+
+
+@pytest.mark.parametrize(
+    "technique",
+    [
+        ThreeJs(resolution=MAP),
+        ThreeJs(shadow_type="VSMShadowMap", blur_samples=3, resolution=MAP),
+        *(
+            BabylonJs(filter=filter, resolution=MAP)
+            for filter in ("NONE", "POISSONSAMPLING", "PCF", "PCSS", "CLOSEEXPONENTIALSHADOWMAP")
+        ),
+        BabylonJs(filter="BLUREXPONENTIALSHADOWMAP", resolution=MAP),
+    ],
+    ids=lambda made: f"{type(made).__name__} {getattr(made, 'shadow_type', None) or made.filter}",
+)
+def test_no_number_within_its_range_carries_an_engine_out_of_the_unit_range(technique):
+    mesh = floor_and_card()
+    scene = Scene(mesh, side_camera((16, 16)), sun(mesh))
+    surface = draw_surface(mesh, scene.camera)
+    state = technique.prepare(scene)
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        made = within_ranges(technique, rng)
+        noisy = dataclasses.replace(state, depth=jnp.asarray(random_depths(seed, MAP), jnp.float32))
+        assert_in_unit_range(made.visibility(noisy, surface))

@@ -507,10 +507,6 @@ def test_nothing_is_shadowed_beyond_the_shadow_distance():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: PerspectiveWarp(strength=-1.0), "strength is -1.0; expected 0 or more"),
-        (lambda: PerspectiveWarp(strength=float("inf")), "strength is inf; expected 0 or more"),
-        (lambda: PerspectiveWarp("trapezoidal", focus=0.0), "focus is 0.0; expected more than 0, and at most 1"),
-        (lambda: PerspectiveWarp(margin=-1.0), "margin is -1.0; expected 0 or more texels"),
         (lambda: warped(PerspectiveWarp(), lamp(floor_and_card())), "SpotLight, whose map cannot be fitted"),
         (lambda: warped(PerspectiveWarp(), size=(64, 17)), r"margin of 8 texels.*\(64, 17\).*expected more than 17"),
         (lambda: warped(PerspectiveWarp(shadow_distance=101.0)), "shadow_distance is 101; expected depths from"),
@@ -529,11 +525,3 @@ def test_what_a_warp_cannot_do_is_refused(make, message):
 
 def drawn_with(**how):
     return draw_shadow_map(floor_and_card(), warped(TIGHT["lispsm"]), SIZE, **how)
-
-
-def test_an_unknown_method_is_refused():
-    made = PerspectiveWarp()
-    # Where types are checked, as in these tests, the constructor does not get so far.
-    object.__setattr__(made, "method", "log")
-    with pytest.raises(ValueError, match=r"method is 'log'; expected one of lispsm, perspective, trapezoidal"):
-        made.__check_init__()

@@ -10,9 +10,10 @@ from gltf_scene import gltf
 from rich.console import Console
 
 from diffshadow.cli import main
-from diffshadow.config import ThreeJsConfig, build_scene, dump_resolved, load_config, parse_config
+from diffshadow.config import build_scene, dump_resolved, load_config, parse_config
 from diffshadow.geometry import PointLight
 from diffshadow.io import FileError, read_scene
+from diffshadow.settings.engines import ThreeJs
 from diffshadow.shadow import EngineLight
 from diffshadow.shadow.engines._abstract import engine_light
 from diffshadow.study import import_scene
@@ -52,7 +53,7 @@ def test_camera_and_light_are_the_engines(tmp_path, name):
 def test_settings_of_the_shadow_are_taken_over(tmp_path):
     config, said = imported(tmp_path, "yard")
     technique = config.technique
-    assert isinstance(technique, ThreeJsConfig)
+    assert isinstance(technique, ThreeJs)
     assert (technique.bias, technique.normal_bias, technique.radius) == (-0.002, 0.004, 2.5)
     assert technique.side == ("front", "front", "front", "double", "front", "front")
     # Of a material without shadowSide, what the engine chooses.

@@ -2,36 +2,29 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ... import fit, geometry, shading, shadow
 from ..._checks import text_within
+from ...settings.engines import Engine
+from ...settings.shading import INTENSITY, ModulatedShadow
+from ...settings.techniques import Mapped
 from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
-from ..sections._engines import EngineConfig
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
-from ..sections._shading import ModulatedConfig
-from ..sections._technique import (
-    IrregularZBufferConfig,
-    MappedConfig,
-    ProjectiveTextureConfig,
-    ShadowVolumesConfig,
-)
 from ..whole._preferences import preferences
 from ..whole._schema import Config
 from ._scene import Placed, build_camera, build_light, place_mesh, stage_of
 from ._scene import build_mesh as build_mesh
-from ._technique import build_bias, build_compare, build_filter, build_layout
+from ._technique import build_bias, build_compare, build_filter, build_layout, module_of
 
 # 120 bytes per triangle, with normals, colours and indices.
 _MOST_TRIANGLES = 1 << 25
-# Default intensity of all lights together.
-_INTENSITY = 0.7
 
 
 class FitPlan(NamedTuple):
@@ -49,16 +42,16 @@ class FitPlan(NamedTuple):
     solver: fit.Solver
     anneal: fit.Anneal
     loss: fit.Loss
-    arrangement: fit.Arrangement | None = None
-    blurs: tuple[float, ...] | None = None
-    starts: int = 1
-    searches: bool = False
-    evaluations: int = 30
-    truth: dict[str, float] = {}  # noqa: RUF012
-    within: tuple[float, ...] = ()
-    prefer: tuple[tuple[str, fit.Bound], ...] = ()
-    tolerance: float = 0.01
-    front: int = 0
+    arrangement: fit.Arrangement | None
+    blurs: tuple[float, ...] | None
+    starts: int
+    searches: bool
+    evaluations: int
+    truth: dict[str, float]
+    within: tuple[float, ...]
+    prefer: tuple[tuple[str, fit.Bound], ...]
+    tolerance: float
+    front: int
 
 
 def build_scene(config: Config) -> geometry.Scene:
@@ -122,16 +115,10 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
 
     **Raises** `ConfigError` if its parts cannot be made.
     """
-    match config.technique:
-        case ShadowVolumesConfig(method=method):
-            return shadow.ShadowVolumes(method)
-        case IrregularZBufferConfig():
-            return shadow.IrregularZBuffer()
-        case ProjectiveTextureConfig(resolution=resolution, blur=blur, kernel=kernel):
-            return shadow.ProjectiveShadow(resolution, blur, kernel=kernel)
-        case EngineConfig():
-            return build_fittable(config, fitting=fitting)
-    return build_shadow_mapping(config, fitting=fitting)
+    if isinstance(config.technique, Mapped | Engine):
+        return build_fittable(config, fitting=fitting)
+    with _blame(config, ("technique",)):
+        return module_of(config.technique)(**_values(config.technique))
 
 
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
@@ -142,7 +129,7 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
         compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
         kernel = build_filter(config, fitting=fitting)
-    settings = shadow.MapSettings(**config.shadow_map.model_dump())
+    settings = shadow.MapSettings(**_values(config.shadow_map))
     with _blame(config, ("technique",)):
         return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
 
@@ -150,11 +137,10 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
 def build_fittable(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping | shadow.AbstractEngineShadows:
     """The technique of `config` that a fit changes: an engine's, or shadow mapping; otherwise as `build_technique`."""
     section = config.technique
-    if not isinstance(section, EngineConfig):
+    if not isinstance(section, Engine):
         return build_shadow_mapping(config, fitting=fitting)
     with _blame(config, ("technique",)):
-        settings = section.model_dump(exclude={"type"})
-        return getattr(shadow, section.builds)(resolution=config.shadow_map.resolution, **settings)
+        return module_of(section)(resolution=config.shadow_map.resolution, **_values(section))
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
@@ -163,7 +149,7 @@ def build_shading(config: Config) -> shading.AbstractShading:
     **Raises** `ConfigError` if it cannot be made.
     """
     section = config.shading
-    default = _INTENSITY / len(config.scene.each_light)
+    default = INTENSITY / len(config.scene.each_light)
     with _blame(config, ("shading",)):
         phong = shading.Phong(
             ambient=section.ambient,
@@ -171,10 +157,10 @@ def build_shading(config: Config) -> shading.AbstractShading:
             specular=section.specular,
             shininess=section.shininess,
             background=section.background,
-            attenuation=shading.Attenuation(**section.attenuation.model_dump()),
+            attenuation=shading.Attenuation(**_values(section.attenuation)),
             model=section.model,
         )
-        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedConfig) else phong
+        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedShadow) else phong
 
 
 def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
@@ -186,17 +172,15 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
     """
-    if not isinstance(config.technique, MappedConfig | EngineConfig):
+    if not isinstance(config.technique, Mapped | Engine):
         raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
     if mistakes := mistakes_at(config.fit_faults(), config.origin):
         raise ConfigError(mistakes)
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
-        built_solver = fit.Solver(
-            solver.type, solver.max_steps, solver.rtol, solver.atol, solver.learning_rate, solver.noise
-        )
+        built_solver = fit.Solver(solver.type, **_values(solver))
     with _blame(config, ("fit", "anneal")):
-        built_anneal = fit.Anneal(anneal.start, anneal.end, anneal.phases, anneal.kernel)
+        built_anneal = fit.Anneal(**_values(anneal))
     arrangement = None
     if config.moves:
         scene = build_scene(config) if scene is None else scene
@@ -215,7 +199,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         parameters,
         built_solver,
         built_anneal,
-        fit.Loss(**config.fit.loss.model_dump()),
+        fit.Loss(**_values(config.fit.loss)),
         arrangement,
         config.fit.blurs,
         config.fit.multistart,
@@ -246,6 +230,11 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
         home = tuple(x - _offset(x, at) for x, at in zip(section.translate, origin, strict=True))
         poses.append(fit.MeshPose.of(mesh, tuple(vertices), home))
     return fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
+
+
+def _values(section: Any) -> dict[str, Any]:
+    """The values of a section's keys, without its type."""
+    return {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
 
 
 def _start(
@@ -319,7 +308,7 @@ def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
 
 def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
     """**Raises** `ConfigError` for every open mesh that casts, if only back faces cast."""
-    if not isinstance(config.technique, MappedConfig) or config.shadow_map.cull != "front":
+    if not isinstance(config.technique, Mapped) or config.shadow_map.cull != "front":
         return
     what = (
         "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "

@@ -10,16 +10,16 @@ from jaxtyping import Float
 from ... import geometry, io
 from ..._misc import as_float
 from ..._types import Faces, HostArray, Vec3
+from ...settings import scene
+from ...settings.quantities import FARTHEST
 from ..sections._lights import (
     DirectionalLightConfig,
-    LightConfig,
     PointLightConfig,
     RectangleLightConfig,
     ShadowCamera,
     SpotLightConfig,
 )
 from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
-from ..sections._section import FARTHEST
 
 Triple = tuple[float, float, float]
 
@@ -129,7 +129,8 @@ def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple
     return Placed(vertices, mesh.faces, normals, np.asarray(albedo))
 
 
-def build_camera(config: PinholeCameraConfig | OrthographicCameraConfig, stage: Stage) -> geometry.AbstractCamera:
+def build_camera(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:
+    assert isinstance(config, PinholeCameraConfig | OrthographicCameraConfig)
     single = lambda point: np.asarray(point, np.float32)
     target = single(stage.middle if config.target is None else stage.place(config.target))
     if config.eye is not None:
@@ -174,13 +175,14 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
     return (max(near, _LEAST_NEAR * far) if perspective else near), far
 
 
-def build_light(config: LightConfig, stage: Stage) -> geometry.AbstractLight:
+def build_light(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
     """One light.
 
     **Raises** `ValueError` if it cannot be placed there.
     """
     if isinstance(config, DirectionalLightConfig):
         return _directional(config, stage)
+    assert isinstance(config, PointLightConfig | SpotLightConfig | RectangleLightConfig)
     points = as_float(stage.points)
     if config.position is not None:
         position = as_float(stage.place(config.position))

@@ -3,22 +3,25 @@
 from typing import Any
 
 from ... import shadow
-from ..sections._filters import PatternedConfig
-from ..sections._technique import (
-    CascadesConfig,
-    CompareConfig,
-    PerspectiveWarpConfig,
-    ResolutionMatchedConfig,
-    SoftCompareConfig,
-)
+from ...settings import Settings
+from ...settings.biases import NoPlane
+from ...settings.maps import Compare, HardCompare, SoftCompare
+from ...settings.patterns import Pattern
+from ...settings.techniques import Cascades, FittedLayout
+from ..sections._section import settings_of
 from ..whole._schema import Config
+
+# The module that each class of settings describes.
+_MODULES: dict[type[Settings], Any] = {
+    module.settings: module for module in vars(shadow).values() if hasattr(module, "settings")
+}
 
 # Patterns whose function has another name.
 _PATTERNS = {"poisson": "poisson_disk"}
 
 
 def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
-    """The filter of `config`: the module that its section builds, with the section's keys as arguments.
+    """The filter of `config`: the module that its section describes, with the section's keys as arguments.
 
     **Arguments:**
 
@@ -26,8 +29,8 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     """
     section = config.filter
     arguments = _arguments(config, "filter", fitting=fitting)
-    if isinstance(section, PatternedConfig):
-        for key in PatternedConfig.model_fields:
+    if isinstance(section, Pattern):
+        for key in Pattern.each():
             del arguments[key]
         make = getattr(shadow, _PATTERNS.get(section.pattern, section.pattern))
         of = lambda samples: make(samples, section.pattern_size, config.seed, section.rotated)
@@ -37,7 +40,7 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     if section.grows_with_radius:
         bounds = config.fit.parameters.get("filter.radius") if fitting else None
         arguments["max_radius"] = max(arguments["radius"], bounds.upper) if bounds else None
-    return getattr(shadow, section.builds)(**arguments)
+    return module_of(section)(**arguments)
 
 
 def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
@@ -55,28 +58,31 @@ def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
     )
 
 
-def build_compare(config: CompareConfig) -> shadow.AbstractCompare:
-    """The compare of `config`."""
-    if isinstance(config, SoftCompareConfig):
-        return shadow.SoftCompare(width=config.width, kernel=config.kernel)
-    return shadow.HardCompare(operator=config.operator)
+def build_compare(section: Compare) -> shadow.AbstractCompare:
+    """The compare of a configuration."""
+    match section:
+        case SoftCompare(width=width, kernel=kernel):
+            return shadow.SoftCompare(width, kernel)
+        case HardCompare(operator=operator):
+            return shadow.HardCompare(operator)
+    raise AssertionError
 
 
 def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     """How the map of `config` is laid out; `fitting` as for `build_filter`."""
-    section = config.technique
-    if not isinstance(section, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig):
+    if not isinstance(config.technique, FittedLayout):
         return shadow.SingleMap()
     bounds = config.fit.parameters if fitting else {}
     laid_out: Any = config.laid_out(bounds)
     arguments = _arguments(config, "technique", fitting=fitting) | {"margin": laid_out.margin}
-    if isinstance(section, PerspectiveWarpConfig):
-        return shadow.PerspectiveWarp(**arguments)
-    if isinstance(section, ResolutionMatchedConfig):
-        return shadow.ResolutionMatched(**arguments)
-    arguments["max_blend"] = laid_out.max_blend
-    arguments["max_share"] = config.max_share(bounds)
-    return shadow.Cascades(**arguments)
+    if isinstance(laid_out, Cascades):
+        arguments |= {"max_blend": laid_out.max_blend, "max_share": config.max_share(bounds)}
+    return module_of(config.technique)(**arguments)
+
+
+def module_of(section: Any) -> Any:
+    """The module that a section of several variants describes."""
+    return _MODULES[settings_of(type(section))]
 
 
 def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
@@ -89,9 +95,9 @@ def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
 
 
 def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
-    modules = {"receiver_plane": shadow.ReceiverPlane, "adaptive": shadow.AdaptiveBias}
-    kind = config.bias.plane.type
-    return None if kind == "none" else modules[kind](**_arguments(config, "bias.plane", fitting=fitting))
+    if isinstance(config.bias.plane, NoPlane):
+        return None
+    return module_of(config.bias.plane)(**_arguments(config, "bias.plane", fitting=fitting))
 
 
 def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from ...settings.techniques import Mapped
 from .._errors import ConfigError, KeyPath, Mistake, Origin
 from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
 from ..sections._axes import LABEL
-from ..sections._fitted import technique_of
 from ..sections._section import type_of, value_at
 from ..sections._sweep import SweepConfig
-from ..sections._technique import MappedConfig, ShadowMapConfig
+from ..sections._technique import TECHNIQUES, ShadowMapConfig
 from ..whole._schema import Config
 from ._draft import Draft
 from ._load import load_draft
@@ -88,8 +88,8 @@ def _settings_of(draft: Draft) -> AdviseConfig:
     if draft.data.get("sweep") is not None:
         message = "makes this file a sweep; expected one without; override sweep=null"
         mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
-    technique = technique_of(draft.data)
-    if not issubclass(technique, MappedConfig):
+    technique = TECHNIQUES.of(draft.data.get("technique"))
+    if not issubclass(technique, Mapped):
         path = ("technique", "type")
         message = (
             f"is {type_of(technique)}, and advise compares biases and filters of shadow maps; expected a technique "

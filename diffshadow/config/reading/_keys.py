@@ -3,68 +3,43 @@
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from .._errors import KeyPath, dotted, listing
-from ..sections._marks import Limits, bare, is_union, marked
-from ..sections._section import Form, Section, Unit, type_of
+from ...settings import Setting, Unit, bare
+from .._errors import KeyPath, dotted
+from ..sections._section import Section, Variants, marked, type_of
 from ..whole._schema import Config
 
 
 @dataclass(frozen=True)
-class Slot:
+class Slot(Setting):
     """A value of the schema.
 
-    - `kind`: its bare type.
-    - `marks`: the marks of its annotation.
     - `field`: the field that holds it.
-    - `siblings`: all variants of the section, if `kind` is one of them.
+    - `siblings`: all variants of the section, if it is one of them.
     """
 
-    kind: Any
-    marks: tuple[Any, ...] = ()
     field: FieldInfo | None = None
     siblings: tuple[type[Section], ...] = ()
 
     @property
     def variants(self) -> tuple[type[Section], ...]:
         """The sections that are allowed here; empty if the value is not a section."""
-        kinds = (bare(kind)[0] for kind in get_args(self.kind)) if is_union(self.kind) else (self.kind,)
-        return tuple(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section))
+        for mark in self.marks:
+            if isinstance(mark, Variants):
+                return tuple(mark.sections.values())
+        return (self.kind,) if isinstance(self.kind, type) and issubclass(self.kind, Section) else ()
 
     @property
-    def unit(self) -> str:
-        """The value's unit; empty if it has none."""
-        return next((mark.name for mark in self.marks if isinstance(mark, Unit)), "")
+    def choices(self) -> tuple[Any, ...]:
+        return tuple(map(type_of, self.variants)) if len(self.variants) > 1 else super().choices
 
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """The words to choose from; empty if the value is not a choice."""
-        if len(self.variants) > 1:
-            return tuple(type_of(variant) for variant in self.variants)
-        return tuple(map(str, get_args(self.kind))) if get_origin(self.kind) is Literal else ()
-
-    @property
-    def default(self) -> Any:
-        """The default value; `None` if there is none, or if it is a section."""
-        value = None if self.field is None else self.field.default
-        return None if value is PydanticUndefined else value
-
-    def expected(self) -> str:
-        """The allowed values, in plain words."""
-        form = next((mark.words for mark in self.marks if isinstance(mark, Form)), None)
-        unit = f", in {self.unit}" if self.unit else ""
-        if form is not None:
-            return f"{form}{unit}"
-        if self.choices:
-            return listing(self.choices)
-        if self.variants:
-            return f"a section with {_with_keys(self.variants[0])}"
-        words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-        return f"{words.get(self.kind, 'a section')}{_limits(self.marks)}{unit}"
+    def expected(self, unit: str | None = None) -> str:
+        is_section = len(self.variants) == 1 and self.form is None
+        return f"a section with {_with_keys(self.variants[0])}" if is_section else super().expected(unit)
 
 
 ROOT = Slot(Config)
@@ -94,7 +69,7 @@ def follow(location: Sequence[str | int]) -> Found:
         among = slot.variants if slot is not None else ()
         chosen = next((variant for variant in among if len(among) > 1 and type_of(variant) == step), None)
         if slot is not None and chosen is not None:
-            slot = Slot(chosen, slot.marks, slot.field, among)
+            slot = Slot(chosen, field=slot.field, siblings=among)
             continue
         # A fault found by the enclosing section does not name a variant, so take any that has the key.
         section = next((variant for variant in among if step in variant.model_fields), among[0] if among else None)
@@ -111,7 +86,8 @@ def keys_of(section: type[Section]) -> list[str]:
 
 def slot_of(field: FieldInfo) -> Slot:
     """The slot of `field`."""
-    return Slot(*marked(field), field)
+    default = None if field.default is PydanticUndefined else field.default
+    return Slot(*marked(field), default, field=field)
 
 
 def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
@@ -149,12 +125,6 @@ def _inside(slot: Slot, step: str | int) -> Slot | None:
     kind, marks = bare(entry)
     units = (mark for mark in slot.marks if isinstance(mark, Unit))
     return Slot(kind, (*marks, *units))
-
-
-def _limits(marks: Sequence[Any]) -> str:
-    limits = Limits.of(marks)
-    words = " and ".join(word for word in (limits.least, limits.most) if word)
-    return f" {words}" if words else ""
 
 
 def _with_keys(section: type[Section]) -> str:

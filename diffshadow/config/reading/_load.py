@@ -9,9 +9,10 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
+from ...settings.scene import PIECES
 from .._errors import ConfigError, KeyPath, Mistake, Origin, Place, dotted, show
 from ..sections._paths import path_of
-from ..sections._scene import BUILTIN, BUILTIN_MESHES
+from ..sections._scene import BUILTIN
 from ..whole._between import data_faults_of_fit, fit_faults
 from ..whole._schema import Config
 from ._draft import Draft
@@ -183,7 +184,7 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]
 def _missing(file: Path) -> str:
     if file.is_dir():
         return f"is the folder {file}; expected a file; give the name of a file in it"
-    mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in BUILTIN_MESHES else _neighbour(file)
+    mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in PIECES else _neighbour(file)
     return f"there is no file {file}; expected one that can be read; {mend}"
 
 

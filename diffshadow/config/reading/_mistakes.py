@@ -73,8 +73,10 @@ def _remedy(value: Any, slot: Slot) -> str:
     if value is None:
         mend = "remove the key to get its default" if _has_default(slot) else "give it a value"
         return f"write {{type: none}}, or {mend}" if "none" in map(type_of, slot.siblings) else mend
+    if slot.form is not None and slot.form.example:
+        return f"write a list such as {slot.form.example}"
     if slot.choices:
-        return did_you_mean(value, slot.choices, "choose one of these")
+        return did_you_mean(value, map(str, slot.choices), "choose one of these")
     if slot.kind is bool and str(value).lower() in _SWITCHES:
         return f"write {_SWITCHES[str(value).lower()]}"
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
@@ -97,4 +99,4 @@ def _has_default(slot: Slot) -> bool:
 
 
 def _description(slot: Slot) -> str:
-    return (slot.field.description if slot.field is not None else None) or "a value"
+    return slot.meaning or (slot.field.description if slot.field is not None else None) or "a value"

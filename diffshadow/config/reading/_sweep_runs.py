@@ -14,12 +14,13 @@ from typing import Any, NamedTuple, overload
 
 from pydantic import ValidationError
 
+from ...settings.patterns import MAX_PATTERN_TAPS
+from ...settings.reference import ImageReference
+from ...settings.techniques import Mapped
 from .._errors import ConfigError, Mistake, Origin, show
 from ..sections._axes import LABEL
-from ..sections._filters import MOST_TAPS, RandomDiskConfig
-from ..sections._reference import ImageReferenceConfig
+from ..sections._filters import RandomDiskConfig
 from ..sections._sweep import SweepConfig
-from ..sections._technique import MappedConfig
 from ..whole._schema import Config
 from ._axes import levels_of, written
 from ._load import Draft, checked, load_draft
@@ -28,8 +29,6 @@ from ._mistakes import mistakes_of
 # Part of every id. Increase it when the same configuration gives different numbers.
 _FORMAT = 1
 _ID_BYTES = 8
-# Sixteen times the limit of a run.
-_MOST_LIMIT_TAPS = 16 * MOST_TAPS
 # Each run takes a millisecond to check, a folder, and a few hundred bytes of memory.
 _MOST_RUNS = 1 << 20
 # The runs of larger sweeps are not kept in memory, but made again when they are needed.
@@ -273,15 +272,15 @@ def _faults_beside_plot(draft: Draft, error: ConfigError) -> Sequence[Mistake]:
 def _check_limit(config: Config, settings: SweepConfig, origin: Origin) -> None:
     if settings.limit_samples is None:
         return
-    if not isinstance(config.filter, RandomDiskConfig) or not isinstance(config.technique, MappedConfig):
+    if not (isinstance(config.filter, RandomDiskConfig) and isinstance(config.technique, Mapped)):
         message = (
             f"is given, but there are runs of technique {config.technique.type} with filter {config.filter.type}; "
             "expected shadow_map with random_disk, which has a limit; remove it, or these runs"
         )
-    elif (taps := settings.limit_samples * config.filter.pattern_size**2) > _MOST_LIMIT_TAPS:
+    elif (taps := settings.limit_samples * config.filter.pattern_size**2) > MAX_PATTERN_TAPS:
         message = (
             f"is {settings.limit_samples}, and with filter.pattern_size {config.filter.pattern_size} there are "
-            f"{taps:,} taps per tile; expected at most {_MOST_LIMIT_TAPS:,}, which take 270 MB; lower one of them"
+            f"{taps:,} taps per tile; expected at most {MAX_PATTERN_TAPS:,}, which take 270 MB; lower one of them"
         )
     else:
         return
@@ -298,7 +297,7 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
     for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)
-    if isinstance(config.reference, ImageReferenceConfig):
+    if isinstance(config.reference, ImageReference):
         data["reference"]["path"] = _content_of(config.reference.path)
     for kind, views in (("views", config.views), ("validation", config.validation)):
         data["fit"][kind] = [_id_of(view.config, settings) for view in views]

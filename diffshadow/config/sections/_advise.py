@@ -5,10 +5,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from ...settings import Form, Limits, Unit
+from ...settings.quantities import Size
 from .._errors import KeyPath, dotted, listing, show
 from ._axes import LABEL
 from ._poses import is_pose
-from ._section import Conflict, Form, Section, Size, Unit, as_list, fault
+from ._section import Conflict, Section, fault
 
 PARAMETERS = "parameters"
 """The key in an entry that holds the numbers to fit; all others but the label are set."""
@@ -17,8 +19,8 @@ LISTS = ("biases", "filters")
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
-Entries = Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")]
-_Sizes = Annotated[tuple[Size, ...], as_list, Form("a list of [height, width]"), Unit("texels")]
+Entries = Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")]
+_Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("texels")]
 
 
 def _bias(label: str, *fitted: str, plane: str = "none") -> dict[str, Any]:
@@ -65,12 +67,11 @@ class AdviseConfig(Section):
         min_length=1,
         description="[height, width] of the maps, in texels; default: shadow_map.resolution, and half of it",
     )
-    within: float = Field(
-        default=0.03,
-        ge=0,
-        le=1,
-        description="the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
-    )
+    within: Annotated[
+        float,
+        Limits(0, 1),
+        "the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
+    ] = 0.03
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

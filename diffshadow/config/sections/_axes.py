@@ -6,13 +6,15 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from ...settings import Form, Limits, Unit
+from ...settings.quantities import Degrees, Turn
 from .._errors import KeyPath, dotted, show
-from ._section import Conflict, Degrees, Form, Section, Turn, Unit, as_list, fault, is_number, ordered, value_at
+from ._section import Conflict, Section, fault, is_number, value_at
 
 LABEL = "label"
 """The key in an entry of `list` that names the entry; all others are set."""
 
-Values = Annotated[tuple[Any, ...], as_list, Form("a list of values")]
+Values = Annotated[tuple[Any, ...], Form("a list of values")]
 _Hour = Annotated[float, Field(ge=0, le=24), Unit("hours")]
 SUN = ("scene.light.azimuth", "scene.light.elevation")
 """The keys that `sun` sets."""
@@ -21,14 +23,14 @@ SUN = ("scene.light.azimuth", "scene.light.elevation")
 class QuasiRandomAxisConfig(Section):
     """The range of a key whose values come from a quasi-random sequence."""
 
-    lower: float = Field(description="least value")
-    upper: float = Field(description="greatest value")
-    log: bool = Field(default=False, description="whether values are spread evenly on a logarithmic scale")
-    integer: bool = Field(default=False, description="whether values are rounded to whole numbers")
+    lower: Annotated[float, "least value"]
+    upper: Annotated[float, "greatest value"]
+    log: Annotated[bool, "whether values are spread evenly on a logarithmic scale"] = False
+    integer: Annotated[bool, "whether values are rounded to whole numbers"] = False
+    ascending = (("lower", "upper"),)
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(cls, data, "lower", "upper")
         lower = data.get("lower")
         if data.get("log") is True and is_number(lower) and lower <= 0:
             yield ("lower",), fault(f"is {lower} on a logarithmic scale", "a number greater than 0", "raise it")
@@ -37,10 +39,10 @@ class QuasiRandomAxisConfig(Section):
 class QuasiRandomConfig(Section):
     """Quasi-random points in the box of several ranges."""
 
-    sequence: Literal["sobol", "halton"] = Field(default="sobol", description="the sequence, scrambled")
-    count: Annotated[int, Unit("points")] = Field(ge=1, le=65536, description="number of points")
-    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of the scrambling")
-    axes: dict[str, QuasiRandomAxisConfig] = Field(description="ranges, by dotted key")
+    sequence: Annotated[Literal["sobol", "halton"], "the sequence, scrambled"] = "sobol"
+    count: Annotated[int, Unit("points"), Limits(1, 65536), "number of points"]
+    seed: Annotated[int, Limits(0, 2**32, below_high=True), "seed of the scrambling"] = 0
+    axes: Annotated[dict[str, QuasiRandomAxisConfig], "ranges, by dotted key"]
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -51,8 +53,8 @@ class QuasiRandomConfig(Section):
 class PathConfig(Section):
     """Points evenly spaced in time along paths, which lead from value to value in straight lines."""
 
-    count: Annotated[int, Unit("points")] = Field(ge=2, le=65536, description="number of points, both ends included")
-    through: dict[str, Values] = Field(description="values to pass in turn, numbers or lists of them, by dotted key")
+    count: Annotated[int, Unit("points"), Limits(2, 65536), "number of points, both ends included"]
+    through: Annotated[dict[str, Values], "values to pass in turn, numbers or lists of them, by dotted key"]
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -75,16 +77,13 @@ class PathConfig(Section):
 class SunConfig(Section):
     """The sun over a day, by its declination and hour angle; +x is east and +z south."""
 
-    count: Annotated[int, Unit("points")] = Field(ge=1, le=65536, description="number of hours, evenly spaced")
-    latitude: Degrees = Field(default=45.0, ge=-90, le=90, description="latitude, north positive, in degrees")
-    day: int = Field(default=172, ge=1, le=366, description="day of the year; 172 is the northern summer's solstice")
-    first: _Hour = Field(default=8.0, description="first hour, in solar time")
-    last: _Hour = Field(default=16.0, description="last hour, in solar time")
-    turn: Turn = Field(default=0.0, description="what is added to the azimuth, in degrees")
-
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from ordered(cls, data, "first", "last")
+    count: Annotated[int, Unit("points"), Limits(1, 65536), "number of hours, evenly spaced"]
+    latitude: Annotated[Degrees, Limits(-90, 90), "latitude, north positive, in degrees"] = 45.0
+    day: Annotated[int, Limits(1, 366), "day of the year; 172 is the northern summer's solstice"] = 172
+    first: Annotated[_Hour, "first hour, in solar time"] = 8.0
+    last: Annotated[_Hour, "last hour, in solar time"] = 16.0
+    turn: Annotated[Turn, "what is added to the azimuth, in degrees"] = 0.0
+    ascending = (("first", "last"),)
 
 
 class AxesConfig(Section):
@@ -94,19 +93,20 @@ class AxesConfig(Section):
     # Where such a section stands.
     at: ClassVar[str] = "sweep"
 
-    list: Annotated[tuple[dict[str, Any], ...], as_list, Form("a list of sections of dotted keys")] | None = Field(
-        default=None, description="sections of dotted keys to set together; label names one"
-    )
-    grid: dict[str, Values] | None = Field(default=None, description="values to combine, by dotted key")
-    files: dict[str, str] | None = Field(
-        default=None, description="patterns such as meshes/*.obj, whose files are combined in order, by dotted key"
-    )
-    zip: dict[str, Values] | None = Field(
-        default=None, description="values to step through together, by dotted key; lists of equal length"
-    )
-    path: PathConfig | None = Field(default=None, description="points along paths, such as a camera's")
-    sun: SunConfig | None = Field(default=None, description="azimuth and elevation of scene.light over a day")
-    qmc: QuasiRandomConfig | None = Field(default=None, description="quasi-random points")
+    list: Annotated[
+        Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")] | None,
+        "sections of dotted keys to set together; label names one",
+    ] = None
+    grid: Annotated[dict[str, Values] | None, "values to combine, by dotted key"] = None
+    files: Annotated[
+        dict[str, str] | None, "patterns such as meshes/*.obj, whose files are combined in order, by dotted key"
+    ] = None
+    zip: Annotated[
+        dict[str, Values] | None, "values to step through together, by dotted key; lists of equal length"
+    ] = None
+    path: Annotated[PathConfig | None, "points along paths, such as a camera's"] = None
+    sun: Annotated[SunConfig | None, "azimuth and elevation of scene.light over a day"] = None
+    qmc: Annotated[QuasiRandomConfig | None, "quasi-random points"] = None
 
     @property
     def axes(self) -> tuple[str, ...]:

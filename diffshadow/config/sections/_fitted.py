@@ -6,20 +6,14 @@ from typing import Any, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
+from ...settings import Fitted, Limits, Setting, bare
+from ...settings.engines import Engine
 from .._errors import did_you_mean, listing
-from ._biases import BiasConfig, PlaneConfig, TermsConfig
-from ._engines import EngineConfig
-from ._filters import FilterConfig
-from ._marks import Limits, bare, marked
+from ._biases import PLANES, BiasConfig, TermsConfig
+from ._filters import FILTERS
 from ._poses import could_be_pose, is_pose, pose_faults, pose_of
-from ._section import Conflict, Fitted, Section, fault, is_index, is_number, value_at, variants_of
-from ._technique import ShadowMappingConfig, TechniqueConfig
-
-FILTERS = variants_of(FilterConfig)
-"""Each filter's section by its `type`."""
-_PLANES = variants_of(PlaneConfig)
-_TECHNIQUES = variants_of(TechniqueConfig)
-DEFAULT_FILTER = "random_disk"
+from ._section import Conflict, Section, fault, is_index, is_number, marked, type_of, value_at
+from ._technique import TECHNIQUES
 
 
 def fit_paths(data: Any) -> dict[str, str]:
@@ -33,7 +27,7 @@ def fit_paths(data: Any) -> dict[str, str]:
     for example, `"bias.slope"` maps to `"bias.slope.value"`.
     """
     return {
-        f"{holder}.{key}{entry}": f"{_field(holder, section)}{mark.path or key}{entry}"
+        f"{holder}.{key}{entry}": f"{_field(holder, section)}{_path(section, key)}{entry}"
         for holder, section in _holders(data).items()
         for key, mark in _fitted_keys(section).items()
         for entry in _entries(section.model_fields[key], mark, value_at(data, *holder.split("."), key))
@@ -52,11 +46,6 @@ def is_searched(data: Any, name: str) -> bool:
     holder, key, _ = key_of(name)
     section = _holders(data).get(holder)
     return section is not None and key in (fitted := _fitted_keys(section)) and fitted[key].searched
-
-
-def technique_of(data: Any) -> type[Section]:
-    """The section of the technique of `data`; shadow mapping's if its type is unknown, which is reported elsewhere."""
-    return _TECHNIQUES.get(str(value_at(data, "technique", "type", default="shadow_map")), ShadowMappingConfig)
 
 
 def key_of(name: str) -> tuple[str, str, int | None]:
@@ -143,18 +132,23 @@ def outside(
 _HOLDERS = {
     "bias": [BiasConfig],
     "bias.terms": [TermsConfig],
-    "bias.plane": [*_PLANES.values()],
-    "filter": [*FILTERS.values()],
-    "technique": [*_TECHNIQUES.values()],
+    "bias.plane": [*PLANES.sections.values()],
+    "filter": [*FILTERS.sections.values()],
+    "technique": [*TECHNIQUES.sections.values()],
 }
+# Where the module's fields are called otherwise than their section.
+_FIELDS = {"bias.terms": "bias.terms.weights", "technique": "layout"}
 
 
 def _field(holder: str, section: type[Section]) -> str:
     """What precedes the names of a section's numbers in the technique that it builds."""
-    if issubclass(section, EngineConfig):
-        return ""
-    # The field of `ShadowMapping` that is called otherwise than its section.
-    return "layout." if holder == "technique" else f"{holder}."
+    return "" if issubclass(section, Engine) else f"{_FIELDS.get(holder, holder)}."
+
+
+def _path(section: type[Section], key: str) -> str:
+    """The path of a section's number in the module that it builds."""
+    (path,) = Setting.of(None, marks=marked(section.model_fields[key])[1]).paths(key)
+    return path
 
 
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
@@ -165,34 +159,27 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
-    plane = _PLANES.get(str(value_at(data, "bias", "plane", "type", default="none")), _PLANES["none"])
-    technique = technique_of(data)
-    if issubclass(technique, EngineConfig):
+    technique = TECHNIQUES.of(value_at(data, "technique"))
+    if issubclass(technique, Engine):
         return {"technique": technique}
     return {
         "bias": BiasConfig,
         "bias.terms": TermsConfig,
-        "bias.plane": plane,
-        "filter": FILTERS[_filter_type(data)],
+        "bias.plane": PLANES.of(value_at(data, "bias", "plane")),
+        "filter": FILTERS.of(value_at(data, "filter")),
         "technique": technique,
     }
-
-
-def _filter_type(data: Any) -> str:
-    # A misspelt type is reported elsewhere. A name may still be wrong for every filter.
-    kind = str(value_at(data, "filter", "type", default=DEFAULT_FILTER))
-    return kind if kind in FILTERS else DEFAULT_FILTER
 
 
 def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
     known = tuple(fit_paths(data))
     mend = "name one of these"
-    if not any(name == f"filter.{field}" for kind in FILTERS.values() for field in kind.model_fields):
+    if not any(name == f"filter.{field}" for kind in FILTERS.sections.values() for field in kind.model_fields):
         # A parameter of another filter is not a misspelling.
         mend = did_you_mean(name, known, mend)
-    technique = _holders(data)["technique"]
-    kind = str(value_at(data, "technique", "type")) if issubclass(technique, EngineConfig) else None
-    of = f"filter type {_filter_type(data)!r}" if kind is None else f"technique type {kind!r}"
+    holders = _holders(data)
+    kind = "technique" if issubclass(holders["technique"], Engine) else "filter"
+    of = f"{kind} type {type_of(holders[kind])!r}"
     return fault(f"cannot be fitted with {of}", listing(known), mend)
 
 

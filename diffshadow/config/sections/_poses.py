@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 from pydantic_core import PydanticCustomError
 
+from ...settings import Limits, Setting
+from ...settings.quantities import Coordinate, HalfAngle, Turn, WorldUnits
 from .._errors import did_you_mean, listing
-from ._marks import Limits
-from ._section import FARTHEST, MOST_DEGREES, NARROWEST, fault, is_index, value_at
+from ._section import fault, is_index, value_at
 
 _AXES = ("x", "y", "z")
 _DEGREES, _WORLD = "degrees", "world units"
@@ -38,9 +39,8 @@ class Pose(NamedTuple):
     @property
     def limits(self) -> Limits:
         """The limits of its bounds, equal to the limits of the keys that set such numbers."""
-        if self.unit == _DEGREES:
-            return Limits(0, 90 - NARROWEST) if self.is_size else Limits(-MOST_DEGREES, MOST_DEGREES)
-        return Limits(0 if self.is_size else -FARTHEST, FARTHEST)
+        kinds = (HalfAngle, Turn) if self.unit == _DEGREES else (WorldUnits, Coordinate)
+        return Setting.of(kinds[0] if self.is_size else kinds[1]).limits
 
     @property
     def axis(self) -> int | None:

@@ -3,44 +3,17 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field
 
+from ...settings import Form, Limits, Unit, scene
+from ...settings.quantities import FARTHEST, SMALLEST, Angles, Colour, Coordinate, Degrees, Distance, Position, Turn
+from ...settings.scene import PIECES
 from .._errors import KeyPath, listing, nearest
-from ._lights import LightConfig
-from ._section import (
-    NARROWEST,
-    SMALLEST,
-    Angles,
-    Colour,
-    Conflict,
-    Coordinate,
-    Degrees,
-    Direction,
-    Form,
-    Position,
-    Radii,
-    Section,
-    Size,
-    Turn,
-    Unit,
-    WorldUnits,
-    as_list,
-    by_type,
-    exclusive,
-    fault,
-    given,
-    ordered,
-    value_at,
-)
+from ._lights import LightConfig, Radii
+from ._section import Conflict, Section, Variants, exclusive, fault, given, value_at
 
 BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
-
-# The names in geometry.LIBRARY, kept here so that a misspelling is found without loading JAX.
-BUILTIN_MESHES = (
-    *("plane", "box", "sphere", "low_poly_sphere", "torus", "torus_knot"),
-    *("fence", "thin_wall", "chair", "blob"),
-)
 
 
 class MeshConfig(Section):
@@ -51,34 +24,26 @@ class MeshConfig(Section):
         description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="keyword options of a builtin mesh")
-    size: WorldUnits | None = Field(
-        default=None, ge=SMALLEST, description="longest side to scale the mesh to, in world units"
-    )
-    drop_to_ground: bool = Field(
-        default=False, description="whether to move the mesh up or down until it stands on y = 0"
-    )
-    translate: Position = Field(
-        default=(0.0, 0.0, 0.0), description="translation, after scale and rotate, in world units"
-    )
-    rotate: Angles = Field(
-        default=(0.0, 0.0, 0.0), description="rotation about the x, then the y, then the z axis, in degrees"
-    )
+    size: Annotated[
+        Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None,
+        "longest side to scale the mesh to, in world units",
+    ] = None
+    drop_to_ground: Annotated[bool, "whether to move the mesh up or down until it stands on y = 0"] = False
+    translate: Annotated[Position, "translation, after scale and rotate, in world units"] = (0.0, 0.0, 0.0)
+    rotate: Annotated[Angles, "rotation about the x, then the y, then the z axis, in degrees"] = (0.0, 0.0, 0.0)
     # Enough to scale the largest scenes to the smallest, and back.
-    scale: float = Field(default=1.0, ge=1e-15, le=1e15, description="scale factor about the origin")
-    crease_angle: Degrees = Field(
-        default=30.0, ge=0, le=180, description="edges of a mesh file bent by more are shaded sharp, in degrees"
-    )
-    normals: Literal["creases", "file"] = Field(
-        default="creases", description="normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
-    )
-    albedo: Colour = Field(default=(0.8, 0.8, 0.8), description="diffuse colour, each component in [0, 1]")
-    casts: bool = Field(
-        default=True,
-        description="whether it casts shadows, or only receives them; reference.blockers can let it block rays",
-    )
-    receives: bool = Field(
-        default=True, description="whether an engine shows shadows on it; pixels of others count in no error"
-    )
+    scale: Annotated[float, Limits(1e-15, 1e15), "scale factor about the origin"] = 1.0
+    crease_angle: Annotated[
+        Degrees, Limits(0, 180), "edges of a mesh file bent by more are shaded sharp, in degrees"
+    ] = 30.0
+    normals: Annotated[
+        Literal["creases", "file"], "normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
+    ] = "creases"
+    albedo: Annotated[Colour, "diffuse colour, each component in [0, 1]"] = (0.8, 0.8, 0.8)
+    casts: Annotated[
+        bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
+    ] = True
+    receives: Annotated[bool, "whether an engine shows shadows on it; pixels of others count in no error"] = True
 
     @property
     def builtin(self) -> str | None:
@@ -91,10 +56,10 @@ class MeshConfig(Section):
         if not isinstance(path, str):
             return
         name = path.removeprefix(BUILTIN)
-        if path.startswith(BUILTIN) and name not in BUILTIN_MESHES:
-            suggestion = nearest(name, BUILTIN_MESHES)
+        if path.startswith(BUILTIN) and name not in PIECES:
+            suggestion = nearest(name, PIECES)
             mend = "name one of these" if suggestion is None else f"did you mean {BUILTIN + suggestion!r}?"
-            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(BUILTIN_MESHES)}", mend)
+            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(PIECES)}", mend)
         if not path.startswith(BUILTIN) and options:
             what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
             yield ("options",), what
@@ -105,21 +70,16 @@ class MeshConfig(Section):
 class CameraOrbit(Section):
     """A camera placed by angles about the middle of the scene's first mesh."""
 
-    azimuth: Turn = Field(default=30.0, description="0 towards +z of the mesh, 90 towards +x, in degrees")
-    elevation: Degrees = Field(default=30.0, ge=-90, le=90, description="height above the horizon, in degrees")
-    distance: Radii = Field(
-        default=2.5, gt=0, description="distance from the mesh's middle, in radii of its bounding sphere"
-    )
+    azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 30.0
+    elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 30.0
+    distance: Annotated[Radii, "distance from the mesh's middle, in radii of its bounding sphere"] = 2.5
 
 
 class _CameraConfig(Section):
-    resolution: Annotated[Size, Unit("pixels")] = Field(default=(512, 512), description="[height, width] in pixels")
-    orbit: CameraOrbit | None = Field(
-        default=None, description="placement by angles about the first mesh, instead of eye"
-    )
-    eye: Position | None = Field(default=None, description="position, in world units")
-    target: Position | None = Field(default=None, description="point in the middle of the image, in world units")
-    up: Direction = Field(default=(0.0, 1.0, 0.0), description="direction that is upright in the image")
+    orbit: Annotated[CameraOrbit | None, "placement by angles about the first mesh, instead of eye"] = None
+    eye: Annotated[Position | None, "position, in world units"] = None
+    target: Annotated[Position | None, "point in the middle of the image, in world units"] = None
+    ascending = (("near", "far"),)
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -130,56 +90,40 @@ class _CameraConfig(Section):
         yield from exclusive(data, "orbit", "eye", "target")
         if given(data, "target") and not given(data, "eye", "orbit"):
             yield ("target",), fault("is given without eye", "eye with it", "add eye: [x, y, z] in world units")
-        yield from ordered(cls, data, "near", "far")
 
 
-class PinholeCameraConfig(_CameraConfig):
+class PinholeCameraConfig(_CameraConfig, scene.PinholeCamera):
     """A perspective camera."""
 
-    type: Literal["pinhole"] = "pinhole"
-    fov_y: Degrees = Field(
-        default=40.0, ge=NARROWEST, le=180 - NARROWEST, description="full vertical field of view, in degrees"
-    )
-    near: WorldUnits | None = Field(
-        default=None, gt=0, description="distance of the near plane, in world units; default: tight"
-    )
-    far: WorldUnits | None = Field(
-        default=None, gt=0, description="distance of the far plane, in world units; default: tight"
-    )
+    near: Annotated[Distance | None, "distance of the near plane, in world units; default: tight"] = None
+    far: Annotated[Distance | None, "distance of the far plane, in world units; default: tight"] = None
 
 
-class OrthographicCameraConfig(_CameraConfig):
+class OrthographicCameraConfig(_CameraConfig, scene.OrthographicCamera):
     """An orthographic camera."""
 
-    type: Literal["orthographic"] = "orthographic"
-    height: WorldUnits | None = Field(
-        default=None, gt=0, description="height of the view, in world units; default: the whole scene"
-    )
-    near: Coordinate | None = Field(
-        default=None, description="distance of the near plane, in world units; default: tight"
-    )
-    far: Coordinate | None = Field(
-        default=None, description="distance of the far plane, in world units; default: tight"
-    )
+    height: Annotated[Distance | None, "height of the view, in world units; default: the whole scene"] = None
+    near: Annotated[Coordinate | None, "distance of the near plane, in world units; default: tight"] = None
+    far: Annotated[Coordinate | None, "distance of the far plane, in world units; default: tight"] = None
 
 
-CameraConfig = Annotated[
-    Annotated[PinholeCameraConfig, Tag("pinhole")] | Annotated[OrthographicCameraConfig, Tag("orthographic")],
-    by_type("pinhole"),
-]
+CAMERAS = Variants(scene.Camera, "pinhole", __name__)
+CameraConfig = Annotated[scene.Camera, CAMERAS]
 
 
 class SceneConfig(Section):
     """Meshes, camera and lights."""
 
-    meshes: Annotated[tuple[MeshConfig, ...], as_list, Form("a list of meshes, each with a path")] = Field(
-        description="surfaces, each a caster and a receiver; cameras and lights orbit the first"
-    )
-    camera: CameraConfig = Field(default_factory=PinholeCameraConfig, description="camera of the image")
-    light: LightConfig | None = Field(default=None, description="light that casts the shadows")
-    lights: Annotated[tuple[LightConfig, ...], as_list, Form("a list of lights")] | None = Field(
-        default=None, description="several lights instead of one"
-    )
+    meshes: Annotated[
+        tuple[MeshConfig, ...],
+        Form("a list of meshes, each with a path"),
+        "surfaces, each a caster and a receiver; cameras and lights orbit the first",
+    ]
+    camera: CameraConfig = Field(default_factory=CAMERAS.make, description="camera of the image")
+    light: Annotated[LightConfig | None, "light that casts the shadows"] = None
+    lights: Annotated[
+        Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
+    ] = None
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:

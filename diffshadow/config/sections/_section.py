@@ -1,22 +1,26 @@
-"""The base of all sections of a configuration: strict validation, units, vectors, and checks across keys."""
+"""The base of all sections of a configuration: strict validation, variants, and checks across keys."""
 
+import functools
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, TypeGuard, get_args
+import operator
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, TypeGuard, get_args, get_origin
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Discriminator,
-    Field,
+    Tag,
     ValidationError,
+    create_model,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from ...settings import Form, LongerThan, Settings, bare, is_union
 from .._errors import show
 
 # Enough digits for any 32-bit index.
@@ -29,113 +33,20 @@ Conflict = tuple[tuple[str | int, ...], PydanticCustomError]
 """A key inside a section, and what is wrong with it."""
 
 
-@dataclass(frozen=True)
-class Unit:
-    """The unit of a number."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class Form:
-    """How to write a value that is not a plain number, text or choice."""
-
-    words: str
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """Marks a field as fittable: visibility has a gradient with respect to it, or a search finds it.
-
-    - `path`: the dotted path of the number in the module that its section builds; by default its key.
-    - `searched`: whether a search finds it.
-    - `needs_value`: whether it can only be fitted if the key is set.
-    """
-
-    path: str | None = None
-    searched: bool = False
-    needs_value: bool = False
-
-
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
     """A validation error: what was given, what was expected, and how to mend it."""
     words = {"given": given, "expected": expected, "mend": mend}
     return PydanticCustomError(FAULT, "{given}; expected {expected}; {mend}", words)
 
 
-def _list_of(count: int, words: str, example: str) -> tuple[BeforeValidator, Form]:
-    def as_tuple(value: Any) -> tuple[Any, ...]:
-        if isinstance(value, list | tuple) and len(value) == count:
-            return tuple(value)
-        given = f"has {len(value)} entries" if isinstance(value, list | tuple) else f"is {show(value)}"
-        raise fault(given, words, f"write a list such as {example}")
-
-    return BeforeValidator(as_tuple), Form(words)
+def marked(field: FieldInfo) -> tuple[Any, tuple[Any, ...]]:
+    """The bare type of `field`, and all of its marks."""
+    kind, marks = bare(field.annotation)
+    inner = (mark.metadata if isinstance(mark, FieldInfo) else (mark,) for mark in (*field.metadata, *marks))
+    return kind, tuple(itertools.chain.from_iterable(inner))
 
 
-as_list = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-"""Accepts a YAML list for a tuple, which pydantic's strict mode rejects."""
-
-MOST_TEXELS = 8192
-"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach farther."""
-FARTHEST = 1e9
-"""The greatest coordinate and length, in world units. Normals are cross products of edges, and their lengths are
-squared, so the fourth power of a length must be representable in float32, which ends at 3e38."""
-SMALLEST = 1e-6
-"""The least size of a mesh, in world units: the fourth power of an edge a thousandth as long must exceed 1e-38."""
-MOST_DEGREES = 3600.0
-"""The greatest angle: ten turns. Float32 resolves angles of this size to 0.0002 degrees."""
-NARROWEST = 0.01
-"""The narrowest field of view, and the least by which one stays below 180 degrees, in degrees: the projection matrix
-holds the tangent of the half angle and its reciprocal."""
-# Colours are products of several factors, and must be representable in float32.
-MOST_FACTOR = 1e6
-
-# Pydantic applies only one of two lower or upper limits, so each field adds only limits that its type does not have.
-Degrees = Annotated[float, Unit("degrees")]
-Turn = Annotated[float, Field(ge=-MOST_DEGREES, le=MOST_DEGREES), Unit("degrees")]
-WorldUnits = Annotated[float, Field(le=FARTHEST), Unit("world units")]
-Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Unit("world units")]
-Texels = Annotated[float, Field(le=MOST_TEXELS), Unit("texels")]
-# Beyond this distance a mesh vanishes in the rounding of float32.
-Radii = Annotated[float, Field(le=1e4), Unit("radii")]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-
-_XYZ = _list_of(3, "three numbers [x, y, z]", "[0, 1, 0]")
-Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], *_XYZ, Unit("world units")]
-_Step = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
-
-
-def _not_zero(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    # Normalizing it squares the components.
-    if math.hypot(*direction) < 1 / FARTHEST:
-        expected = f"a vector at least {1 / FARTHEST:g} long"
-        raise fault(f"is {show(direction)}", expected, "give a direction such as [0, -1, 0]")
-    return direction
-
-
-Direction = Annotated[tuple[_Step, _Step, _Step], *_XYZ, AfterValidator(_not_zero)]
-Angles = Annotated[tuple[Turn, Turn, Turn], *_list_of(3, "three angles [x, y, z]", "[0, 90, 0]"), Unit("degrees")]
-Colour = Annotated[
-    tuple[Fraction, Fraction, Fraction],
-    *_list_of(3, "three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]"),
-]
-Factor = Annotated[float, Field(ge=0, le=MOST_FACTOR)]
-Radiance = Annotated[
-    tuple[Factor, Factor, Factor],
-    *_list_of(3, "a number, or three [red, green, blue], at least 0", "[0.8, 0.8, 0.8]"),
-    # One number stands for all three.
-    BeforeValidator(lambda value: (value,) * 3 if is_number(value) else value),
-]
-_Offset = Annotated[float, Field(ge=-MOST_FACTOR, le=MOST_FACTOR)]
-Pair = Annotated[tuple[_Offset, _Offset], *_list_of(2, "two numbers [factor, units]", "[1.1, 4]")]
-_Length = Annotated[float, Field(ge=0, le=FARTHEST)]
-Extent = Annotated[tuple[_Length, _Length], *_list_of(2, "two numbers [width, height], each at least 0", "[0.5, 0.5]")]
-Count = Annotated[int, Field(ge=1, le=MOST_TEXELS)]
-Size = Annotated[tuple[Count, Count], *_list_of(2, "two whole numbers [height, width]", "[512, 512]")]
-
-
-class Section(BaseModel):
+class Section(BaseModel, Settings):
     """A mapping in a configuration. Values are not coerced, unknown keys are errors, and sections are immutable.
 
     `conflicts` checks several keys against each other. It works on the data as given, so that its faults are reported
@@ -158,24 +69,24 @@ class Section(BaseModel):
         """Faults between keys that are valid on their own."""
         yield from ()
 
-    def units(self) -> Mapping[str, str]:
-        """Units that depend on other keys of the section, by key."""
-        return {}
-
     @model_validator(mode="wrap")
     @classmethod
     def _check_everything(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
         faults: list[InitErrorDetails] = []
         if isinstance(data, Mapping):
             data = cls.completed(data)
-            faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in cls.conflicts(data)]
+            found = [*_out_of_order(cls, data), *cls.conflicts(data)]
+            faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
+            # YAML has lists where there are tuples here, and pydantic's strict mode rejects them.
+            lists = {key: data[key] for key in _lists(cls) if key in data}
+            data = {**data, **{key: _as_tuple(value, *_lists(cls)[key]) for key, value in lists.items()}}
         try:
             section = handler(data)
         except ValidationError as error:
             faults += [_again(details) for details in error.errors(include_url=False)]
         else:
             if not faults:
-                found = [*_beyond_single_precision(section), *section.faults()]
+                found = [*_beyond_single_precision(section), *_too_short(section), *section.faults()]
                 faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
             if not faults:
                 return section
@@ -203,30 +114,116 @@ def _beyond_single_precision(value: Any, path: tuple[str | int, ...] = ()) -> It
         yield from _beyond_single_precision(entry, (*path, step))
 
 
+@functools.cache
+def _lists(section: type[Section]) -> dict[str, tuple[Any, tuple[Any, ...]]]:
+    """The type and the marks of each key that may hold a list."""
+    fields = {key: marked(field) for key, field in section.model_fields.items()}
+    has = lambda kind: get_origin(kind) is tuple or any(has(bare(inner)[0]) for inner in get_args(kind))
+    return {key: (kind, marks) for key, (kind, marks) in fields.items() if has(kind)}
+
+
+def _too_short(section: Section) -> Iterator[Conflict]:
+    """A fault for each vector that is too short."""
+    for key, (_, marks) in _lists(type(section)).items():
+        least = next((mark.length for mark in marks if isinstance(mark, LongerThan)), 0)
+        vector = getattr(section, key)
+        if vector is not None and least and math.hypot(*vector) < least:
+            mend = f"give a vector such as {next(mark.example for mark in marks if isinstance(mark, Form))}"
+            yield (key,), fault(f"is {show(vector)}", f"a vector at least {least:g} long", mend)
+
+
+def _out_of_order(section: type[Section], data: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of keys that should be in ascending order."""
+    for low, high, *equal in section.ascending:
+        yield from ordered(section, data, low, high, equal=bool(equal))
+
+
+def _as_tuple(value: Any, kind: Any, marks: Sequence[Any] = ()) -> Any:
+    """`value` with tuples in place of lists, wherever `kind` has tuples of this length. Others stay lists, which are
+    mistakes."""
+    if is_union(kind):
+        return next((_as_tuple(value, each) for each in get_args(kind) if get_origin(each) is tuple), value)
+    if get_origin(kind) is dict and isinstance(value, Mapping):
+        return {key: _as_tuple(entry, *bare(get_args(kind)[1])) for key, entry in value.items()}
+    if get_origin(kind) is not tuple:
+        return value
+    kinds = get_args(kind)
+    if any(isinstance(mark, Form) and mark.repeats for mark in marks) and is_number(value):
+        return (value,) * len(kinds)
+    if not isinstance(value, list | tuple):
+        return value
+    if kinds[-1] is Ellipsis:
+        return tuple(_as_tuple(entry, *bare(kinds[0])) for entry in value)
+    return (tuple if len(value) == len(kinds) else list)(value)
+
+
 def _again(error: Any) -> InitErrorDetails:
     context = error.get("ctx", {})
     kind = fault(**context) if error["type"] == FAULT else error["type"]
     return InitErrorDetails(type=kind, loc=error["loc"], input=error["input"], ctx=context)
 
 
-def by_type(default: str) -> Discriminator:
-    """Selects the variant of a section by its key `type`, which defaults to `default`."""
+class Variants:
+    """The variants of a section, selected by the key `type`: one for each class of settings below `base` with a `type`.
 
-    def kind(value: Any) -> str:
-        return str(value_at(value, "type", default=default))
+    A section that is written by hand adds rules between keys. The others are made here, in the namespace of `module`.
+    """
 
-    return Discriminator(kind)
+    def __init__(self, base: type[Settings], default: str, module: str):
+        self.default = default
+        self.sections: dict[str, type[Section]] = {}
+        """Each variant by its `type`."""
+        for settings in _below(base):
+            if "type" in vars(settings) and not issubclass(settings, Section):
+                self.sections[vars(settings)["type"]] = _section_of(settings, module)
+
+    def make(self) -> Any:
+        """The default section."""
+        return self.sections[self.default]()
+
+    def of(self, data: Any) -> type[Section]:
+        """The variant that `data` names, and the default one if that does not exist, which is reported elsewhere."""
+        return self.sections.get(str(value_at(data, "type", default=self.default)), self.sections[self.default])
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """What pydantic validates with."""
+        kind = lambda value: str(value_at(value, "type", default=self.default))
+        tagged = [Annotated[section, Tag(word)] for word, section in self.sections.items()]
+        return handler.generate_schema(Annotated[functools.reduce(operator.or_, tagged), Discriminator(kind)])
+
+
+def _below(base: type[Settings]) -> Iterator[type[Settings]]:
+    for inner in base.__subclasses__():
+        yield inner
+        yield from _below(inner)
+
+
+def _section_of(settings: type[Settings], module: str) -> type[Section]:
+    for inner in _below(settings):
+        if issubclass(inner, Section):
+            return inner
+    name = f"{settings.__name__}Config"
+    bases: Any = (Section, settings)
+    made: Any = create_model(name, __base__=bases, __module__=module, __doc__=settings.__doc__)
+    # Pickles look it up there.
+    setattr(sys.modules[module], name, made)
+    return made
+
+
+def changed[S](section: S, **values: Any) -> S:
+    """`section` with other `values`, which are not checked."""
+    assert isinstance(section, Section)
+    return section.model_copy(update=values)
+
+
+def settings_of(section: type[Section]) -> type[Settings]:
+    """The settings that a section of several variants has."""
+    return next(each for each in section.__mro__ if "type" in vars(each) and not issubclass(each, Section))
 
 
 def type_of(section: type[Section]) -> str:
     """The word in `type` that selects this variant of a section."""
-    return get_args(section.model_fields["type"].annotation)[0]
-
-
-def variants_of(union: Any) -> dict[str, type[Section]]:
-    """The variants of a section, by their `type`."""
-    marked = get_args(get_args(union)[0])
-    return {type_of(variant): variant for variant in (get_args(kind)[0] for kind in marked)}
+    return section.model_fields["type"].default
 
 
 def value_at(data: Any, *path: str, default: Any = None) -> Any:

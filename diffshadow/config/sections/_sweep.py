@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
+from ...settings import Form, Limits
+from ...settings.patterns import PatternSamples
 from .._errors import KeyPath, did_you_mean, listing, show
 from ._axes import LABEL, AxesConfig, settings_of
-from ._section import Conflict, Form, Section, Unit, as_list, exclusive, fault, value_at
+from ._section import Conflict, Section, exclusive, fault, value_at
 
 _FIXED = ("name", "output", "sweep")
 _ERRORS = ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate")
@@ -18,32 +18,30 @@ LIMIT_ERROR = "rmse_to_limit"
 class PlotConfig(Section):
     """The figure of a sweep: a metric against an axis. Results are averaged over all axes not named here."""
 
-    x: str = Field(description="axis of the horizontal scale")
-    y: str = Field(default="rmse", description="metric of the vertical scale")
-    lines: str | None = Field(default=None, description="axis with one curve per value")
-    panels: str | None = Field(default=None, description="axis with one panel per value")
-    log: bool = Field(default=True, description="whether both scales are logarithmic, with fitted slopes")
+    x: Annotated[str, "axis of the horizontal scale"]
+    y: Annotated[str, "metric of the vertical scale"] = "rmse"
+    lines: Annotated[str | None, "axis with one curve per value"] = None
+    panels: Annotated[str | None, "axis with one panel per value"] = None
+    log: Annotated[bool, "whether both scales are logarithmic, with fitted slopes"] = True
 
 
 class SweepConfig(AxesConfig):
     """Many runs: every combination of values on the axes, and of a seed, which varies fastest."""
 
-    run: Literal["render", "fit"] = Field(default="render", description="what each run does")
-    repeats: int | None = Field(
-        default=None, ge=1, le=65536, description="seeds for each combination, from the configuration's own upwards"
-    )
-    seeds: Annotated[tuple[int, ...], as_list, Form("a list of whole numbers")] | None = Field(
-        default=None, description="explicit seeds, instead of repeats"
-    )
-    limit_samples: Annotated[int | None, Unit("taps per pixel")] = Field(
-        default=None,
-        ge=1,
-        le=2**20,
-        description=f"taps of the converged random disk that {LIMIT_ERROR} is measured against; default: not measured",
-    )
-    plot: PlotConfig | None = Field(default=None, description="a figure of the results; default: none")
-    figures: bool = Field(default=False, description="whether each run also writes its own figures")
-    csv: bool = Field(default=False, description="whether the table is also written as CSV")
+    run: Annotated[Literal["render", "fit"], "what each run does"] = "render"
+    repeats: Annotated[
+        int | None, Limits(1, 65536), "seeds for each combination, from the configuration's own upwards"
+    ] = None
+    seeds: Annotated[
+        Annotated[tuple[int, ...], Form("a list of whole numbers")] | None, "explicit seeds, instead of repeats"
+    ] = None
+    limit_samples: Annotated[
+        PatternSamples | None,
+        f"taps of the converged random disk that {LIMIT_ERROR} is measured against; default: not measured",
+    ] = None
+    plot: Annotated[PlotConfig | None, "a figure of the results; default: none"] = None
+    figures: Annotated[bool, "whether each run also writes its own figures"] = False
+    csv: Annotated[bool, "whether the table is also written as CSV"] = False
 
     @property
     def axes(self) -> tuple[str, ...]:

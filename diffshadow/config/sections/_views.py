@@ -1,13 +1,12 @@
 """Sections of a fit over several views: the views, and the loss over them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
-from pydantic import Field
-
+from ...settings.fit import Loss
 from .._errors import KeyPath
 from ._axes import AxesConfig, settings_of
-from ._section import MOST_FACTOR, Conflict, Section, fault, is_number
+from ._section import Conflict, Section, fault, is_number
 
 _OF_A_VIEW = ("scene", "reference", "shadow_map.resolution")
 
@@ -38,21 +37,8 @@ class ValidationConfig(ViewsConfig):
     at: ClassVar[str] = "fit.validation"
 
 
-class LossConfig(Section):
+class LossConfig(Section, Loss):
     """What a fit minimises: the mean square errors of its views as one number."""
-
-    over: Literal["mean", "worst", "cvar"] = Field(
-        default="mean", description="the mean over all pixels, the worst view, or the mean of the worst views"
-    )
-    fraction: float = Field(
-        default=0.1, gt=0, le=1, description="for cvar: the fraction of all pixels that the worst views have"
-    )
-    false_shadow: float = Field(
-        default=1.0, ge=0, le=MOST_FACTOR, description="factor of the squares where an image is too dark"
-    )
-    false_light: float = Field(
-        default=1.0, ge=0, le=MOST_FACTOR, description="factor of the squares where an image is too light"
-    )
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

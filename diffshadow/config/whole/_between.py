@@ -2,22 +2,25 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 
-from .._errors import KeyPath, dotted
-from ..sections._engines import BabylonJsConfig, EngineConfig, ThreeJsConfig
-from ..sections._filters import PercentageCloserSoftConfig
-from ..sections._fitted import is_searched, parameter_faults
-from ..sections._lights import DirectionalLightConfig, PointLightConfig
-from ..sections._section import Conflict, fault, value_at
-from ..sections._technique import (
+from ...settings.engines import BabylonJs, Engine, ThreeJs
+from ...settings.filters import PercentageCloserSoft
+from ...settings.fit import widest_blur
+from ...settings.scene import LightKind, PointLight
+from ...settings.techniques import (
     SPARE,
-    CascadesConfig,
-    MappedConfig,
-    PerspectiveWarpConfig,
-    ProjectiveTextureConfig,
-    ResolutionMatchedConfig,
+    Cascades,
+    FittedLayout,
+    Mapped,
+    PerspectiveWarp,
+    ProjectiveShadow,
+    ResolutionMatched,
 )
+from .._errors import KeyPath, dotted
+from ..sections._fitted import is_searched, parameter_faults
+from ..sections._lights import DirectionalLightConfig
+from ..sections._section import Conflict, fault, value_at
 from ._costs import FACES_OF_A_CUBE, cost_faults, fit_cost_faults
 from ._parts import Parts
 from ._preferences import preference_faults
@@ -26,36 +29,36 @@ from ._preferences import preference_faults
 def run_faults(config: Parts) -> Iterator[Conflict]:
     """Faults of any run of `config`."""
     yield from cost_faults(config)
-    if isinstance(config.technique, MappedConfig):
+    if isinstance(config.technique, Mapped):
         yield from _beyond_guards(config, {})
         yield from _beyond_margins(config, {})
         yield from _beyond_gutters(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
-    if isinstance(config.technique, MappedConfig) and config.bias.factors is not None:
+    if isinstance(config.technique, Mapped) and config.bias.factors is not None:
         yield from _wrong_factors(config, config.technique)
-    if isinstance(config.technique, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig):
+    if isinstance(config.technique, FittedLayout):
         for key, light in config.scene.each_light.items():
             if not isinstance(light, DirectionalLightConfig):
                 message = f"is {light.type}, while technique.type is {config.technique.type}"
                 mend = "change it, or set technique.type to shadow_map"
                 yield ("scene", *key, "type"), fault(message, "directional", mend)
-    if isinstance(config.technique, PerspectiveWarpConfig | ResolutionMatchedConfig):
+    if isinstance(config.technique, PerspectiveWarp | ResolutionMatched):
         section, kind = config.shadow_map, config.technique.type
         for key, given in (("silhouettes", section.silhouettes), ("polygon_offset", section.polygon_offset)):
             if given and (key == "silhouettes" or kind == "perspective_warp"):
                 message = f"is given, and technique.type is {kind}, whose maps cannot have it"
                 yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
-    if isinstance(config.technique, CascadesConfig) and config.technique.shares is not None:
+    if isinstance(config.technique, Cascades) and config.technique.shares is not None:
         yield from _unfit_for_shares(config)
-    if isinstance(config.technique, EngineConfig):
+    if isinstance(config.technique, Engine):
         yield from _foreign_to_engine(config, config.technique)
-    if not isinstance(config.technique, EngineConfig):
+    if not isinstance(config.technique, Engine):
         for i, mesh in enumerate(config.scene.meshes):
             if not mesh.receives:
                 message = f"is false, and technique.type is {config.technique.type}, which shows shadows on all meshes"
                 yield ("scene", "meshes", i, "receives"), fault(message, "true, or an engine's technique", "remove it")
-    if isinstance(config.technique, ProjectiveTextureConfig) and all(mesh.casts for mesh in config.scene.meshes):
+    if isinstance(config.technique, ProjectiveShadow) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
@@ -74,18 +77,18 @@ def _unfit_for_shares(config: Parts) -> Iterator[Conflict]:
         yield ("shadow_map", "silhouettes"), fault(message, "false", mend)
 
 
-def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Conflict]:
+def _foreign_to_engine(config: Parts, technique: Engine) -> Iterator[Conflict]:
     """Faults of what an engine does not have."""
     for key, light in config.scene.each_light.items():
         path = ("scene", *key, "type")
-        if light.type not in ("directional", "spot", "point"):
+        if light.type not in get_args(LightKind):
             yield path, fault(f"is {light.type}, which no engine has", "directional, spot or point", "change it")
-        elif isinstance(technique, ThreeJsConfig) and light.type == "point" and technique.shadow_type == "VSMShadowMap":
+        elif isinstance(technique, ThreeJs) and light.type == "point" and technique.shadow_type == "VSMShadowMap":
             message = "is point, for which three.js draws no VSMShadowMap"
             yield path, fault(message, "directional or spot", "change it, or technique.shadow_type")
     count = len(config.scene.meshes)
     height, width = config.shadow_map.resolution
-    if isinstance(technique, BabylonJsConfig) and height != width:
+    if isinstance(technique, BabylonJs) and height != width:
         message = f"is {[height, width]}, and technique.type is babylon.js, whose maps are square"
         yield ("shadow_map", "resolution"), fault(message, "two equal numbers", "change it")
     elif height != width and any(light.type == "point" for light in config.scene.each_light.values()):
@@ -98,11 +101,11 @@ def _foreign_to_engine(config: Parts, technique: EngineConfig) -> Iterator[Confl
             yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
 
 
-def _wrong_factors(config: Parts, technique: MappedConfig) -> Iterator[Conflict]:
+def _wrong_factors(config: Parts, technique: Mapped) -> Iterator[Conflict]:
     """A fault unless there are as many factors of the bias as maps of each light."""
     given = len(config.bias.factors or ())
     for light in config.scene.each_light.values():
-        layers = FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else technique.layers
+        layers = FACES_OF_A_CUBE if isinstance(light, PointLight) else technique.layers
         if layers == 1:
             message, mend = f"has {given} factors, for a light with one map", "remove it, or use cascades"
             yield ("bias", "factors"), fault(message, "a light with several maps", mend)
@@ -115,7 +118,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     """Faults that only a fit of `config` has, in addition to those of `data_faults_of_fit`."""
     yield from fit_cost_faults(config)
     yield from _beyond_the_greatest_radius(config)
-    if isinstance(config.technique, MappedConfig):
+    if isinstance(config.technique, Mapped):
         yield from _beyond_guards(config, config.fit.parameters)
         yield from _beyond_margins(config, config.fit.parameters)
         yield from _beyond_gutters(config, config.fit.parameters)
@@ -124,19 +127,19 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from preference_faults(config)
     if not config.moves:
         return
-    if isinstance(config.technique, EngineConfig):
+    if isinstance(config.technique, Engine):
         message = f"is {config.technique.type} in a fit of lights or meshes"
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     for name in config.fit.parameters:
         if is_searched(config, name):
             what = fault("lays out the map in a fit of lights or meshes", "a fit of one or the other", "remove it")
             yield ("fit", "parameters", name), what
-    if isinstance(config.technique, PerspectiveWarpConfig | ResolutionMatchedConfig):
+    if isinstance(config.technique, PerspectiveWarp | ResolutionMatched):
         message = f"is {config.technique.type} in a fit of lights or meshes, which needs maps with silhouettes"
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
-    if isinstance(config.technique, MappedConfig) and config.shadow_map.silhouettes is None:
+    if isinstance(config.technique, Mapped) and config.shadow_map.silhouettes is None:
         yield from _silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
-    if isinstance(config.technique, CascadesConfig) and config.technique.shares and config.has_silhouettes:
+    if isinstance(config.technique, Cascades) and config.technique.shares and config.has_silhouettes:
         message = "is given in a fit of lights or meshes, which needs maps with silhouettes"
         yield ("technique", "shares"), fault(message, "cascades of one size", "remove it")
     yield from _wide_blurs(config)
@@ -160,9 +163,9 @@ def _unused_in_layout(config: Parts) -> Iterator[Conflict]:
     """Faults of fitted numbers of the layout that others replace."""
     section = config.technique
     unused: dict[str, tuple[str, str]] = {}
-    if isinstance(section, CascadesConfig) and section.distances is not None:
+    if isinstance(section, Cascades) and section.distances is not None:
         unused["logarithmic"] = "technique.distances is given", "remove it, or technique.distances"
-    if isinstance(section, PerspectiveWarpConfig):
+    if isinstance(section, PerspectiveWarp):
         if section.method != "trapezoidal":
             unused["focus"] = f"technique.method is {section.method}", "remove it, or set the method to trapezoidal"
         if section.strength is not None or "technique.strength" in config.fit.parameters:
@@ -183,7 +186,7 @@ def _unsuitable_views(config: Parts) -> Iterator[Conflict]:
         yield ("fit", "views"), fault("are given in a fit of lights or meshes", "a fit of a technique", "remove them")
     sizes = "shadow_map.resolution" in config.fit.views.axes
     searches = any(is_searched(config, name) for name in config.fit.parameters)
-    if sizes and (searches or isinstance(config.technique, EngineConfig)):
+    if sizes and (searches or isinstance(config.technique, Engine)):
         given = f"change shadow_map.resolution, with technique.type {config.technique.type} and its parameters"
         yield ("fit", "views"), fault(given, "one size for all", "set it outside of the views")
 
@@ -191,7 +194,7 @@ def _unsuitable_views(config: Parts) -> Iterator[Conflict]:
 def _beyond_the_greatest_radius(config: Parts) -> Iterator[Conflict]:
     """A fault if the fit's bounds let a disk's least radius exceed its greatest."""
     bounds, section = config.fit.parameters.get("filter.min_radius"), config.filter
-    if bounds is not None and isinstance(section, PercentageCloserSoftConfig) and bounds.upper > section.max_radius:
+    if bounds is not None and isinstance(section, PercentageCloserSoft) and bounds.upper > section.max_radius:
         message = f"is {bounds.upper:g}, and filter.max_radius is {section.max_radius:g}"
         what = fault(message, "at most filter.max_radius", "lower it, or raise filter.max_radius")
         yield ("fit", "parameters", "filter.min_radius", "upper"), what
@@ -209,8 +212,7 @@ def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
 def _wide_blurs(config: Parts) -> Iterator[Conflict]:
     """Faults of blurs that are wide for the image."""
     resolution = config.scene.camera.resolution
-    # As `fit.problems.widest_blur`, which needs JAX.
-    most = max(min(resolution) / 8, 3)
+    most = widest_blur(*resolution)
     for i, blur in enumerate(config.fit.blurs or ()):
         if blur > most:
             message = f"is {blur:g}, and scene.camera.resolution is {list(resolution)}"
@@ -227,7 +229,7 @@ def _beyond_guards(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflic
     path: KeyPath = _key_of_reach(config) if name is None else ("fit", "parameters", name, "upper")
     half = min(config.shadow_map.resolution) / 2
     for key, light in config.scene.each_light.items():
-        if not isinstance(light, PointLightConfig) or reach <= light.guard / (1 + light.guard) * half:
+        if not isinstance(light, PointLight) or reach <= light.guard / (1 + light.guard) * half:
             continue
         guard = dotted(("scene", *key, "guard"))
         mends = [f"raise {guard} to {_rounded_up(reach / (half - reach)):g}"] if reach <= half / 2 else []
@@ -256,7 +258,7 @@ def _beyond_margins(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Confli
 def _beyond_gutters(config: Parts, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
     """Faults of filters that read further than half a page of a virtual map, with fitted numbers at their `bounds`."""
     technique, (reach, name) = config.technique, config.reach(bounds)
-    if not isinstance(technique, ResolutionMatchedConfig) or technique.margin is not None:
+    if not isinstance(technique, ResolutionMatched) or technique.margin is not None:
         return
     if (bounds and name is None) or reach + SPARE <= technique.page // 2:
         return
@@ -270,9 +272,8 @@ def _key_of_reach(config: Parts) -> KeyPath:
     section = config.filter
     if config.bias.normal_offset > section.reach:
         return ("bias", "normal_offset")
-    keys = (key for key in (section.radius_key, "size", "weights") if key in type(section).model_fields)
-    key = next(keys, None)
-    return ("filter",) if key is None else ("filter", key)
+    keys = [key for key in (section.radius_key, "size", "weights") if hasattr(section, key)]
+    return ("filter", *keys[:1])
 
 
 def _rounded_up(value: float) -> float:

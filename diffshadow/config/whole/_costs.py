@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 
-from ..sections._engines import EngineConfig
+from ...settings.engines import Engine
+from ...settings.quantities import MAX_TEXELS
+from ...settings.reference import TracedReference
+from ...settings.scene import Light, PointLight
+from ...settings.techniques import Mapped, ProjectiveShadow
 from ..sections._fit import FitParameterConfig
-from ..sections._lights import LightConfig, PointLightConfig
-from ..sections._section import MOST_TEXELS, Conflict, fault
-from ..sections._technique import MappedConfig, ProjectiveTextureConfig
+from ..sections._section import Conflict, fault
 from ._parts import Parts
 
 # About 300 bytes each while an image is processed: 5 GB.
@@ -29,8 +31,8 @@ def cost_faults(config: Parts) -> Iterator[Conflict]:
     yield from _too_many_pixels(config)
     yield from _too_many_texels(config, lights)
     yield from _too_large_a_share(config, lights, {})
-    if config.reference.type == "traced":
-        yield from _too_many_rays(config, lights)
+    if isinstance(config.reference, TracedReference):
+        yield from _too_many_rays(config, config.reference, lights)
 
 
 def fit_cost_faults(config: Parts) -> Iterator[Conflict]:
@@ -56,17 +58,17 @@ def _too_many_pixels(config: Parts) -> Iterator[Conflict]:
         yield ("scene", "camera", "resolution"), fault(message, expected, "make it smaller, such as [4096, 4096]")
 
 
-def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:
+def _too_many_texels(config: Parts, lights: tuple[Light, ...]) -> Iterator[Conflict]:
     match config.technique:
-        case MappedConfig(layers=layers):
+        case Mapped(layers=layers):
             path, (height, width) = ("shadow_map", "resolution"), config.shadow_map.resolution
-        case EngineConfig():
+        case Engine():
             path, layers, (height, width) = ("shadow_map", "resolution"), 1, config.shadow_map.resolution
-        case ProjectiveTextureConfig(resolution=(height, width)):
+        case ProjectiveShadow(resolution=(height, width)):
             path, layers = ("technique", "resolution"), 1
         case _:
             return
-    maps = sum(FACES_OF_A_CUBE if isinstance(light, PointLightConfig) else layers for light in lights)
+    maps = sum(FACES_OF_A_CUBE if isinstance(light, PointLight) else layers for light in lights)
     if maps * height * width > _MOST_TEXELS:
         message = f"is [{height}, {width}], and {maps} such maps hold {maps * height * width:,} texels"
         expected = f"at most {_MOST_TEXELS:,}, which take 4 GB while they are blurred"
@@ -77,29 +79,27 @@ def _too_many_texels(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator
 
 
 def _too_large_a_share(
-    config: Parts, lights: tuple[LightConfig, ...], bounds: Mapping[str, FitParameterConfig]
+    config: Parts, lights: tuple[Light, ...], bounds: Mapping[str, FitParameterConfig]
 ) -> Iterator[Conflict]:
     """Faults of layers as large as the largest cascade, with fitted shares at their `bounds`."""
     greatest, (height, width) = config.max_share(bounds), config.shadow_map.resolution
     if greatest is None or (bounds and greatest == config.max_share({})):
         # `cost_faults` reports what does not depend on the bounds.
         return
-    assert isinstance(config.technique, MappedConfig)
+    assert isinstance(config.technique, Mapped)
     layers = config.technique.layers
     side = int((height * width * layers * greatest) ** 0.5)
     texels = side**2 * layers * len(lights)
-    if side <= MOST_TEXELS and texels <= _MOST_TEXELS:
+    if side <= MAX_TEXELS and texels <= _MOST_TEXELS:
         return
     message = f"lets a cascade have {greatest:.3g} of all texels: {side:,}², for which every map has memory"
-    most = min(MOST_TEXELS, int((_MOST_TEXELS / (layers * len(lights))) ** 0.5))
+    most = min(MAX_TEXELS, int((_MOST_TEXELS / (layers * len(lights))) ** 0.5))
     mend = f"lower it, or shadow_map.resolution = [{height}, {width}]"
     path = ("technique", "shares") if not bounds else ("fit", "parameters")
     yield path, fault(message, f"at most {most:,}²", mend)
 
 
-def _too_many_rays(config: Parts, lights: tuple[LightConfig, ...]) -> Iterator[Conflict]:
-    traced = config.reference
-    assert traced.type == "traced"
+def _too_many_rays(config: Parts, traced: TracedReference, lights: tuple[Light, ...]) -> Iterator[Conflict]:
     points = _pixels(config) * traced.supersampling**2 * len(lights)
     if points > _MOST_CAMERA_RAYS:
         message = f"is {traced.supersampling}, which makes {points:,} camera rays over all pixels and lights"

@@ -6,30 +6,21 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
+from ...settings.techniques import SPARE, Cascades, FittedLayout
 from .._errors import Origin, show
 from ..sections._advise import AdviseConfig
 from ..sections._biases import BiasConfig
-from ..sections._filters import FilterConfig, RandomDiskConfig
+from ..sections._filters import FILTERS, FilterConfig
 from ..sections._fit import FitConfig, FitParameterConfig
 from ..sections._fitted import start_of
 from ..sections._paths import path_of
 from ..sections._poses import is_pose
-from ..sections._reference import ReferenceConfig, TracedReferenceConfig
+from ..sections._reference import REFERENCES, ReferenceConfig
 from ..sections._scene import SceneConfig
-from ..sections._section import Section, fault
-from ..sections._shading import PhongConfig, ShadingConfig
+from ..sections._section import Section, changed, fault
+from ..sections._shading import SHADINGS, ShadingConfig
 from ..sections._sweep import SweepConfig
-from ..sections._technique import (
-    SPARE,
-    CascadesConfig,
-    CompareConfig,
-    HardCompareConfig,
-    PerspectiveWarpConfig,
-    ResolutionMatchedConfig,
-    ShadowMapConfig,
-    ShadowMappingConfig,
-    TechniqueConfig,
-)
+from ..sections._technique import COMPARES, TECHNIQUES, CompareConfig, ShadowMapConfig, TechniqueConfig
 
 # File systems allow names of up to 255 bytes. A run's draft folder has up to 25 more than its name.
 _LONGEST_NAME = 200
@@ -60,13 +51,13 @@ class Parts(Section):
     )
     seed: int = Field(default=0, ge=0, lt=2**32, description="seed of everything random")
     scene: SceneConfig = Field(description="meshes, camera and lights")
-    technique: TechniqueConfig = Field(default_factory=ShadowMappingConfig, description="how shadows are drawn")
+    technique: TechniqueConfig = Field(default_factory=TECHNIQUES.make, description="how shadows are drawn")
     shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
     bias: BiasConfig = Field(default_factory=BiasConfig, description="bias of receivers towards the light")
-    compare: CompareConfig = Field(default_factory=HardCompareConfig, description="how depths are compared")
-    filter: FilterConfig = Field(default_factory=RandomDiskConfig, description="how compares are averaged")
-    shading: ShadingConfig = Field(default_factory=PhongConfig, description="how images are shaded")
-    reference: ReferenceConfig = Field(default_factory=TracedReferenceConfig, description="visibility to fit to")
+    compare: CompareConfig = Field(default_factory=COMPARES.make, description="how depths are compared")
+    filter: FilterConfig = Field(default_factory=FILTERS.make, description="how compares are averaged")
+    shading: ShadingConfig = Field(default_factory=SHADINGS.make, description="how images are shaded")
+    reference: ReferenceConfig = Field(default_factory=REFERENCES.make, description="visibility to fit to")
     fit: FitConfig = Field(default_factory=FitConfig, description="parameters and settings of the fit")
     sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
     advise: AdviseConfig | None = Field(
@@ -129,14 +120,11 @@ class Parts(Section):
         """`technique` with the margin of its maps, and cascades with the blend that they are drawn for, where these are
         not given: as much as fitted numbers within `bounds` need."""
         section, given = self.technique, {}
-        if (
-            isinstance(section, CascadesConfig | PerspectiveWarpConfig | ResolutionMatchedConfig)
-            and section.margin is None
-        ):
+        if isinstance(section, FittedLayout) and section.margin is None:
             given["margin"] = self.reach(bounds)[0] + SPARE
-        if isinstance(section, CascadesConfig) and section.max_blend is None and "technique.blend" in bounds:
+        if isinstance(section, Cascades) and section.max_blend is None and "technique.blend" in bounds:
             given["max_blend"] = max(section.blend, bounds["technique.blend"].upper)
-        return section.model_copy(update=given)
+        return changed(section, **given)
 
     def named_with(self, suffix: str) -> Self:
         """The configuration with `suffix` behind its name, which is cut where both are too long for a folder."""
@@ -152,7 +140,7 @@ class Parts(Section):
 
         **Arguments:** as for `reach`.
         """
-        shares = self.technique.shares if isinstance(self.technique, CascadesConfig) else None
+        shares = self.technique.shares if isinstance(self.technique, Cascades) else None
         if shares is None:
             return None
         ends = [bounds.get(f"technique.shares.{i}") for i in range(len(shares))]

@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 from pydantic import PrivateAttr
 
+from ...settings.quantities import MAX_TEXELS
 from ..sections._fit import UPPER
 from ..sections._fitted import misnamed
-from ..sections._section import MOST_TEXELS, Conflict, is_number, value_at
+from ..sections._section import Conflict, is_number, value_at
 from ._between import data_faults_of_fit, fit_faults, run_faults
 from ._parts import Parts
 
@@ -46,7 +47,7 @@ class Config(Parts):
             return data
         # The default bounds contain the start.
         start = value_at(data, "bias", "constant", default=0)
-        upper = min(max(UPPER, 2 * start), MOST_TEXELS) if is_number(start) else UPPER
+        upper = min(max(UPPER, 2 * start), MAX_TEXELS) if is_number(start) else UPPER
         return {**data, "fit": {**section, "parameters": {"bias.constant": {"lower": 0.0, "upper": float(upper)}}}}
 
     @classmethod

@@ -17,34 +17,26 @@ from jaxtyping import Array, Float
 from scipy.fft import next_fast_len
 
 from ..._types import Scalar
+from ...settings.fit import BLUR, widest_blur
 
-BLUR = 3.0
-"""The last standard deviation of a fit by default, in pixels."""
 REACH_OF_BLUR = 4
 """Where the Gaussian is as good as 0, in standard deviations."""
-# The largest standard deviation, as a fraction of the image's shorter side.
-_WIDEST = 1 / 8
 # About how many times as wide each is as the next. Of point lights over a teapot, a quarter was lost at ten times.
 _STEP = 3
-
-
-def widest_blur(*sides: int) -> float:
-    """The largest standard deviation for images of these `sides`, in pixels."""
-    return max(_WIDEST * min(sides), BLUR)
 
 
 def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
     """`blurs`, standard deviations in pixels, or some from the widest for images of these `sides` to `BLUR`.
 
-    **Raises** `ValueError` unless they are finite and fall, and the first is no wider than that.
+    **Raises** `ValueError` unless they fall, and the first is no wider than that.
     """
     most = widest_blur(*sides)
     if blurs is None:
         count = 1 + round(math.log(most / BLUR, _STEP))
         return tuple(np.geomspace(most, BLUR, count).tolist()) if count > 1 else (BLUR,)
     blurs = tuple(blurs)
-    if not blurs or not np.isfinite(blurs).all() or blurs[-1] < 0 or any(a <= b for a, b in itertools.pairwise(blurs)):
-        raise ValueError(f"the blurs are {list(blurs)}; expected numbers of 0 or more that fall, such as [24, 3]")
+    if not blurs or any(a <= b for a, b in itertools.pairwise(blurs)):
+        raise ValueError(f"the blurs are {list(blurs)}; expected numbers that fall, such as [24, 3]")
     if blurs[0] > most:
         raise ValueError(
             f"a blur of {blurs[0]:g} pixels is too wide for an image with a side of {min(sides)}; expected {most:g} or "

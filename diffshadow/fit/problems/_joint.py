@@ -285,7 +285,7 @@ def _check_allowed(technique: FittableTechnique) -> None:
         check_again(technique)
     except ValueError as error:
         raise ValueError(
-            f"a parameter's bounds go further than the technique allows: {error}, or narrow the bounds"
+            f"a parameter's bounds go further than the technique allows: {error}; narrow the bounds"
         ) from error
 
 

@@ -13,10 +13,11 @@ from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge
 from ...raster import Surface, draw_surface
 from ...reference import Reference
+from ...settings.fit import BLUR
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
 from ._abstract import AbstractProblem
-from ._blur import BLUR, blurred
+from ._blur import blurred
 
 # The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
 # meshes, an image under it tells best where they are (`docs/experiments.md`).
@@ -86,7 +87,7 @@ class PoseProblem(AbstractProblem):
             index=light,
             reference=reference,
             weight=jnp.asarray(truth.mask, reference.dtype),
-            settings=technique.map._replace(silhouettes=technique.map.silhouettes is not False),
+            settings=dataclasses.replace(technique.map, silhouettes=technique.map.silhouettes is not False),
             surface=surface,
         )
 

@@ -6,4 +6,3 @@ from ._optimistix import optimistix_options as optimistix_options
 from ._optimistix import optimistix_solver as optimistix_solver
 from ._settings import Solver as Solver
 from ._settings import Stop as Stop
-from ._settings import check_solver as check_solver

@@ -7,25 +7,20 @@ may have a size: `sample` picks a point on it. `(0, 0)` is its centre, from whic
 import abc
 from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._checks import check_vector, listed
-from ..._misc import concrete
-from ..._types import Scalar, Vec2, Vec3
+from ..._checks import CheckedModule, check_value
+from ..._types import Vec3
+from ...settings.quantities import Direction, Position
 from .._view import View
 from ._pose import LightPose
 
 Domain = Literal["disk", "square"]
 """Where samples of a light lie: in the disk of radius 1, or in the square [-1, 1]²."""
 
-UP = (0.0, 1.0, 0.0)
-"""The default up direction of shadow maps."""
 
-
-class AbstractLight(eqx.Module):
+class AbstractLight(CheckedModule):
     """A light that casts shadows."""
 
     @abc.abstractmethod
@@ -90,22 +85,9 @@ class AbstractLight(eqx.Module):
 
 def check_direction(name: str, direction: Vec3, what: str = "direction") -> None:
     """**Raises** `ValueError` if `direction` is known and is zero or not finite."""
-    check_vector(f"{name}'s {what}", direction)
-    d = concrete(direction)
-    if d is not None and not (np.isfinite(d).all() and (d != 0).any()):
-        raise ValueError(f"{name}'s {what} is {listed(d)}; expected a finite vector that is not zero")
+    check_value(f"{name}'s {what}", direction, Direction)
 
 
 def check_position(name: str, position: Vec3) -> None:
-    """**Raises** `ValueError` if `position` is known and not finite."""
-    check_vector(f"{name}'s position", position)
-    p = concrete(position)
-    if p is not None and not np.isfinite(p).all():
-        raise ValueError(f"{name}'s position is {listed(p)}; expected finite world coordinates")
-
-
-def check_size(name: str, what: str, size: Scalar | Vec2) -> None:
-    """**Raises** `ValueError` if `size` is known and not finite, or less than 0."""
-    s = concrete(size)
-    if s is not None and not ((s >= 0) & np.isfinite(s)).all():
-        raise ValueError(f"{name}'s {what} is {s.tolist()}; expected world units, 0 or more")
+    """**Raises** `ValueError` if `position` is known, and not finite or too far away."""
+    check_value(f"{name}'s position", position, Position)

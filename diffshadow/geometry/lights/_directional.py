@@ -1,6 +1,7 @@
 """Light from infinitely far away."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,12 +10,14 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._checks import check_points, listed
-from ..._misc import array_module, as_float, concrete, normalize
+from ..._misc import array_module, as_float, as_number, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
+from ...settings.scene import UP
+from ...settings.scene import DirectionalLight as Settings
 from .._camera import check_near_far
 from .._transforms import centred_orthographic, look_at
 from .._view import View
-from ._abstract import UP, AbstractLight, Domain, check_direction
+from ._abstract import AbstractLight, Domain, check_direction
 from ._frustum import FLAT, MARGIN, on_plane
 from ._pose import LightPose, angles
 
@@ -33,33 +36,33 @@ class DirectionalLight(AbstractLight):
     `DirectionalLight.around` fits the box to a scene.
 
     **Raises** `ValueError` for a direction or `up` that is zero, an extent that is not positive, `near` not below
-    `far`, or an angular radius outside [0, 90).
+    `far`, or an angular radius out of its range.
     """
 
-    direction: Vec3 = eqx.field(converter=as_float)
-    center: Vec3 = eqx.field(converter=as_float)
-    extent: Vec2 = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    angular_radius: Scalar = eqx.field(converter=as_float, default=0.0)
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
+    direction: Vec3 = eqx.field(converter=as_number)
+    center: Vec3 = eqx.field(converter=as_number)
+    extent: Vec2 = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    angular_radius: Scalar = eqx.field(converter=as_number, default=Settings.angular_radius)
+    up: Vec3 = eqx.field(converter=as_number, default=UP)
+
+    def _check_rules(self):
         check_direction("the directional light", self.direction)
         check_direction("the directional light", self.up, "up")
         check_near_far("the directional light", self.near, self.far, positive=False)
-        extent, radius = concrete(self.extent), concrete(self.angular_radius)
-        if extent is not None and not (extent > 0).all():
+        extent = concrete(self.extent)
+        if extent is not None and not ((extent > 0) & np.isfinite(extent)).all():
             raise ValueError(f"the directional light's extent is {listed(extent)}; expected positive world units")
-        if radius is not None and not 0 <= radius < 90:
-            raise ValueError(f"the directional light's angular_radius is {radius}; expected degrees in [0, 90)")
 
     @classmethod
     def around(
         cls,
         direction: Vec3 | Sequence[float],
         points: Float[Array, "n 3"],
-        angular_radius: float = 0.0,
+        angular_radius: float = Settings.angular_radius,
         *,
         receivers: Float[Array, "m 3"] | None = None,
         up: Vec3 | None = None,

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._checks import check_points, listed
-from ..._misc import array_module, as_float, concrete, dot, normalize
+from ..._checks import check_points, check_value, listed
+from ..._misc import array_module, as_float, dot, normalize
 from ..._types import Scalar, Vec3
+from ...settings.scene import OuterAngle
 from .._camera import check_near_far, check_pose
 from .._transforms import centred_perspective, frame, look_at, transform_points
 from .._view import View
@@ -149,12 +150,10 @@ def frustum_view(
 
 
 def check_frustum(name: str, direction: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> None:
-    """**Raises** `ValueError` unless the direction is not zero, 0 < near < far and the angle lies in (0, 90)."""
+    """**Raises** `ValueError` unless the direction is not zero, 0 < near < far and the angle is in its range."""
     check_direction(name, direction)
     check_near_far(name, near, far, positive=True)
-    angle = concrete(outer_angle)
-    if angle is not None and not 0 < angle < 90:
-        raise ValueError(f"{name}'s outer_angle is {angle}; expected degrees between 0 and 90")
+    check_value(f"{name}'s outer_angle", outer_angle, OuterAngle)
 
 
 def on_plane(direction: Vec3, up: Vec3, place: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:

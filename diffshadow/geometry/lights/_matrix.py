@@ -59,7 +59,7 @@ class MatrixLight(AbstractLight):
         """
         return cls(*as_opengl(world_to_eye, eye_to_clip, left_handed, depth))
 
-    def __check_init__(self):
+    def _check_rules(self):
         near, far = near_far_of(self.eye_to_clip, self.is_perspective)
         check_near_far("the matrix light", near, far, positive=self.is_perspective)
 

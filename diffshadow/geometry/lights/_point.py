@@ -1,6 +1,7 @@
 """Light in all directions, with a shadow map of six faces."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -10,12 +11,13 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._checks import check_points
-from ..._misc import as_float, concrete, normalize, safe_norm, safe_sqrt
+from ..._misc import as_float, as_number, normalize, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Vec3
+from ...settings.scene import PointLight as Settings
 from .._camera import check_near_far
 from .._transforms import perspective, tangents
 from .._view import View
-from ._abstract import AbstractLight, Domain, check_position, check_size
+from ._abstract import AbstractLight, Domain, check_position
 from ._frustum import near_far
 from ._pose import LightPose, Vector
 
@@ -44,27 +46,30 @@ class PointLight(AbstractLight):
 
     `PointLight.around` fits near and far to a scene.
 
-    **Raises** `ValueError` for a position that is not finite, near and far that are not 0 < near < far, a negative
-    radius, or a guard outside [0, 1].
+    **Raises** `ValueError` for a position that is not finite, near and far that are not 0 < near < far, or a number out
+    of its range.
     """
 
-    position: Vec3 = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    radius: Scalar = eqx.field(converter=as_float, default=0.0)
-    guard: Scalar = eqx.field(converter=as_float, default=0.1)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
+    position: Vec3 = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    guard: Scalar = eqx.field(converter=as_number, default=Settings.guard)
+
+    def _check_rules(self):
         check_position("the point light", self.position)
         check_near_far("the point light", self.near, self.far, positive=True)
-        check_size("the point light", "radius", self.radius)
-        guard = concrete(self.guard)
-        if guard is not None and not 0 <= guard <= 1:
-            raise ValueError(f"the point light's guard is {guard}; expected a fraction of half a face's width, 0 to 1")
 
     @classmethod
     def around(
-        cls, position: Vec3 | Sequence[float], points: Float[Array, "n 3"], *, radius: float = 0.0, guard: float = 0.1
+        cls,
+        position: Vec3 | Sequence[float],
+        points: Float[Array, "n 3"],
+        *,
+        radius: float = Settings.radius,
+        guard: float = Settings.guard,
     ) -> "PointLight":
         """The light at `position` with near and far fitted to `points` (n, 3).
 

@@ -3,16 +3,16 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_float, normalize
+from ..._misc import as_number, normalize
 from ..._types import Scalar, Vec3
 
 
 class Vector(eqx.Module):
     """Three numbers, each of which can be fitted separately."""
 
-    x: Scalar = eqx.field(converter=as_float, default=0.0)
-    y: Scalar = eqx.field(converter=as_float, default=0.0)
-    z: Scalar = eqx.field(converter=as_float, default=0.0)
+    x: Scalar = eqx.field(converter=as_number, default=0.0)
+    y: Scalar = eqx.field(converter=as_number, default=0.0)
+    z: Scalar = eqx.field(converter=as_number, default=0.0)
 
     @property
     def array(self) -> Vec3:

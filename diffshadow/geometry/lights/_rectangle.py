@@ -1,15 +1,17 @@
 """Light from a rectangle."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_float, as_number
 from ..._types import Scalar, Vec2, Vec3
+from ...settings.scene import RectangleLight as Settings
 from .._view import View
-from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
+from ._abstract import AbstractLight, Domain, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, frustum_view, on_plane
 from ._pose import LightPose, Vector
 
@@ -30,19 +32,19 @@ class RectangleLight(AbstractLight):
     angle outside (0, 90), or near and far that are not 0 < near < far.
     """
 
-    position: Vec3 = eqx.field(converter=as_float)
-    direction: Vec3 = eqx.field(converter=as_float)
-    size: Vec2 = eqx.field(converter=as_float)
-    outer_angle: Scalar = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
+    position: Vec3 = eqx.field(converter=as_number)
+    direction: Vec3 = eqx.field(converter=as_number)
+    size: Vec2 = eqx.field(converter=as_number)
+    outer_angle: Scalar = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    up: Vec3 = eqx.field(converter=as_number, default=Settings.up)
+
+    def _check_rules(self):
         check_position("the rectangle light", self.position)
         check_frustum("the rectangle light", self.direction, self.outer_angle, self.near, self.far)
-        check_size("the rectangle light", "size", self.size)
-        check_direction("the rectangle light", self.up, "up")
 
     @classmethod
     def around(
@@ -62,7 +64,7 @@ class RectangleLight(AbstractLight):
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.
         """
-        position, up = as_float(position), as_float(UP if up is None else up)
+        position, up = as_float(position), as_float(Settings.up if up is None else up)
         check_direction("the rectangle light", up, "up")
         fitted = LightFrustum.around("the rectangle light", position, points, target, up, outer_angle)
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)

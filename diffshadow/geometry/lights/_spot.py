@@ -1,16 +1,19 @@
 """Light into a cone."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, concrete, dot, normalize
+from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Scalar, Vec3
+from ...settings.scene import UP
+from ...settings.scene import SpotLight as Settings
 from .._view import View
-from ._abstract import UP, AbstractLight, Domain, check_direction, check_position, check_size
+from ._abstract import AbstractLight, Domain, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, distances_along, frustum_view, on_plane
 from ._pose import LightPose, Vector, angles
 
@@ -30,35 +33,26 @@ class SpotLight(AbstractLight):
 
     `SpotLight.around` fits angle, near and far to a scene.
 
-    **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, angles that are not
-    0 <= inner <= outer < 90, near and far that are not 0 < near < far, a negative radius, or an aspect that is not
-    positive.
+    **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, an inner angle above
+    the outer one, near and far that are not 0 < near < far, or a number out of its range.
     """
 
-    position: Vec3 = eqx.field(converter=as_float)
-    direction: Vec3 = eqx.field(converter=as_float)
-    outer_angle: Scalar = eqx.field(converter=as_float)
-    near: Scalar = eqx.field(converter=as_float)
-    far: Scalar = eqx.field(converter=as_float)
-    radius: Scalar = eqx.field(converter=as_float, default=0.0)
-    inner_angle: Scalar | None = eqx.field(converter=lambda x: None if x is None else as_float(x), default=None)
-    up: Vec3 = eqx.field(converter=as_float, default=UP)
-    aspect: Scalar = eqx.field(converter=as_float, default=1.0)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
+    position: Vec3 = eqx.field(converter=as_number)
+    direction: Vec3 = eqx.field(converter=as_number)
+    outer_angle: Scalar = eqx.field(converter=as_number)
+    near: Scalar = eqx.field(converter=as_number)
+    far: Scalar = eqx.field(converter=as_number)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    inner_angle: Scalar | None = eqx.field(converter=as_number, default=Settings.inner_angle)
+    up: Vec3 = eqx.field(converter=as_number, default=UP)
+    aspect: Scalar = eqx.field(converter=as_number, default=Settings.aspect)
+
+    def _check_rules(self):
         check_position("the spot light", self.position)
         check_frustum("the spot light", self.direction, self.outer_angle, self.near, self.far)
-        check_size("the spot light", "radius", self.radius)
         check_direction("the spot light", self.up, "up")
-        aspect = concrete(self.aspect)
-        if aspect is not None and not 0 < aspect < float("inf"):
-            raise ValueError(f"the spot light's aspect is {aspect}; expected a positive ratio of width to height")
-        inner = None if self.inner_angle is None else concrete(self.inner_angle)
-        outer = concrete(self.outer_angle)
-        if inner is not None and outer is not None and not 0 <= inner <= outer:
-            raise ValueError(
-                f"the spot light's inner_angle is {inner}; expected degrees from 0 to its outer_angle, {outer}"
-            )
 
     @classmethod
     def around(
@@ -68,10 +62,10 @@ class SpotLight(AbstractLight):
         *,
         target: Vec3 | None = None,
         outer_angle: float | None = None,
-        radius: float = 0.0,
-        inner_angle: float | None = None,
+        radius: float = Settings.radius,
+        inner_angle: float | None = Settings.inner_angle,
         up: Vec3 | None = None,
-        aspect: float = 1.0,
+        aspect: float = Settings.aspect,
     ) -> "SpotLight":
         """The light at `position` with near, far and, unless given, cone fitted to `points` (n, 3).
 

@@ -5,8 +5,9 @@ from typing import Literal, NamedTuple
 from jaxtyping import Float, Int
 
 from ..._types import HostArray
+from ...settings.engines import Side, ThreeJs
+from ...settings.scene import LightKind, ShadowCamera, SpotLight
 
-Side = Literal["front", "back", "double"]
 Vector = tuple[float, float, float]
 
 
@@ -68,15 +69,20 @@ class SceneShadow(NamedTuple):
 
     near: float
     far: float
-    window: tuple[float, float, float, float] = (-5.0, 5.0, 5.0, -5.0)
+    window: tuple[float, float, float, float] = (
+        ShadowCamera.left,
+        ShadowCamera.right,
+        ShadowCamera.top,
+        ShadowCamera.bottom,
+    )
     map_size: tuple[int, int] = (512, 512)
-    bias: float = 0.0
-    normal_bias: float = 0.0
-    radius: float = 1.0
-    intensity: float = 1.0
-    blur_samples: int = 8
+    bias: float = ThreeJs.bias
+    normal_bias: float = ThreeJs.normal_bias
+    radius: float = ThreeJs.radius
+    intensity: float = ThreeJs.intensity
+    blur_samples: int = ThreeJs.blur_samples
     half_angle: float | None = None
-    aspect: float = 1.0
+    aspect: float = SpotLight.aspect
 
 
 class SceneLight(NamedTuple):
@@ -90,7 +96,7 @@ class SceneLight(NamedTuple):
     """
 
     name: str
-    type: Literal["directional", "spot", "point"]
+    type: LightKind
     position: Vector
     direction: Vector | None
     inner_angle: float | None = None

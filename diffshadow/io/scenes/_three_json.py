@@ -10,9 +10,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..._types import HostArray
+from ...settings.engines import Side
 from .._errors import Faults, MeshError, damaged, some_of
 from .._polygons import repeated
-from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Side, Vector
+from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow, Vector
 from ._three_buffers import geometry_of, maybe_half_floats, values_of
 from ._three_geometries import Geometry
 from ._three_schema import Document, GeometryEntry, Material, Object, ShadowCamera, parse

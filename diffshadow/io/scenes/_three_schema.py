@@ -10,6 +10,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
+from ...settings import scene
+from ...settings.engines import ThreeJs
 from .._errors import MeshError, damaged
 from .._text import excerpt
 
@@ -104,22 +106,22 @@ class Material(_Part):
 
 
 class ShadowCamera(_Part):
-    left: float = -5.0
-    right: float = 5.0
-    top: float = 5.0
-    bottom: float = -5.0
-    near: float = 0.5
-    far: float = 500.0
+    left: float = scene.ShadowCamera.left
+    right: float = scene.ShadowCamera.right
+    top: float = scene.ShadowCamera.top
+    bottom: float = scene.ShadowCamera.bottom
+    near: float = scene.ShadowCamera.near
+    far: float = scene.ShadowCamera.far
     zoom: Annotated[float, Field(gt=0)] = 1.0
     up: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 1.0, 0.0]
 
 
 class Shadow(_Part):
-    intensity: float = 1.0
-    bias: float = 0.0
-    normal_bias: float = 0.0
-    radius: Annotated[float, Field(ge=0)] = 1.0
-    blur_samples: int = 8
+    intensity: float = ThreeJs.intensity
+    bias: float = ThreeJs.bias
+    normal_bias: float = ThreeJs.normal_bias
+    radius: Annotated[float, Field(ge=0)] = ThreeJs.radius
+    blur_samples: int = ThreeJs.blur_samples
     map_size: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=2, max_length=2)] = [512, 512]
     focus: Annotated[float, Field(gt=0)] = 1.0
     aspect: Annotated[float, Field(gt=0)] = 1.0

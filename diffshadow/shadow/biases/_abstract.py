@@ -1,19 +1,16 @@
 """The interface of biases."""
 
 import abc
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
-from ..._types import Scalar, VectorMap
+from ..._checks import CheckedModule
+from ..._types import VectorMap
+from ...settings.biases import BiasUnit
 from .._receiver import Receiver
-
-BiasUnit = Literal["texels", "depth"]
-"""Unit of a bias along the light's axis: texel widths at the receiver, or window depth."""
-UNIT_NAMES = {"texels": "texels", "depth": "of window depth"}
 
 
 class BiasTerms(eqx.Module):
@@ -45,7 +42,7 @@ class BiasTerms(eqx.Module):
         return BiasTerms(factor * self.depth, moved, self.follows_plane, self.deepening)
 
 
-class AbstractBias(eqx.Module):
+class AbstractBias(CheckedModule):
     """A way to keep receivers clear of their own depth."""
 
     @abc.abstractmethod
@@ -62,11 +59,6 @@ def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> F
     """Converts a `bias` along the light's axis to window depth."""
     per_unit = receiver.depth_per_texel if unit == "texels" else jnp.ones_like(receiver.depth_per_texel)
     return bias * per_unit
-
-
-def optional_float(x: Any) -> Scalar | None:
-    """`x` as a scalar; none stays none."""
-    return None if x is None else as_float(x)
 
 
 def _either(both: Any, a: Array | None, b: Array | None) -> Array | None:

@@ -1,12 +1,14 @@
 """Adaptive bias (Dou, Yan, Kerzner, Dai & Wyman, "Adaptive Depth Bias for Shadow Maps", JCGT 3(4), 2014)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ..._checks import check_not_negative
-from ..._misc import as_float, dot
+from ..._misc import as_number, dot
 from ..._types import Scalar
+from ...settings.biases import AdaptiveBias as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth
 
@@ -23,14 +25,11 @@ class AdaptiveBias(AbstractBias):
     - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length converted to window depth at the
         receiver; the paper's length is a fraction of the scene's size, here it is a fraction of a texel. Rounding is
         covered separately (`Receiver.rounding`).
-
-    **Raises** `ValueError` if `epsilon` is negative or not finite.
     """
 
-    epsilon: Scalar = eqx.field(converter=as_float, default=0.0)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_not_negative("the adaptive bias's epsilon", self.epsilon)
+    epsilon: Scalar = eqx.field(converter=as_number, default=Settings.epsilon)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         centre = jnp.floor(lax.stop_gradient(receiver.texel)) + 0.5

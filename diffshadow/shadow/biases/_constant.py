@@ -1,12 +1,15 @@
 """Constant bias (Williams 1978)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 
-from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar
+from ...settings.biases import Bias as Settings
+from ...settings.biases import BiasUnit
 from .._receiver import Receiver
-from ._abstract import UNIT_NAMES, AbstractBias, BiasTerms, BiasUnit, in_depth
+from ._abstract import AbstractBias, BiasTerms, in_depth
 
 
 class ConstantBias(AbstractBias):
@@ -15,16 +18,13 @@ class ConstantBias(AbstractBias):
     - `value`: along the light's axis, in `unit`. On a plane with depth slopes `g_x` and `g_y` along the map's axes,
         nearest look-ups need `(|g_x| + |g_y|) / 2` texels.
     - `unit`: `"texels"`, or `"depth"` for window depth. A value in window depth suits one scene, light and map only.
-
-    **Raises** `ValueError` if `value` is negative or not finite.
     """
 
-    value: Scalar = eqx.field(converter=as_float)
-    unit: BiasUnit = eqx.field(static=True, default="texels")
+    settings: ClassVar = Settings
+    part: ClassVar = "constant"
 
-    def __check_init__(self):
-        check_choice("the constant bias's unit", self.unit, ("texels", "depth"))
-        check_not_negative("the constant bias", self.value, UNIT_NAMES[self.unit])
+    value: Scalar = eqx.field(converter=as_number)
+    unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         return BiasTerms(in_depth(self.value, self.unit, receiver))

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, at_least, concrete
+from ..._checks import check_value
+from ..._misc import as_float, at_least
 from ..._types import Scalar
+from ...settings.biases import Terms as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
@@ -27,7 +28,7 @@ class LinearBias(AbstractBias):
         - `blocker_distance`: how far in front of the receiver the map's depth at its own texel is, in texels, from 0 to
             16.
 
-    **Raises** `ValueError` if there is none, one has another name, or a weight is not finite.
+    **Raises** `ValueError` if there is none, one has another name, or a weight is out of its range.
     """
 
     weights: dict[str, Scalar]
@@ -35,15 +36,13 @@ class LinearBias(AbstractBias):
     def __init__(self, weights: Mapping[str, float | Scalar]):
         self.weights = {name: as_float(weight) for name, weight in weights.items()}
 
-    def __check_init__(self):
+    def _check_rules(self):
         if not self.weights:
             raise ValueError("the linear bias has no terms; expected one or more")
         for name, weight in self.weights.items():
             if name not in FEATURES:
                 raise ValueError(f"the linear bias has a term {name!r}; expected some of {', '.join(FEATURES)}")
-            known = concrete(weight)
-            if known is not None and not np.isfinite(known):
-                raise ValueError(f"the linear bias's weight of {name} is {known}; expected a finite number of texels")
+            check_value(f"LinearBias.weights[{name!r}]", weight, Settings.each()[name])
 
     def total(self, receiver: Receiver) -> Float[Array, "h w"]:
         """The sum of all terms, in texels; of any sign."""

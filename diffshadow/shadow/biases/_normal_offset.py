@@ -1,35 +1,31 @@
 """Normal offset: the look-up moves along the receiver's normal (Holbert, "Saying Goodbye to Shadow Acne", 2011)."""
 
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float, concrete
+from ..._misc import as_number, concrete
 from ..._types import Scalar
+from ...settings.biases import Bias as Settings
+from ...settings.biases import OffsetProfile
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
 from ._features import FEATURES
-
-OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]
 
 
 class NormalOffset(AbstractBias):
     """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
     - `profile`: `"sine"` sin θ, `"constant"` 1, or `"one_minus_cosine"` 1 - cos θ.
-
-    **Raises** `ValueError` if `value` is negative or not finite.
     """
 
-    value: Scalar = eqx.field(converter=as_float)
-    profile: OffsetProfile = eqx.field(static=True, default="sine")
+    settings: ClassVar = Settings
+    part: ClassVar = "normal_offset"
 
-    def __check_init__(self):
-        check_choice("the normal offset's profile", self.profile, ("sine", "constant", "one_minus_cosine"))
-        check_not_negative("the normal offset", self.value)
+    value: Scalar = eqx.field(converter=as_number)
+    profile: OffsetProfile = eqx.field(static=True, default=Settings.normal_offset_profile)
 
     @property
     def reach(self) -> float:

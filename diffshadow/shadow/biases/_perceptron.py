@@ -6,9 +6,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, at_least
+from ..._checks import check_value
+from ..._misc import as_float, at_least, concrete
+from ...settings.biases import Number
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
@@ -28,7 +31,8 @@ class PerceptronBias(AbstractBias):
     - `hidden`: the hidden layers, from the first; of each, `weight` (out, in) and `bias` (out,).
     - `last`: (n,), the weights of the last hidden layer's values, in texels.
 
-    **Raises** `ValueError` if the layers' sizes do not fit together, or there are more than `MOST_WEIGHTS` weights.
+    **Raises** `ValueError` if the layers' sizes do not fit together, there are more than `MOST_WEIGHTS` weights, or one
+    is out of its range.
     """
 
     linear: LinearBias
@@ -74,7 +78,7 @@ class PerceptronBias(AbstractBias):
             layers.append(eqx.tree_at(lambda x: (x.weight, x.bias), empty, (as_float(weight), as_float(bias))))
         return cls(linear, tuple(layers), as_float(last))
 
-    def __check_init__(self):
+    def _check_rules(self):
         inputs = len(self.inputs)
         shapes = [layer.weight.shape for layer in self.hidden]
         before = [inputs, *(rows for rows, _ in shapes)]
@@ -91,6 +95,9 @@ class PerceptronBias(AbstractBias):
                 f"the perceptron has {self.count} weights; expected at most {MOST_WEIGHTS}: take smaller layers, or "
                 "fewer terms"
             )
+        for numbers in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):
+            for number in () if numbers is None else np.ravel(numbers):
+                check_value("a weight of the PerceptronBias", number, Number)
 
     @property
     def weights(self) -> dict[str, Any]:

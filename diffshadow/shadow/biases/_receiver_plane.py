@@ -1,13 +1,15 @@
 """Receiver plane depth bias (Isidoro, "Shadow Mapping: GPU-based Tips and Techniques", GDC 2006)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._checks import check_not_negative
-from ..._misc import as_float, at_most
+from ..._misc import as_number, at_most
 from ..._types import Scalar
+from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth, optional_float
+from ._abstract import AbstractBias, BiasTerms, in_depth
 
 
 class ReceiverPlane(AbstractBias):
@@ -28,18 +30,13 @@ class ReceiverPlane(AbstractBias):
         kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something touches the
         wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes are clamped
         at 89.4°.
-
-    **Raises** `ValueError` if a number is negative or not finite.
     """
 
-    fudge: Scalar = eqx.field(converter=as_float, default=0.0)
-    limit: Scalar | None = eqx.field(converter=optional_float, default=None)
-    deepening: Scalar | None = eqx.field(converter=optional_float, default=None)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        check_not_negative("the receiver plane's fudge", self.fudge, "times the slope")
-        check_not_negative("the receiver plane's limit", self.limit)
-        check_not_negative("the receiver plane's deepening", self.deepening)
+    fudge: Scalar = eqx.field(converter=as_number, default=Settings.fudge)
+    limit: Scalar | None = eqx.field(converter=as_number, default=Settings.limit)
+    deepening: Scalar | None = eqx.field(converter=as_number, default=Settings.deepening)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         fudge = at_most(self.fudge * jnp.sum(jnp.abs(receiver.slope), axis=-1), self.limit)

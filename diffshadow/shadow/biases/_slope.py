@@ -1,24 +1,16 @@
 """Slope-scaled bias: it grows with the slope of the receiver."""
 
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 
-from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float, at_least, at_most, concrete
+from ..._misc import as_number, at_least, at_most
 from ..._types import Scalar
+from ...settings.biases import Bias as Settings
+from ...settings.biases import BiasUnit, SlopeProfile
 from .._receiver import Receiver
-from ._abstract import (
-    UNIT_NAMES,
-    AbstractBias,
-    BiasTerms,
-    BiasUnit,
-    in_depth,
-    optional_float,
-)
+from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
-
-SlopeProfile = Literal["tangent", "one_minus_cosine"]
 
 
 class SlopeBias(AbstractBias):
@@ -34,26 +26,17 @@ class SlopeBias(AbstractBias):
         unit="depth")` is the common bias of shader tutorials. To convert such values to texels, divide them by the
         window depth per texel, `view.texel_size(distance, resolution) · view.depth_slope(distance)`.
 
-    **Raises** `ValueError` if a number is negative or not finite, or `least` is above `most`.
+    **Raises** `ValueError` if `least` is above `most`.
     """
 
-    value: Scalar = eqx.field(converter=as_float)
-    profile: SlopeProfile = eqx.field(static=True, default="tangent")
-    least: Scalar | None = eqx.field(converter=optional_float, default=None)
-    most: Scalar | None = eqx.field(converter=optional_float, default=None)
-    unit: BiasUnit = eqx.field(static=True, default="texels")
+    settings: ClassVar = Settings
+    part: ClassVar = "slope"
 
-    def __check_init__(self):
-        check_choice("the slope bias's profile", self.profile, ("tangent", "one_minus_cosine"))
-        check_choice("the slope bias's unit", self.unit, ("texels", "depth"))
-        check_not_negative("the slope bias", self.value, UNIT_NAMES[self.unit])
-        check_not_negative("the slope bias's least", self.least, UNIT_NAMES[self.unit])
-        check_not_negative("the slope bias's most", self.most, UNIT_NAMES[self.unit])
-        if self.least is None or self.most is None:
-            return
-        least, most = concrete(self.least), concrete(self.most)
-        if least is not None and most is not None and least > most:
-            raise ValueError(f"the slope bias's least is {least}, above its most, {most}; expected least <= most")
+    value: Scalar = eqx.field(converter=as_number)
+    profile: SlopeProfile = eqx.field(static=True, default=Settings.slope_profile)
+    least: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_least)
+    most: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_most)
+    unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         profile = FEATURES["slope" if self.profile == "tangent" else self.profile].of(receiver)

@@ -1,14 +1,14 @@
 """The sum of several biases."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..._checks import check_not_negative
-from ..._misc import as_float, concrete
+from ..._misc import as_numbers, concrete
 from ..._types import Scalar
+from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
 from ._constant import ConstantBias
@@ -19,15 +19,17 @@ from ._slope import SlopeBias
 class Bias(AbstractBias):
     """The sum of constant bias, slope bias, normal offset and a bias that uses the receiver's plane.
 
-    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module.
+    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; none if left out. (A configuration
+        that says nothing of a bias has a constant and a slope bias.)
     - `terms`: a `LinearBias`, a `PerceptronBias` or none.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
     - `factors`: for a map with layers, such as cascades: a factor for each layer, by which all of these but `plane` are
         multiplied there. Biases are in texels of their own layer with or without it.
 
-    **Raises** `ValueError` if a number is negative or not finite; and when called with `factors` for a map without
-    layers.
+    **Raises** `ValueError` when called with `factors` for a map without layers.
     """
+
+    settings: ClassVar = Settings
 
     constant: AbstractBias
     slope: AbstractBias
@@ -49,11 +51,7 @@ class Bias(AbstractBias):
         self.slope = slope if isinstance(slope, AbstractBias) else SlopeBias(slope)
         self.normal_offset = normal_offset if isinstance(normal_offset, AbstractBias) else NormalOffset(normal_offset)
         self.plane, self.terms = plane, terms
-        self.factors = None if factors is None else tuple(as_float(factor) for factor in factors)
-
-    def __check_init__(self):
-        for factor in self.factors or ():
-            check_not_negative("a factor of the bias", factor, "times the bias")
+        self.factors = as_numbers(factors)
 
     @property
     def reach(self) -> float:

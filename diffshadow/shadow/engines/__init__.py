@@ -1,9 +1,7 @@
 """Shadows as real-time engines draw them, in the engines' own names, units and defaults."""
 
 from ._abstract import AbstractEngineShadows as AbstractEngineShadows
-from ._babylon import BabylonFilter as BabylonFilter
 from ._babylon import BabylonJs as BabylonJs
-from ._babylon import BabylonQuality as BabylonQuality
 from ._code import engine_code as engine_code
 from ._convert import EngineSetting as EngineSetting
 from ._convert import engine_settings as engine_settings

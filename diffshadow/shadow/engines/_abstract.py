@@ -9,12 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._checks import check_instance, check_value
 from ..._misc import as_float, dot, normalize
 from ..._types import HostArray, Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
+from ...settings import maps
+from ...settings.engines import Side
 from .._compare import AbstractCompare
-from .._technique import AbstractTechnique, Side
+from .._technique import AbstractTechnique
 from ._engine_map import Casters, EngineMap, map_of, per_face
 
 
@@ -64,6 +67,10 @@ class AbstractEngineShadows(AbstractTechnique):
     compare: eqx.AbstractVar[AbstractCompare]
     resolution: eqx.AbstractVar[Resolution]
     subpixels: eqx.AbstractVar[int]
+
+    def _check_rules(self):
+        check_value(f"{type(self).__name__}.resolution", self.resolution, maps.ShadowMap.each()["resolution"])
+        check_instance("the compare", self.compare, AbstractCompare, "a compare, such as HardCompare()")
 
     def lays_out(self, name: str) -> bool:
         """Whether the number at the dotted path `name` changes the map."""

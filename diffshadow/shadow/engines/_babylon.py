@@ -2,23 +2,24 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._checks import check_choice
-from ..._misc import as_float, concrete, dot, normalize, safe_norm
+from ..._checks import as_tuple
+from ..._misc import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
+from ...settings import maps
+from ...settings.engines import BabylonFilter, BabylonQuality, Side
+from ...settings.engines import BabylonJs as Settings
 from .._compare import AbstractCompare, HardCompare
-from .._technique import Side
 from ._abstract import AbstractEngineShadows, Place, engine_light
 from ._babylon_filters import (
-    BabylonQuality,
     Compared,
     exponentially,
     falloff,
@@ -39,17 +40,6 @@ from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
 from ._engine_map import EngineMap, each_of
 from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_light, babylon_spot_light
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
-
-BabylonFilter = Literal[
-    "NONE",
-    "POISSONSAMPLING",
-    "EXPONENTIALSHADOWMAP",
-    "BLUREXPONENTIALSHADOWMAP",
-    "CLOSEEXPONENTIALSHADOWMAP",
-    "BLURCLOSEEXPONENTIALSHADOWMAP",
-    "PCF",
-    "PCSS",
-]
 
 # Of contact hardening's penumbra, in texels.
 _LEAST_PENUMBRA = 10.0
@@ -96,45 +86,42 @@ class BabylonJs(AbstractEngineShadows):
 
     The rotation of `PCSS` depends on the sine of the device: pixels differ from those of another, and means agree.
 
-    **Raises** `ValueError` for an unknown filter or quality, a map that is not square, a blur scale that is not
-    positive, or a negative blur kernel or box offset.
+    **Raises** `ValueError` for a map that is not square.
     """
 
-    bias: Scalar = eqx.field(converter=as_float, default=5e-5)
-    normal_bias: Scalar = eqx.field(converter=as_float, default=0.0)
-    darkness: Scalar = eqx.field(converter=as_float, default=0.0)
-    blur_scale: Scalar = eqx.field(converter=as_float, default=2.0)
-    depth_scale: Scalar = eqx.field(converter=as_float, default=50.0)
-    frustum_edge_falloff: Scalar = eqx.field(converter=as_float, default=0.0)
-    contact_hardening_light_size_uv_ratio: Scalar = eqx.field(converter=as_float, default=0.1)
+    settings: ClassVar = Settings
+
+    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    darkness: Scalar = eqx.field(converter=as_number, default=Settings.darkness)
+    blur_scale: Scalar = eqx.field(converter=as_number, default=Settings.blur_scale)
+    depth_scale: Scalar = eqx.field(converter=as_number, default=Settings.depth_scale)
+    frustum_edge_falloff: Scalar = eqx.field(converter=as_number, default=Settings.frustum_edge_falloff)
+    contact_hardening_light_size_uv_ratio: Scalar = eqx.field(
+        converter=as_number, default=Settings.contact_hardening_light_size_uv_ratio
+    )
     compare: AbstractCompare = HardCompare()
-    filter: BabylonFilter = eqx.field(static=True, default="NONE")
-    quality: BabylonQuality = eqx.field(static=True, default="HIGH")
-    blur_kernel: float | int = eqx.field(static=True, default=1)
-    blur_box_offset: int = eqx.field(static=True, default=1)
-    use_kernel_blur: bool = eqx.field(static=True, default=False)
-    force_back_faces_only: bool = eqx.field(static=True, default=False)
-    back_face_culling: bool | tuple[bool, ...] = eqx.field(static=True, default=True)
-    float_maps: bool = eqx.field(static=True, default=False)
-    resolution: Resolution = eqx.field(static=True, default=(512, 512))
-    subpixels: int = eqx.field(static=True, default=256)
+    filter: BabylonFilter = eqx.field(static=True, default=Settings.filter)
+    quality: BabylonQuality = eqx.field(static=True, default=Settings.quality)
+    blur_kernel: int = eqx.field(static=True, default=Settings.blur_kernel)
+    blur_box_offset: int = eqx.field(static=True, default=Settings.blur_box_offset)
+    use_kernel_blur: bool = eqx.field(static=True, default=Settings.use_kernel_blur)
+    force_back_faces_only: bool = eqx.field(static=True, default=Settings.force_back_faces_only)
+    back_face_culling: bool | tuple[bool, ...] = eqx.field(
+        static=True, converter=as_tuple, default=Settings.back_face_culling
+    )
+    float_maps: bool = eqx.field(static=True, default=Settings.float_maps)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=maps.ShadowMap.resolution)
+    subpixels: int = eqx.field(static=True, default=Settings.subpixels)
 
     directional_light = staticmethod(babylon_directional_light)
     spot_light = staticmethod(babylon_spot_light)
     point_light = staticmethod(babylon_point_light)
 
-    def __check_init__(self):
-        check_choice("Babylon.js' filter", self.filter, BabylonFilter.__args__)
-        check_choice("Babylon.js' quality", self.quality, BabylonQuality.__args__)
+    def _check_rules(self):
+        super()._check_rules()
         if self.resolution[0] != self.resolution[1]:
-            raise ValueError(f"Babylon.js' map has {self.resolution} texels; expected a square one")
-        scale = concrete(self.blur_scale)
-        if scale is not None and not scale > 0:
-            raise ValueError(f"Babylon.js' blur_scale is {scale}; expected more than 0")
-        if not self.blur_kernel >= 0:
-            raise ValueError(f"Babylon.js' blur_kernel is {self.blur_kernel}; expected 0 or more texels")
-        if self.blur_box_offset < 0:
-            raise ValueError(f"Babylon.js' blur_box_offset is {self.blur_box_offset}; expected 0 or more texels")
+            raise ValueError(f"BabylonJs.resolution is {self.resolution}; expected a square map")
 
     def lays_out(self, name: str) -> bool:
         return name == "normal_bias" or (name == "blur_scale" and self.filter.startswith("BLUR"))
@@ -216,7 +203,8 @@ def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
 def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visibility:
     _, receives = state.of_pixels(surface)
     of = _in_cube if isinstance(state.light, PointLight) else _in_window
-    return jnp.where(receives, of(settings, state, surface.position), 1)
+    # With a bias far from 0, the formula of `PCSS` goes beyond what is lit.
+    return jnp.where(receives, in_unit_range(of(settings, state, surface.position)), 1)
 
 
 class Receivers(NamedTuple):

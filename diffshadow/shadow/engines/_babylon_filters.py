@@ -1,7 +1,6 @@
 """What Babylon.js' shaders compute at a receiver from a map's texels."""
 
 from collections.abc import Callable
-from typing import Literal
 
 import jax.numpy as jnp
 from jax import lax
@@ -9,11 +8,10 @@ from jaxtyping import Array, Float
 
 from ..._misc import as_float
 from ..._types import HostArray, Scalar
+from ...settings.engines import BabylonQuality
 from ._babylon_maps import MOST_EXPONENT
 from ._textures import bilinear
 
-BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
-"""A `QUALITY_` constant of the shadow generator."""
 Compared = Callable[[Array], Array]
 """What the compare with the receiver gives, of each stored value."""
 

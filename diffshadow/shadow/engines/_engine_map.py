@@ -12,12 +12,7 @@ from ..._misc import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
 from ...raster import Surface, at_steps, rasterize_depth
-from .._technique import Side
-
-Sides = Side | tuple[Side, ...]
-"""Which faces an engine draws: of all meshes, or of each."""
-ShadowSides = Sides | tuple[Side | None, ...]
-"""Of all meshes, or of each; None for what the engine chooses."""
+from ...settings.engines import Side
 
 
 class EngineMap(eqx.Module):

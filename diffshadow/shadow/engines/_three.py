@@ -1,33 +1,31 @@
 """The shadows of three.js (r187, `WebGLRenderer`)."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float, safe_norm
+from ..._checks import as_tuple
+from ..._misc import as_number, in_unit_range, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
+from ...settings import maps
+from ...settings.engines import OTHER_SIDE, ShadowSides, ShadowType, Side, Sides
+from ...settings.engines import ThreeJs as Settings
 from .._compare import AbstractCompare, HardCompare
-from .._technique import Side
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._engine_map import EngineMap, ShadowSides, Sides, each_of
+from ._engine_map import EngineMap, each_of
 from ._given import THREE_NUDGE, three_directional_light, three_point_light, three_spot_light
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 from ._variance import at_receivers, blurred, chebyshev
 
-ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
-
 _TAPS = 5
 _GOLDEN_ANGLE = 2.399963229728653
-# The side that casts, of each side of a material: the renderer's own table.
-_OTHER: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
 
 
 class ThreeJs(AbstractEngineShadows):
@@ -54,32 +52,26 @@ class ThreeJs(AbstractEngineShadows):
     From a map of the engine's, the blurred map of VSM has the engine's bits, as Chromium computes them without graphics
     hardware. Under VSM with a radius of about 1 and no bias, all surfaces are compared with themselves, and the last
     bits of depth decide. Those of the map that is drawn here differ from the engine's, so such noise is another.
-
-    **Raises** `ValueError` for an unknown shadow type, a negative radius, or fewer than 1 sample.
     """
 
-    bias: Scalar = eqx.field(converter=as_float, default=0.0)
-    normal_bias: Scalar = eqx.field(converter=as_float, default=0.0)
-    radius: Scalar = eqx.field(converter=as_float, default=1.0)
-    intensity: Scalar = eqx.field(converter=as_float, default=1.0)
+    settings: ClassVar = Settings
+
+    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    intensity: Scalar = eqx.field(converter=as_number, default=Settings.intensity)
     compare: AbstractCompare = HardCompare()
-    shadow_type: ShadowType = eqx.field(static=True, default="PCFShadowMap")
-    blur_samples: int = eqx.field(static=True, default=8)
-    side: Sides = eqx.field(static=True, default="front")
-    shadow_side: ShadowSides | None = eqx.field(static=True, default=None)
-    reversed_depth: bool = eqx.field(static=True, default=False)
-    resolution: Resolution = eqx.field(static=True, default=(512, 512))
-    subpixels: int = eqx.field(static=True, default=256)
+    shadow_type: ShadowType = eqx.field(static=True, default=Settings.shadow_type)
+    blur_samples: int = eqx.field(static=True, default=Settings.blur_samples)
+    side: Sides = eqx.field(static=True, converter=as_tuple, default=Settings.side)
+    shadow_side: ShadowSides | None = eqx.field(static=True, converter=as_tuple, default=Settings.shadow_side)
+    reversed_depth: bool = eqx.field(static=True, default=Settings.reversed_depth)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=maps.ShadowMap.resolution)
+    subpixels: int = eqx.field(static=True, default=Settings.subpixels)
 
     directional_light = staticmethod(three_directional_light)
     spot_light = staticmethod(three_spot_light)
     point_light = staticmethod(three_point_light)
-
-    def __check_init__(self):
-        check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
-        check_not_negative("three.js' radius", self.radius)
-        if self.blur_samples < 1:
-            raise ValueError(f"three.js' blur_samples is {self.blur_samples}; expected 1 or more")
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
@@ -98,7 +90,7 @@ class ThreeJs(AbstractEngineShadows):
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         is_variance = self.shadow_type == "VSMShadowMap"
         side = each_of(self.side, scene.meshes, "sides")
-        default: tuple[Side, ...] = side if is_variance else tuple(_OTHER[one] for one in side)
+        default: tuple[Side, ...] = side if is_variance else tuple(OTHER_SIDE[one] for one in side)
         given: tuple[Side | None, ...] = each_of(self.shadow_side, scene.meshes, "sides")
         casting: list[Side] = [other if one is None else one for one, other in zip(given, default, strict=True)]
         receives = scene.receives or (True,) * len(side)
@@ -137,7 +129,7 @@ def _visibility(settings: ThreeJs, state: EngineMap, surface: Surface) -> Visibi
     position = surface.position + settings.normal_bias * factor * surface.interpolated_normal
     of = _in_cube if isinstance(state.light, PointLight) else _in_window
     lit = of(settings, state, position)
-    return jnp.where(receives, 1 + (lit - 1) * settings.intensity, 1)
+    return jnp.where(receives, in_unit_range(1 + (lit - 1) * settings.intensity), 1)
 
 
 def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 3"]) -> Float[Array, "h w"]:

@@ -2,17 +2,18 @@
 
 import abc
 
-import equinox as eqx
 import numpy as np
 
+from ..._checks import CheckedModule
 from ..._misc import concrete
-from ..._types import Scalar, Visibility
+from ..._types import Visibility
+from ...settings.filters import Filter
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 
 
-class AbstractFilter(eqx.Module):
+class AbstractFilter(CheckedModule):
     """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted."""
 
     @abc.abstractmethod
@@ -22,11 +23,6 @@ class AbstractFilter(eqx.Module):
     @property
     def reach(self) -> float | None:
         """How far from the receiver's texel coordinates the filter reads the map, in texels; none if that is not
-        known, such as under a trace. Maps with a margin need one that is as wide."""
-        return None
-
-
-def reach_of(radius: Scalar, beyond: float = 0.0) -> float | None:
-    """`radius` and how far a filter reads `beyond` it, in texels; none under a trace."""
-    known = concrete(radius)
-    return None if known is None else float(np.max(known)) + beyond
+        known: under a trace, and for a filter without settings. Maps with a margin need one that is as wide."""
+        reach = concrete(self.settings.reach_of(self)) if issubclass(self.settings, Filter) else None
+        return None if reach is None else float(np.max(reach))

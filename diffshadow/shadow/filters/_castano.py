@@ -1,11 +1,13 @@
 """Castaño's kernels (Castaño, "Shadow Mapping Summary, Part 1", The Witness, 2013)."""
 
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 
 from ..._misc import as_float
 from ..._types import Scalar, Visibility
+from ...settings.filters import Castano as Settings
+from ...settings.filters import KernelSize
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
@@ -24,25 +26,17 @@ class Castano(AbstractFilter):
     `Separable` has weights, and `Tent` a radius.
 
     - `size`: 3, 5 or 7.
-
-    **Raises** `ValueError` for any other size.
     """
 
-    size: Literal[3, 5, 7] = eqx.field(static=True, default=5)
+    settings: ClassVar = Settings
 
-    def __check_init__(self):
-        if self.size not in CASTANO_KERNELS:
-            raise ValueError(f"Castaño's kernel has size {self.size}; expected 3, 5 or 7")
+    size: KernelSize = eqx.field(static=True, default=Settings.size)
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:
         """As of `Separable`."""
         weights = CASTANO_KERNELS[self.size]
         return tuple(as_float(weight / sum(weights)) for weight in weights[self.size // 2 :])
-
-    @property
-    def reach(self) -> float:
-        return (self.size + 1) / 2
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(WeightedRow(self.normalized), shadow_map, compare, lookup)

@@ -2,16 +2,14 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import ExponentialShadowMap as Settings
 from ._prefilter import AbstractPrefiltered
-
-# e^-80 is still a normal number in 32 bits; e^-88 is not.
-_MAX_EXPONENT = 80.0
 
 
 class ExponentialShadowMap(AbstractPrefiltered):
@@ -23,28 +21,14 @@ class ExponentialShadowMap(AbstractPrefiltered):
     - `radius`: of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane; in [0, 80]. Light leaks to
-        about 1 / k behind an occluder.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
+    - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k
+        behind an occluder.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
     """
 
-    name: ClassVar[str] = "exponential shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {"exponent": (0.0, _MAX_EXPONENT)}
+    settings: ClassVar = Settings
 
-    exponent: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = 2.5,
-        max_radius: float | None = None,
-        kernel: Shape = "box",
-        exponent: float | Scalar = 80.0,
-        light_bleeding: float | Scalar = 0.0,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.exponent = as_float(exponent)
+    exponent: Scalar = eqx.field(converter=as_number, default=Settings.exponent, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the far plane, so that exponentials neither overflow nor underflow.

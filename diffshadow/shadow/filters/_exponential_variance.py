@@ -2,16 +2,15 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import ExponentialVarianceShadowMap as Settings
 from ._prefilter import AbstractPrefiltered, chebyshev
 
-# e^84, the square of the largest warped depth, is still finite in float32.
-_MAX_EXPONENT = 42.0
 # Clamp on the log of moments relative to the receiver's: larger ones leave no bound, and their squares would overflow.
 _MAX_LOG_MOMENT = 30.0
 
@@ -27,39 +26,17 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
     - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z from 0 at the light's near plane to 1 at
-        its far plane; more than 0, and at most 42.
+        its far plane.
     - `least_variance`: lower bound on the variance of linear depth, which the warps scale by their slope at the
-        receiver; more than 0.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
+        receiver.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
     """
 
-    name: ClassVar[str] = "exponential variance shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {
-        "positive_exponent": (1e-3, _MAX_EXPONENT),
-        "negative_exponent": (1e-3, _MAX_EXPONENT),
-        "least_variance": (1e-12, 1.0),
-    }
+    settings: ClassVar = Settings
 
-    positive_exponent: Scalar
-    negative_exponent: Scalar
-    least_variance: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = 2.5,
-        max_radius: float | None = None,
-        kernel: Shape = "box",
-        positive_exponent: float | Scalar = 40.0,
-        negative_exponent: float | Scalar = 5.0,
-        least_variance: float | Scalar = 1e-6,
-        light_bleeding: float | Scalar = 0.0,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.positive_exponent = as_float(positive_exponent)
-        self.negative_exponent = as_float(negative_exponent)
-        self.least_variance = as_float(least_variance)
+    positive_exponent: Scalar = eqx.field(converter=as_number, default=Settings.positive_exponent, kw_only=True)
+    negative_exponent: Scalar = eqx.field(converter=as_number, default=Settings.negative_exponent, kw_only=True)
+    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     @property
     def _exponents(self) -> tuple[Scalar, Scalar]:

@@ -1,33 +1,27 @@
 """Four bilinear taps."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._checks import check_not_negative
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Scalar, Visibility
+from ...settings.filters import FourTap as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import mean_of_taps
 from ..patterns import Pattern
-from ._abstract import AbstractFilter, reach_of
+from ._abstract import AbstractFilter
 
 
 class FourTap(AbstractFilter):
-    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all.
+    """The mean of four bilinear compares at the corners (±radius, ±radius), `radius` in texels: 16 texels in all."""
 
-    **Raises** `ValueError` if `radius` is negative or not finite.
-    """
+    settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_float, default=1.0)
-
-    def __check_init__(self):
-        check_not_negative("the four taps' radius", self.radius)
-
-    @property
-    def reach(self) -> float | None:
-        return reach_of(self.radius, 0.5)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

@@ -2,12 +2,13 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, safe_divide, safe_sqrt
+from ..._misc import as_number, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import MomentShadowMap as Settings
 from ._prefilter import AbstractPrefiltered
 
 # Moments of the weights 3/16, 5/8 and 3/16 at -1, 0 and 1: far from the moments of any two depths.
@@ -27,29 +28,15 @@ class MomentShadowMap(AbstractPrefiltered):
     - `radius`: of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding; in
-        [1e-7, 1]. A larger one bleeds more light.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99]. The authors advise
-        0.02, which compensates the moment bias.
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
+    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding. A
+        larger one bleeds more light.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which
+        compensates the moment bias.
     """
 
-    name: ClassVar[str] = "moment shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {"moment_bias": (1e-7, 1.0)}
+    settings: ClassVar = Settings
 
-    moment_bias: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = 2.5,
-        max_radius: float | None = None,
-        kernel: Shape = "box",
-        moment_bias: float | Scalar = 3e-6,
-        light_bleeding: float | Scalar = 0.0,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.moment_bias = as_float(moment_bias)
+    moment_bias: Scalar = eqx.field(converter=as_number, default=Settings.moment_bias, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         w = 2 * depth - 1

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..._misc import at_least, at_most
+from ...settings.filters import PercentageCloser as Settings
 from .._lookup import Lookup
 from ..kernels import LEAST_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
 from ._sized import AbstractSizedFilter
@@ -21,10 +22,10 @@ class PercentageCloser(AbstractSizedFilter):
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
         rounded up to a half texel.
 
-    **Raises** `ValueError` if `radius` is negative or above `max_radius`.
+    **Raises** `ValueError` if `radius` is above `max_radius`.
     """
 
-    name: ClassVar[str] = "filter"
+    settings: ClassVar = Settings
 
     def row(self) -> AbstractRow:
         return _Row(self.max_radius, at_least(at_most(self.radius, self.max_radius), LEAST_RADIUS))

@@ -1,21 +1,21 @@
 """Percentage-closer soft shadows (Fernando, "Percentage-Closer Soft Shadows", SIGGRAPH 2005 sketches)."""
 
-import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._checks import check_not_negative
-from ..._misc import as_float, concrete, safe_sqrt
+from ..._misc import as_number, safe_sqrt
 from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
+from ...settings.filters import PercentageCloserSoft as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
 from ..kernels import mean_of_taps
 from ..patterns import Pattern, stratified
-from ._abstract import AbstractFilter, reach_of
+from ._abstract import AbstractFilter
 
 # Up to this fraction of blockers counts as no blocker; it is above rounding error.
 _FEW = 1e-5
@@ -42,47 +42,22 @@ class PercentageCloserSoft(AbstractFilter):
     - `light_size`: overrides the light's own size, so that it can be fitted: half the angle in degrees for a
         directional light, otherwise the radius of its disk or sphere in world units. Defaults to the light's size; a
         rectangle counts as the disk of equal area.
-    - `search`: pattern of the blocker search; a second classic offset table if left out. If all its taps miss a
-        blocker, the shadow has a hole.
-    - `pattern`: pattern of the filter taps; the classic offset table if left out.
+    - `search`: pattern of the blocker search; stratified points if left out. If all its taps miss a blocker, the shadow
+        has a hole.
+    - `pattern`: pattern of the filter taps; stratified points if left out.
     - `min_radius`, `max_radius`: bounds on the penumbra's half width, in texels; `max_radius` bounds the search too.
 
-    **Raises** `ValueError` if the light's size or a radius is negative or not finite, or `min_radius` is above
-    `max_radius`; and when called without `light_size` for a light that has no size.
+    **Raises** `ValueError` if `min_radius` is above `max_radius`, and when called without `light_size` for a light that
+    has no size.
     """
 
-    light_size: Scalar | None
-    search: Pattern
-    pattern: Pattern
-    min_radius: Scalar
-    max_radius: Scalar
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        light_size: float | Scalar | None = None,
-        search: Pattern | None = None,
-        pattern: Pattern | None = None,
-        min_radius: float | Scalar = 0.0,
-        max_radius: float | Scalar = 64.0,
-    ):
-        self.light_size = None if light_size is None else as_float(light_size)
-        self.search = stratified(seed=1) if search is None else search
-        self.pattern = stratified() if pattern is None else pattern
-        self.min_radius = as_float(min_radius)
-        self.max_radius = as_float(max_radius)
-
-    def __check_init__(self):
-        check_not_negative("the soft shadows' light_size", self.light_size, "degrees or world units")
-        low, high = concrete(self.min_radius), concrete(self.max_radius)
-        if low is not None and high is not None and not 0 <= low <= high < math.inf:
-            raise ValueError(
-                f"the soft shadows' min_radius is {low} and max_radius {high}; expected 0 <= min_radius <= max_radius "
-                "texels"
-            )
-
-    @property
-    def reach(self) -> float | None:
-        return reach_of(self.max_radius, 0.5)
+    light_size: Scalar | None = eqx.field(converter=as_number, default=Settings.light_size)
+    search: Pattern = eqx.field(default_factory=lambda: stratified(Settings.search_samples, seed=1))
+    pattern: Pattern = eqx.field(default_factory=stratified)
+    min_radius: Scalar = eqx.field(converter=as_number, default=Settings.min_radius)
+    max_radius: Scalar = eqx.field(converter=as_number, default=Settings.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)

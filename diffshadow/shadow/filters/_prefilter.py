@@ -5,30 +5,21 @@ border counts as depth 1, which is lit, and shadows near the border are blurred 
 """
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._checks import check_choice
-from ..._misc import as_float, concrete
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
+from ...settings.filters import Prefiltered as Settings
+from ...settings.filters import Shape
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import Blur, Shape, bilinear_fetch, check_radius, radius_limit
-from ._abstract import AbstractFilter, reach_of
-
-# Upper bound on the reduction of light bleeding.
-_MAX_BLEEDING = 0.99
-
-
-def check_number(name: str, what: str, value: Scalar, low: float, high: float) -> None:
-    """**Raises** `ValueError` if `value` is known and outside [`low`, `high`]."""
-    known = concrete(value)
-    if known is not None and not low <= known <= high:
-        raise ValueError(f"the {name}'s {what} is {known}; expected {low:g} to {high:g}")
+from ..kernels import Blur, bilinear_fetch, check_radius, radius_limit
+from ._abstract import AbstractFilter
 
 
 def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -67,34 +58,21 @@ class AbstractPrefiltered(AbstractFilter):
 
     - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, and is rounded up to a half
         texel.
-    - `light_bleeding`: as in `reduce_light_bleeding`, in [0, 0.99].
-
-    Subclasses set `name`, for messages, and `ranges`, the closed intervals of the numbers that they add.
+    - `light_bleeding`: as in `reduce_light_bleeding`.
     """
 
-    name: ClassVar[str]
-    ranges: ClassVar[dict[str, tuple[float, float]]]
+    settings: ClassVar = Settings
 
-    radius: Scalar
-    max_radius: float = eqx.field(static=True)
-    kernel: Shape = eqx.field(static=True)
-    light_bleeding: Scalar
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    max_radius: float | Any = eqx.field(static=True, default=None)
+    kernel: Shape = eqx.field(static=True, default=Settings.kernel)
+    light_bleeding: Scalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
 
-    def __init__(self, radius: float | Scalar, max_radius: float | None, kernel: Shape, light_bleeding: float | Scalar):
-        self.radius = as_float(radius)
-        self.max_radius = radius_limit(radius, max_radius)
-        self.kernel = kernel
-        self.light_bleeding = as_float(light_bleeding)
+    def __post_init__(self):
+        self.max_radius = radius_limit(self.radius, self.max_radius)
 
-    def __check_init__(self):
-        check_radius(self.name, self.radius, self.max_radius)
-        check_choice(f"the {self.name}'s kernel", self.kernel, Shape.__args__)
-        for what, (low, high) in (self.ranges | {"light_bleeding": (0.0, _MAX_BLEEDING)}).items():
-            check_number(self.name, what, getattr(self, what), low, high)
-
-    @property
-    def reach(self) -> float | None:
-        return reach_of(self.radius, 0.5)
+    def _check_rules(self):
+        check_radius(self)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         blur = Blur(self.radius, self.max_radius, self.kernel)

@@ -1,54 +1,37 @@
 """Random disk sampling (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2, ch. 17)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._checks import check_choice, check_not_negative
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import Mask, Scalar, Visibility
+from ...settings.filters import RandomDisk as Settings
+from ...settings.filters import TapMode
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import TapMode, mean_of_taps
+from ..kernels import mean_of_taps
 from ..patterns import EARLY_SAMPLES, Pattern, stratified
-from ._abstract import AbstractFilter, reach_of
+from ._abstract import AbstractFilter
 
 
 class RandomDisk(AbstractFilter):
     """The mean of taps at the points of a pattern, scaled to a disk.
 
     - `radius`: of the disk, in texels.
-    - `pattern`: where the taps lie; the classic offset table if left out.
+    - `pattern`: where the taps lie; stratified points if left out.
     - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
     - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.
-
-    **Raises** `ValueError` if `radius` is negative, or `lookup` is unknown.
     """
 
-    radius: Scalar
-    pattern: Pattern
-    lookup: TapMode = eqx.field(static=True)
-    early_out: bool = eqx.field(static=True)
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        radius: float | Scalar = 2.0,
-        pattern: Pattern | None = None,
-        lookup: TapMode = "bilinear",
-        early_out: bool = False,
-    ):
-        self.radius = as_float(radius)
-        self.pattern = stratified() if pattern is None else pattern
-        self.lookup = lookup
-        self.early_out = early_out
-
-    def __check_init__(self):
-        check_choice("the random disk's lookup", self.lookup, TapMode.__args__)
-        check_not_negative("the random disk's radius", self.radius)
-
-    @property
-    def reach(self) -> float | None:
-        return reach_of(self.radius, 0.5)
+    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    pattern: Pattern = eqx.field(default_factory=stratified)
+    lookup: TapMode = eqx.field(static=True, default=Settings.lookup)
+    early_out: bool = eqx.field(static=True, default=Settings.early_out)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         def mean(pattern: Pattern, active: Mask | None = None) -> Visibility:

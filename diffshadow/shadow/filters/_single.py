@@ -1,6 +1,9 @@
 """One look-up: the hardware's two filter modes."""
 
+from typing import ClassVar
+
 from ..._types import Visibility
+from ...settings import filters
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
@@ -11,9 +14,7 @@ from ._abstract import AbstractFilter
 class Nearest(AbstractFilter):
     """Compares with the one texel that contains the receiver (Williams 1978)."""
 
-    @property
-    def reach(self) -> float:
-        return 0.0
+    settings: ClassVar = filters.Nearest
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "nearest")
@@ -22,9 +23,7 @@ class Nearest(AbstractFilter):
 class Bilinear(AbstractFilter):
     """Compares with the four texels around the receiver and interpolates the results."""
 
-    @property
-    def reach(self) -> float:
-        return 0.5
+    settings: ClassVar = filters.Bilinear
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "bilinear")

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 from ..._misc import at_most
+from ...settings.filters import Tent as Settings
 from ..kernels import AbstractRow, SeparableRow
 from ._sized import AbstractSizedFilter
 
@@ -17,10 +18,10 @@ class Tent(AbstractSizedFilter):
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
         rounded up to a half texel.
 
-    **Raises** `ValueError` if `radius` is negative or above `max_radius`.
+    **Raises** `ValueError` if `radius` is above `max_radius`.
     """
 
-    name: ClassVar[str] = "tent"
+    settings: ClassVar = Settings
 
     def row(self) -> AbstractRow:
         return SeparableRow(self.max_radius, at_most(self.radius, self.max_radius), "tent")

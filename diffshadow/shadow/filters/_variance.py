@@ -2,12 +2,13 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._misc import as_number
 from ..._types import DepthMap, Scalar, Visibility
-from ..kernels import Shape
+from ...settings.filters import VarianceShadowMap as Settings
 from ._prefilter import AbstractPrefiltered, chebyshev
 
 
@@ -21,27 +22,13 @@ class VarianceShadowMap(AbstractPrefiltered):
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
     - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
-        its far plane; more than 0. It hides rounding errors and acne, and blurs contact shadows.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched; in [0, 0.99].
-
-    **Raises** `ValueError` if a number is out of its range, or `kernel` is unknown.
+        its far plane. It hides rounding errors and acne, and blurs contact shadows.
+    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
     """
 
-    name: ClassVar[str] = "variance shadow map"
-    ranges: ClassVar[dict[str, tuple[float, float]]] = {"least_variance": (1e-12, 1.0)}
+    settings: ClassVar = Settings
 
-    least_variance: Scalar
-
-    def __init__(
-        self,
-        radius: float | Scalar = 2.5,
-        max_radius: float | None = None,
-        kernel: Shape = "box",
-        least_variance: float | Scalar = 1e-6,
-        light_bleeding: float | Scalar = 0.0,
-    ):
-        super().__init__(radius, max_radius, kernel, light_bleeding)
-        self.least_variance = as_float(least_variance)
+    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the middle of the range, where squares lose the fewest digits.

@@ -23,12 +23,10 @@ from ._padded_map import pad as pad
 from ._separable import INTEGRALS as INTEGRALS
 from ._separable import LEAST_RADIUS as LEAST_RADIUS
 from ._separable import SeparableRow as SeparableRow
-from ._separable import Shape as Shape
 from ._separable import weight_between as weight_between
 from ._sum import sum_over as sum_over
 from ._sum import sum_over_rows as sum_over_rows
 from ._taps import Tap as Tap
-from ._taps import TapMode as TapMode
 from ._taps import mean_of_taps as mean_of_taps
 from ._taps import single_tap as single_tap
 from ._weighted import WeightedRow as WeightedRow

@@ -5,30 +5,39 @@ Each texel is weighted by the integral of the kernel over it, so a blur grows sm
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._checks import check_order, check_value
 from ..._misc import at_most, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
-from ._separable import Shape, weight_between
+from ...settings.filters import Shape
+from ._separable import weight_between
 
 
 def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
-    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out."""
-    return max(1.0, math.ceil(2 * float(radius) if max_radius is None else 2 * max_radius) / 2)
+    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out.
+
+    What makes no sense is returned as it is, for `check_radius`.
+    """
+    given = radius if max_radius is None else max_radius
+    known = concrete(given)
+    if known is not None and not (known.dtype.kind in "iuf" and known.shape == () and 0 <= known < np.inf):
+        return 1.0 if max_radius is None else max_radius
+    return max(1.0, math.ceil(2 * float(given)) / 2)
 
 
-def check_radius(name: str, radius: Scalar, max_radius: float) -> None:
-    """**Raises** `ValueError` if `radius` is known and negative or above `max_radius`."""
-    known = concrete(radius)
-    if known is not None and not 0 <= known <= max_radius:
-        raise ValueError(
-            f"the {name}'s radius is {known} texels; expected 0 to max_radius = {max_radius:g}: give a larger "
-            "max_radius"
-        )
+def check_radius(module: Any, field: str = "radius") -> None:
+    """**Raises** `ValueError` if a `module`'s radius is known and above its upper bound, or that is out of the radius'
+    range."""
+    limit = f"max_{field}"
+    check_value(f"{type(module).__name__}.{limit}", getattr(module, limit), module.settings.each()[field])
+    check_order(module, field, limit, equal=True)
 
 
 class Blur(eqx.Module):

@@ -6,19 +6,15 @@ radius 1, like pbrt's filters (Pharr, Jakob & Humphreys, "Physically Based Rende
 
 import math
 from collections.abc import Callable
-from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ...settings.filters import Shape
 from .._lookup import Lookup
 from ._kernel import AbstractSizedRow, Footprint, Span
-
-Shape = Literal["box", "tent", "gaussian"]
-"""Shapes of a kernel. All end at the radius: half the box's width, half the tent's, or three standard deviations of the
-Gaussian."""
 
 # Standard deviations at which the Gaussian is cut off.
 _DEVIATIONS = 3.0

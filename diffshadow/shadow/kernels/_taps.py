@@ -1,6 +1,6 @@
 """Taps: look-ups in a shadow map at single points."""
 
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._types import Mask, Visibility
+from ...settings.filters import TapMode
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from .._map import ShadowMap
@@ -18,8 +19,6 @@ from ._blocks import Blocks
 from ._kernel import AbstractKernel, Footprint, Span
 from ._padded_map import pad
 from ._sum import sum_over
-
-TapMode = Literal["nearest", "bilinear"]
 
 Radius = Float[Array, "..."] | tuple[Float[Array, "..."], Float[Array, "..."]]
 

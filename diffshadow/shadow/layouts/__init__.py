@@ -8,9 +8,7 @@ from ._figures import LayerFigure as LayerFigure
 from ._figures import MapFigure as MapFigure
 from ._fitted_light import AbstractFittedLight as AbstractFittedLight
 from ._paged_light import PagedLight as PagedLight
-from ._resolution_matched import LevelNorm as LevelNorm
 from ._resolution_matched import ResolutionMatched as ResolutionMatched
 from ._single import SingleMap as SingleMap
 from ._warped import PerspectiveWarp as PerspectiveWarp
-from ._warped import WarpMethod as WarpMethod
 from ._warped_light import WarpedLight as WarpedLight

@@ -3,9 +3,9 @@
 import abc
 from typing import NamedTuple
 
-import equinox as eqx
 from jaxtyping import Array, Float, Int
 
+from ..._checks import CheckedModule
 from ..._types import Resolution
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
@@ -28,7 +28,7 @@ class Choice(NamedTuple):
     strength: Float[Array, "h w"] | None = None
 
 
-class AbstractLayout(eqx.Module):
+class AbstractLayout(CheckedModule):
     """Which parts of the scene the layers of a shadow map show, and which layers each receiver is looked up in."""
 
     @abc.abstractmethod

@@ -1,8 +1,6 @@
 """A directional light whose shadow map is made of cascades: their views, in which of them each point is looked up, and
 how they are blended."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,14 +9,13 @@ from jaxtyping import Array, Float, Int
 
 from ..._types import Mat4, Scalar
 from ...geometry import AbstractLight, Tile, View
+from ...settings.techniques import Cascades as Settings
+from ...settings.techniques import CascadeSelection
 from ._abstract import Choice
 from ._fitted_light import AbstractFittedLight
 
 # The least share of a slice over which cascades are blended: 1 / blend has to be finite.
 _LEAST_BLEND = 1e-6
-
-CascadeSelection = Literal["interval", "map"]
-"""Which cascade a point falls in: the cascade of its depth, or the first whose map contains it."""
 
 
 class CascadedLight(AbstractFittedLight):
@@ -48,7 +45,7 @@ class CascadedLight(AbstractFittedLight):
     scale: Float[Array, "l 2"]
     offset: Float[Array, "l 2"]
     margin: Float[Array, "l 2"]
-    select: CascadeSelection = eqx.field(static=True, default="interval")
+    select: CascadeSelection = eqx.field(static=True, default=Settings.select)
     steps: Float[Array, "l 2"] | None = None
     sides: Int[Array, " l"] | None = None
 

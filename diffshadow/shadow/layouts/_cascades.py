@@ -2,8 +2,7 @@
 Sun, Xu & Lun, "Parallel-split shadow maps for large-scale virtual environments", VRCIA 2006)."""
 
 import math
-from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,24 +10,23 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._checks import MOST_PIXELS_ACROSS, check_choice
-from ..._misc import as_float, concrete
+from ..._misc import as_float, as_number, as_numbers, concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
+from ...settings.quantities import MAX_TEXELS
+from ...settings.techniques import CascadeFit, CascadeSelection, DepthRange
+from ...settings.techniques import Cascades as Settings
 from ._abstract import Choice
-from ._cascaded_light import CascadedLight, CascadeSelection
+from ._cascaded_light import CascadedLight
 from ._figures import LayerFigure, MapFigure
-from ._fitted import AbstractFittedLayout, check_depths
-from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._fitted import AbstractFittedLayout, check_depths, margin_of
+from ._frustum import ViewFrustum, depths_of
 
-MOST_CASCADES = 8
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
 _LEAST_SIZE = 1e-3
 # Relative rounding error of shares: a thousandth of a texel in the largest maps.
 _ROUNDING = 1e-6
-
-CascadeFit = Literal["cascade", "scene"]
 
 
 class Cascades(AbstractFittedLayout):
@@ -39,8 +37,8 @@ class Cascades(AbstractFittedLayout):
     of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of Zhang et al. 2006).
     Logarithmic slices give all cascades the same worst aliasing, uniform ones suit scenes with little near the camera.
 
-    - `count`: the number of cascades, 1 to 8.
-    - `logarithmic`: λ in [0, 1], from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
+    - `count`: the number of cascades.
+    - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
         The last is the shadow distance.
     - `shares`: for each cascade a number greater than 0, which says how many texels it has, relative to the others. A
@@ -60,7 +58,7 @@ class Cascades(AbstractFittedLayout):
         Otherwise it contains the box of its slice, and no more than the light's own map does.
     - `select`: which cascade a receiver is looked up in. `"interval"`: that of its depth. `"map"`: the first whose map
         contains it, which uses more of the finer maps.
-    - `blend`: over which part of a slice, in [0, 1], at its end, its cascade fades into the next; 0 for a sharp change.
+    - `blend`: over which part of a slice, at its end, its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, over which part of the map's half width, at its border.
     - `max_blend`: upper bound on `blend`, for which the maps are fitted; defaults to `blend`.
     - `fade`: over which part of the last slice, at its end, shadows fade out if there is a shadow distance.
@@ -68,65 +66,35 @@ class Cascades(AbstractFittedLayout):
         border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset.
 
-    **Raises** `ValueError` for a number out of range, or distances that do not increase.
+    **Raises** `ValueError` for distances that do not increase.
     """
 
-    logarithmic: Scalar
-    distances: tuple[Scalar, ...] | None
-    shares: tuple[Scalar, ...] | None
-    shadow_distance: Scalar | None
-    blend: Scalar
-    count: int = eqx.field(static=True)
-    depths: DepthRange = eqx.field(static=True)
-    fit: CascadeFit = eqx.field(static=True)
-    stabilize: bool = eqx.field(static=True)
-    select: CascadeSelection = eqx.field(static=True)
-    max_share: float = eqx.field(static=True)
-    max_blend: float = eqx.field(static=True)
-    fade: float = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        count: int = 4,
-        logarithmic: float | Scalar = 0.5,
-        *,
-        distances: Sequence[float | Scalar] | None = None,
-        shares: Sequence[float | Scalar] | None = None,
-        max_share: float | None = None,
-        depths: DepthRange = "camera",
-        shadow_distance: float | Scalar | None = None,
-        fit: CascadeFit = "cascade",
-        stabilize: bool = True,
-        select: CascadeSelection = "interval",
-        blend: float | Scalar = 0.1,
-        max_blend: float | None = None,
-        fade: float = 0.0,
-        margin: float = 8.0,
-    ):
-        self.count = count if distances is None else len(distances)
-        self.logarithmic = as_float(logarithmic)
-        self.distances = None if distances is None else tuple(as_float(each) for each in distances)
-        self.depths, self.fit, self.stabilize, self.select = depths, fit, stabilize, select
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.shares = None if shares is None else tuple(as_float(each) for each in shares)
-        if max_share is None:
-            max_share = 1.0 if not shares else max(map(float, shares)) / (sum(map(float, shares)) or 1.0)
-        self.max_share = max_share
-        self.blend = as_float(blend)
-        self.max_blend = float(blend) if max_blend is None else max_blend
-        self.fade, self.margin = float(fade), float(margin)
+    count: int = eqx.field(static=True, default=Settings.count)
+    logarithmic: Scalar = eqx.field(converter=as_number, default=Settings.logarithmic)
+    distances: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.distances, kw_only=True)
+    shares: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.shares, kw_only=True)
+    max_share: float | Any = eqx.field(static=True, default=None, kw_only=True)
+    depths: DepthRange = eqx.field(static=True, default=Settings.depths, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    fit: CascadeFit = eqx.field(static=True, default=Settings.fit, kw_only=True)
+    stabilize: bool = eqx.field(static=True, default=Settings.stabilize, kw_only=True)
+    select: CascadeSelection = eqx.field(static=True, default=Settings.select, kw_only=True)
+    blend: Scalar = eqx.field(converter=as_number, default=Settings.blend, kw_only=True)
+    max_blend: float | Any = eqx.field(static=True, default=Settings.max_blend, kw_only=True)
+    fade: float = eqx.field(static=True, default=Settings.fade, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 
-    def __check_init__(self):
-        if not 1 <= self.count <= MOST_CASCADES:
-            raise ValueError(f"the cascades' count is {self.count}; expected 1 to {MOST_CASCADES}")
-        for name, choices in (("fit", CascadeFit), ("select", CascadeSelection)):
-            check_choice(f"the cascades' {name}", getattr(self, name), choices.__args__)
-        shares = {"logarithmic": self.logarithmic, "max_blend": self.max_blend, "blend": self.blend, "fade": self.fade}
-        for name, share in shares.items():
-            known, most = concrete(share), self.max_blend if name == "blend" else 1.0
-            if known is not None and not 0 <= known <= most:
-                raise ValueError(f"the cascades' {name} is {known}; expected 0 to {most:g}")
+    def __post_init__(self):
+        distances, shares, blend = as_numbers(self.distances), as_numbers(self.shares), as_number(self.blend)
+        self.count = len(distances) if isinstance(distances, tuple) else self.count
+        if self.max_share is None:
+            self.max_share = _greatest(shares)
+        if self.max_blend is None:
+            self.max_blend = float(blend) if eqx.is_array(blend) and blend.ndim == 0 else 1.0
+
+    def _check_rules(self):
         if self.distances is not None:
             self._check_distances(self.distances)
         if self.shares is not None:
@@ -157,8 +125,6 @@ class Cascades(AbstractFittedLayout):
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
         if given is None:
             return
-        if not ((given > 0) & np.isfinite(given)).all():
-            raise ValueError(f"the cascades' shares are {given.tolist()}; expected numbers greater than 0")
         greatest = given.max() / given.sum()
         if greatest > self.max_share * (1 + _ROUNDING):
             raise ValueError(
@@ -183,10 +149,10 @@ class Cascades(AbstractFittedLayout):
                 "make height and width equal, or leave shares out"
             )
         side = _side(resolution[0], self.count * self.max_share)
-        if side > MOST_PIXELS_ACROSS:
+        if side > MAX_TEXELS:
             raise ValueError(
                 f"the cascades' max_share is {self.max_share:.3g}, with which the largest of {self.count} maps of "
-                f"{resolution[0]}² texels on average has {side}²; expected at most {MOST_PIXELS_ACROSS}²: lower the "
+                f"{resolution[0]}² texels on average has {side}²; expected at most {MAX_TEXELS}²: lower the "
                 "resolution, or the greatest share"
             )
         return side, side
@@ -215,6 +181,10 @@ class Cascades(AbstractFittedLayout):
         ratio = jnp.where(self.logarithmic > 0, far / jnp.where(self.logarithmic > 0, near, 1), 1)
         between = uniform + self.logarithmic * (near * ratio**fraction - uniform)
         return jnp.concatenate([near[None], between, far[None]])
+
+    @property
+    def needs_surface(self) -> bool:
+        return self.depths == "surface"
 
     def light(
         self,
@@ -296,6 +266,12 @@ def _cascaded_light(
         scale, offset, steps = *_around_points(from_light, corners, texels, layout.margin), None
     margin, own_sides = 2 * layout.margin / texels, None if layout.shares is None else sides[:, 0]
     return CascadedLight(light, from_camera, begins, ends, scale, offset, margin, layout.select, steps, own_sides)
+
+
+def _greatest(shares: Any) -> float:
+    """The greatest part of all texels that one of `shares` is; 1 if these are wrong, or none."""
+    numbers = [share for share in shares or () if eqx.is_array(share)]
+    return float(max(numbers)) / (float(sum(numbers)) or 1.0) if numbers else 1.0
 
 
 def _side(resolution: int, part: Any) -> Any:

@@ -1,17 +1,16 @@
 """Layouts that are fitted to what a camera sees."""
 
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
 
-from ..._checks import check_again, check_choice
+from ..._checks import check_again
 from ..._misc import concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
+from ...settings.techniques import MARGIN
 from ._abstract import AbstractLayout
-from ._frustum import DepthRange
 
 # Relative rounding error of a radius in single precision.
 _ROUNDING = 1e-6
@@ -22,18 +21,11 @@ class AbstractFittedLayout(AbstractLayout):
 
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
         the camera's far.
-    - `depths`: which depths it is fitted to.
     - `margin`: how far maps extend beyond what the camera sees, in texels.
     """
 
     shadow_distance: eqx.AbstractVar[Scalar | None]
-    depths: eqx.AbstractVar[DepthRange]
     margin: eqx.AbstractVar[float]
-
-    def __check_init__(self):
-        check_choice("the layout's depths", self.depths, DepthRange.__args__)
-        if not (self.margin >= 0 and math.isfinite(self.margin)):
-            raise ValueError(f"the layout's margin is {self.margin}; expected 0 or more texels")
 
     def check_reach(self, reach: float) -> None:
         if self.margin < reach * (1 - _ROUNDING):
@@ -42,10 +34,6 @@ class AbstractFittedLayout(AbstractLayout):
                 f"{reach:g} texels from a receiver, where the map may end; expected at least that: raise margin, or "
                 "lower the radius"
             )
-
-    @property
-    def needs_surface(self) -> bool:
-        return self.depths == "surface"
 
     def check(
         self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution, surface: Surface | None
@@ -69,6 +57,11 @@ class AbstractFittedLayout(AbstractLayout):
             raise ValueError("the layout follows the depths of the surface, and none was given; expected a surface")
         if self.shadow_distance is not None:
             check_depths("shadow_distance is", [self.shadow_distance], camera)
+
+
+def margin_of(margin: float | None) -> float:
+    """`margin`, or that of a layout that knows of no filter."""
+    return MARGIN if margin is None else margin
 
 
 def check_depths(what: str, depths: Sequence[Scalar], camera: AbstractCamera) -> None:

@@ -1,6 +1,6 @@
 """What a camera sees: its frustum, and the depths of the surface in it."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +10,6 @@ from jaxtyping import Array, Float
 from ..._types import Scalar, Vec3
 from ...geometry import View
 from ...raster import Surface
-
-DepthRange = Literal["camera", "surface"]
-"""Whether a layout fits maps to all depths between the camera's near and far, or to those of the surface it sees."""
 
 
 class ViewFrustum(NamedTuple):

@@ -1,7 +1,7 @@
 """Resolution-matched shadow maps (Lefohn, Sengupta & Owens, "Resolution-Matched Shadow Maps", ACM TOG 26(4), 2007)."""
 
 import math
-from typing import Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,25 +9,18 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._checks import check_choice
-from ..._misc import as_float, concrete, dot, normalize
+from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
-from ...raster import MOST_VIRTUAL, Surface
+from ...raster import Surface
+from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, DepthRange, LevelNorm
+from ...settings.techniques import ResolutionMatched as Settings
 from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
 from ._abstract import Choice
 from ._figures import LayerFigure, MapFigure
-from ._fitted import AbstractFittedLayout
-from ._frustum import DepthRange
+from ._fitted import AbstractFittedLayout, margin_of
 from ._paged_light import PagedLight
 
-LevelNorm = Literal["area", "worst"]
-"""Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
-
-LEAST_PAGE, MOST_PAGE = 16, 1024
-# Tables have an entry for each page of the finest level.
-MOST_ACROSS = 1024
-MOST_LEVEL_BIAS = 16.0
 # By which fraction of a level the bias is raised until all pages fit.
 _STEPS = 16
 # Extents on the screen, in pixels, below which surfaces count as seen edge-on.
@@ -69,44 +62,26 @@ class ResolutionMatched(AbstractFittedLayout):
         the camera's far.
     - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of
         the filter, plus half a texel if its look-ups are bilinear, plus any normal offset.
-
-    **Raises** `ValueError` for a number out of range.
     """
 
-    shadow_distance: Scalar | None
-    level_bias: Scalar
-    depths: DepthRange = eqx.field(static=True)
-    page: int = eqx.field(static=True)
-    finest: int = eqx.field(static=True)
-    norm: LevelNorm = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        page: int = 64,
-        finest: int = 16384,
-        *,
-        norm: LevelNorm = "area",
-        level_bias: float | Scalar = 0.0,
-        shadow_distance: float | Scalar | None = None,
-        margin: float = 8.0,
-    ):
-        self.page, self.finest, self.norm, self.level_bias = page, finest, norm, as_float(level_bias)
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.depths, self.margin = "surface", float(margin)
+    page: int = eqx.field(static=True, default=Settings.page)
+    finest: int = eqx.field(static=True, default=Settings.finest)
+    norm: LevelNorm = eqx.field(static=True, default=Settings.norm, kw_only=True)
+    level_bias: Scalar = eqx.field(converter=as_number, default=Settings.level_bias, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
+    depths: DepthRange = eqx.field(static=True, init=False, default="surface")
 
-    def __check_init__(self):
-        check_choice("the pages' norm", self.norm, LevelNorm.__args__)
-        for name, value, least, most in (
-            ("page", self.page, LEAST_PAGE, MOST_PAGE),
-            ("finest", self.finest, 2 * self.page, min(MOST_ACROSS * self.page, MOST_VIRTUAL)),
-        ):
-            if not (least <= value <= most and value & (value - 1) == 0):
-                raise ValueError(f"the pages' {name} is {value}; expected a power of two from {least} to {most} texels")
-        bias = concrete(self.level_bias)
-        if bias is not None and not abs(bias) <= MOST_LEVEL_BIAS:
+    def _check_rules(self):
+        for name, value in (("page", self.page), ("finest", self.finest)):
+            if value & (value - 1):
+                raise ValueError(f"ResolutionMatched.{name} is {value}; expected a power of two")
+        if not 2 <= self.finest / self.page <= MAX_ACROSS:
             raise ValueError(
-                f"the pages' level_bias is {float(bias):g}; expected {-MOST_LEVEL_BIAS:g} to {MOST_LEVEL_BIAS:g} levels"
+                f"ResolutionMatched.finest is {self.finest}, and pages are {self.page} texels wide; expected 2 to "
+                f"{MAX_ACROSS} pages"
             )
         if not self.margin <= self.page // 2:
             raise ValueError(
@@ -140,6 +115,10 @@ class ResolutionMatched(AbstractFittedLayout):
                 "expected at least one page: enlarge the map, or lower page"
             )
         return height * width // (side * side)
+
+    @property
+    def needs_surface(self) -> bool:
+        return True
 
     def light(
         self,
@@ -232,7 +211,7 @@ def _paged_light(
     # The least step of the bias at which all pages fit. At the last step only the root is left.
     resident_at = lambda step: _resident(cells, own_bias + step.astype(cells.dtype) / _STEPS, levels)
     fits = lambda step: jnp.sum(resident_at(step), dtype=jnp.int32) <= capacity
-    most = math.ceil((2 * levels + MOST_LEVEL_BIAS) * _STEPS)
+    most = math.ceil((2 * levels + MAX_LEVEL_BIAS) * _STEPS)
 
     def halve(bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds

@@ -1,7 +1,7 @@
 """Light space perspective shadow maps (Wimmer, Scherzer & Purgathofer, "Light Space Perspective Shadow Maps", EGSR
 2004), and other warps of the same family."""
 
-from typing import Literal, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,14 +9,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._checks import check_choice
-from ..._misc import as_float, concrete, safe_divide, safe_norm
+from ..._misc import as_number, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
 from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_points, transform_vectors
 from ...raster import Surface
+from ...settings.techniques import DepthRange, WarpMethod
+from ...settings.techniques import PerspectiveWarp as Settings
 from ._abstract import Choice
-from ._fitted import AbstractFittedLayout
-from ._frustum import DepthRange, ViewFrustum, depths_of
+from ._fitted import AbstractFittedLayout, margin_of
+from ._frustum import ViewFrustum, depths_of
 from ._warped_light import WarpedLight
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
@@ -33,8 +34,6 @@ _MOST_MARGIN = 0.5
 _FOCUS_SHARE = 0.8
 # Corners k of a box are numbered by bits, and an edge joins two that differ in one.
 _EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit], np.int32)
-
-WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 
 
 class PerspectiveWarp(AbstractFittedLayout):
@@ -83,41 +82,20 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
         the border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset. At the far end, a given `strength` that is greater than `1 / (2 m)` has less of it.
-
-    **Raises** `ValueError` for a number out of range.
     """
 
-    strength: Scalar | None
-    focus: Scalar
-    shadow_distance: Scalar | None
-    method: WarpMethod = eqx.field(static=True)
-    depths: DepthRange = eqx.field(static=True)
-    margin: float = eqx.field(static=True)
+    settings: ClassVar = Settings
 
-    def __init__(
-        self,
-        method: WarpMethod = "lispsm",
-        *,
-        strength: float | Scalar | None = None,
-        focus: float | Scalar = 0.3,
-        shadow_distance: float | Scalar | None = None,
-        depths: DepthRange | None = None,
-        margin: float = 8.0,
-    ):
-        self.method = method
-        self.depths = ("surface" if method == "perspective" else "camera") if depths is None else depths
-        self.strength = None if strength is None else as_float(strength)
-        self.focus = as_float(focus)
-        self.shadow_distance = None if shadow_distance is None else as_float(shadow_distance)
-        self.margin = float(margin)
+    method: WarpMethod = eqx.field(static=True, default=Settings.method)
+    strength: Scalar | None = eqx.field(converter=as_number, default=Settings.strength, kw_only=True)
+    focus: Scalar = eqx.field(converter=as_number, default=Settings.focus, kw_only=True)
+    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    depths: DepthRange | None = eqx.field(static=True, default=Settings.depths, kw_only=True)
+    margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 
-    def __check_init__(self):
-        check_choice("the warp's method", self.method, WarpMethod.__args__)
-        strength, focus = None if self.strength is None else concrete(self.strength), concrete(self.focus)
-        if strength is not None and not (strength >= 0 and np.isfinite(strength)):
-            raise ValueError(f"the warp's strength is {strength}; expected 0 or more")
-        if focus is not None and not 0 < focus <= 1:
-            raise ValueError(f"the warp's focus is {focus}; expected more than 0, and at most 1")
+    @property
+    def needs_surface(self) -> bool:
+        return self.depths == "surface" or (self.depths is None and self.method == "perspective")
 
     def light(
         self,

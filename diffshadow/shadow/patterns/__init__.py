@@ -1,6 +1,5 @@
 """Sampling patterns: where the taps of a disk lie, one technique per file."""
 
-from ._disk import DiskMapping as DiskMapping
 from ._halton import halton as halton
 from ._pattern import EARLY_SAMPLES as EARLY_SAMPLES
 from ._pattern import Pattern as Pattern

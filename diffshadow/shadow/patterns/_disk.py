@@ -1,13 +1,10 @@
 """Maps the unit square to the unit disk."""
 
-from typing import Literal
-
 import numpy as np
 
+from ..._checks import check_value
 from ..._types import HostArray
-
-DiskMapping = Literal["concentric", "polar"]
-"""How the unit square is mapped to the unit disk. Both preserve area; `"concentric"` has less distortion."""
+from ...settings.patterns import DiskMapping
 
 
 def to_disk(points: HostArray, mapping: DiskMapping) -> HostArray:
@@ -19,10 +16,9 @@ def to_disk(points: HostArray, mapping: DiskMapping) -> HostArray:
 
     **Raises** `ValueError` if `mapping` is unknown.
     """
+    check_value("the mapping to the disk", mapping, DiskMapping)
     if mapping == "polar":
         return on_rays(np.sqrt(points[..., 1]), 2 * np.pi * points[..., 0])
-    if mapping != "concentric":
-        raise ValueError(f'the mapping to the disk is {mapping!r}; expected "concentric" or "polar"')
     a, b = 2 * points[..., 0] - 1, 2 * points[..., 1] - 1
     wide = np.abs(a) > np.abs(b)
     radius = np.where(wide, a, b)

@@ -2,15 +2,17 @@
 
 import numpy as np
 
-from ._disk import DiskMapping, to_disk
+from ...settings.patterns import DiskMapping
+from ...settings.patterns import Pattern as Settings
+from ._disk import to_disk
 from ._pattern import Pattern, check_counts, pattern_of
 
 
 def halton(
-    samples: int = 32,
-    pattern_size: int = 8,
+    samples: int = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
     seed: int = 0,
-    rotated: bool = False,
+    rotated: bool = Settings.rotated,
     mapping: DiskMapping = "concentric",
 ) -> Pattern:
     """The first points of Halton's sequence in bases 2 and 3, scrambled independently for each pixel of a tile.
@@ -25,7 +27,7 @@ def halton(
     - `rotated`: as in `Pattern`.
     - `mapping`: `"concentric"` or `"polar"`, from the square to the disk.
 
-    **Raises** `ValueError` if there are no samples, the tile has no pixels, or `mapping` is unknown.
+    **Raises** `ValueError` if a number is out of its range, or `mapping` is unknown.
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)

@@ -1,12 +1,17 @@
 """The interface of sampling patterns."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._checks import check_arguments, check_value
 from ..._misc import as_float
 from ..._types import HostArray
+from ...settings.patterns import MAX_PATTERN_TAPS, PatternSamples
+from ...settings.patterns import Pattern as Settings
 
 EARLY_SAMPLES = 8
 """How many samples, from the first, an early-out takes."""
@@ -24,7 +29,7 @@ class Pattern(eqx.Module):
     """
 
     offsets: Float[Array, "n p p 2"]
-    rotated: bool = eqx.field(static=True, default=False)
+    rotated: bool = eqx.field(static=True, default=Settings.rotated)
 
     def __check_init__(self):
         shape = self.offsets.shape
@@ -51,10 +56,15 @@ def interleaved_gradient_noise(shape: tuple[int, ...], first: float = 0.0) -> Fl
 
 
 def check_counts(samples: int | tuple[int, int], pattern_size: int) -> None:
-    """Raises `ValueError` if there are no samples, or the tile has no pixels."""
-    if min(*np.atleast_1d(samples), pattern_size) < 1:
+    """**Raises** `ValueError` if a number is out of its range, or there are too many taps in a tile."""
+    for count in samples if isinstance(samples, tuple) else (samples,):
+        check_value("the pattern's samples", count, PatternSamples)
+    check_arguments(Settings, pattern_size=pattern_size)
+    taps = math.prod(np.atleast_1d(samples).tolist()) * pattern_size**2
+    if taps > MAX_PATTERN_TAPS:
         raise ValueError(
-            f"the pattern has samples {samples} and pattern_size {pattern_size}; expected each to be 1 or more"
+            f"the pattern has samples {samples} and pattern_size {pattern_size}, which makes {taps:,} taps per tile; "
+            f"expected at most {MAX_PATTERN_TAPS:,}: lower one of them"
         )
 
 

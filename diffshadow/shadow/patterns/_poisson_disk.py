@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..._types import HostArray
+from ...settings.patterns import Pattern as Settings
 from ._pattern import Pattern, check_counts, pattern_of
 
 # Squared minimum distance, as a fraction of the area per point. Random dart throwing saturates near 0.7.
@@ -13,7 +14,12 @@ _ROUNDS = 30
 _LEAST_POINTS, _POINTS_A_SAMPLE = 1024, 4
 
 
-def poisson_disk(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotated: bool = False) -> Pattern:
+def poisson_disk(
+    samples: int = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
+    seed: int = 0,
+    rotated: bool = Settings.rotated,
+) -> Pattern:
     """Random points with a minimum distance between them, another set for each pixel of a tile.
 
     Darts are thrown at a periodic square, and those too close to an earlier one are dropped. Each set consists of the
@@ -25,7 +31,7 @@ def poisson_disk(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotate
     - `pattern_size`: pixels on a side of the tile.
     - `rotated`: as in `Pattern`.
 
-    **Raises** `ValueError` if there are no samples, or the tile has no pixels.
+    **Raises** `ValueError` if a number is out of its range.
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)

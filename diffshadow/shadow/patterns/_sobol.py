@@ -5,17 +5,19 @@ import math
 import numpy as np
 
 from ..._types import HostArray
-from ._disk import DiskMapping, to_disk
+from ...settings.patterns import DiskMapping
+from ...settings.patterns import Pattern as Settings
+from ._disk import to_disk
 from ._pattern import Pattern, check_counts, pattern_of
 
 _BITS = 32
 
 
 def sobol(
-    samples: int = 32,
-    pattern_size: int = 8,
+    samples: int = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
     seed: int = 0,
-    rotated: bool = False,
+    rotated: bool = Settings.rotated,
     mapping: DiskMapping = "concentric",
 ) -> Pattern:
     """The first points of Sobol's sequence in two dimensions, scrambled independently for each pixel of a tile.
@@ -32,7 +34,7 @@ def sobol(
     - `rotated`: as in `Pattern`.
     - `mapping`: `"concentric"` or `"polar"`, from the square to the disk.
 
-    **Raises** `ValueError` if there are no samples, the tile has no pixels, or `mapping` is unknown.
+    **Raises** `ValueError` if a number is out of its range, or `mapping` is unknown.
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)

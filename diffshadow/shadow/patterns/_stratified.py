@@ -5,14 +5,19 @@ import math
 import numpy as np
 
 from ..._misc import as_float
+from ...settings.patterns import Pattern as Settings
 from ._disk import to_disk
 from ._pattern import EARLY_SAMPLES, Pattern, check_counts, outer_first
 
 
 def stratified(
-    samples: int | tuple[int, int] = (4, 8), pattern_size: int = 8, seed: int = 0, rotated: bool = False
+    samples: int | tuple[int, int] = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
+    seed: int = 0,
+    rotated: bool = Settings.rotated,
 ) -> Pattern:
-    """The classic offset table: stratified jittered points, another set for each pixel of a tile.
+    """Stratified jittered points, another set for each pixel of a tile. With 4 by 8 strata it is the classic offset
+    table.
 
     **Arguments:**
 
@@ -25,7 +30,7 @@ def stratified(
     have more than 8 strata, the outermost point of each octant comes first. Point (u, v) of the jittered unit square
     lies at radius √v and angle 2πu.
 
-    **Raises** `ValueError` if there are no samples, or the tile has no pixels.
+    **Raises** `ValueError` if a number is out of its range.
     """
     check_counts(samples, pattern_size)
     angles = _angles_of_rings(samples)

@@ -2,11 +2,17 @@
 
 import numpy as np
 
+from ...settings.patterns import Pattern as Settings
 from ._disk import to_disk
 from ._pattern import Pattern, check_counts, pattern_of
 
 
-def uniform(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotated: bool = False) -> Pattern:
+def uniform(
+    samples: int = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
+    seed: int = 0,
+    rotated: bool = Settings.rotated,
+) -> Pattern:
     """Points that are uniform over the disk and independent of each other, another set for each pixel of a tile.
 
     The error of their mean falls as n^(-1/2) whatever the occluder. Point (u, v) of the unit square lies at radius √v
@@ -18,7 +24,7 @@ def uniform(samples: int = 32, pattern_size: int = 8, seed: int = 0, rotated: bo
     - `pattern_size`: pixels on a side of the tile.
     - `rotated`: as in `Pattern`.
 
-    **Raises** `ValueError` if there are no samples, or the tile has no pixels.
+    **Raises** `ValueError` if a number is out of its range.
     """
     check_counts(samples, pattern_size)
     points = np.random.default_rng(seed).random((pattern_size, pattern_size, samples, 2))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...settings.patterns import Vogel as Settings
 from ._disk import on_rays
 from ._pattern import Pattern, check_counts, pattern_of
 
@@ -9,7 +10,12 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """In radians: the smaller part of a full turn divided by the golden ratio."""
 
 
-def vogel(samples: int = 32, pattern_size: int = 1, seed: int = 0, rotated: bool = True) -> Pattern:
+def vogel(
+    samples: int = Settings.samples,
+    pattern_size: int = Settings.pattern_size,
+    seed: int = 0,
+    rotated: bool = Settings.rotated,
+) -> Pattern:
     """Points along a spiral, evenly spread for any number of them.
 
     Point i of n lies at radius √((i + ½) / n) and angle i · 2.39996 + φ, with a random φ for each pixel of a tile. By
@@ -21,7 +27,7 @@ def vogel(samples: int = 32, pattern_size: int = 1, seed: int = 0, rotated: bool
     - `pattern_size`: pixels on a side of the tile.
     - `rotated`: as in `Pattern`.
 
-    **Raises** `ValueError` if there are no samples, or the tile has no pixels.
+    **Raises** `ValueError` if a number is out of its range.
     """
     check_counts(samples, pattern_size)
     i = np.arange(samples)

@@ -14,9 +14,10 @@ from rich.console import Console
 
 from ... import geometry, io
 from ...config import ConfigError, Mistake, Place, dump, parse_config
+from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table
 from ._lamp import mesh_of
-from ._settings import Chosen, ShadowType, Technique, choose, settings_of
+from ._settings import Chosen, choose, settings_of
 
 _MESHES = "meshes"
 
@@ -27,8 +28,8 @@ def import_scene(
     console: Console,
     camera: str | None = None,
     light: str | None = None,
-    technique: Technique = "three.js",
-    shadow_type: ShadowType = "PCFShadowMap",
+    technique: ImportedTechnique = "three.js",
+    shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
     """Writes the configuration of a scene's file, and its meshes beside it. Says what is taken over and what is not.

@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ... import geometry, io
+from ...settings.engines import OTHER_SIDE, ImportedTechnique, ShadowType, ThreeJs
 from ._lamp import HALF_ANGLE, distance_lit, lamp_size
-
-Technique = Literal["three.js", "shadow_map"]
-ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 
 # Pixels of the longer side of the image.
 _PIXELS = 512
@@ -19,7 +17,6 @@ _SHIFT, _OFFSET = 0.04, 0.0125
 _RADIUS = 6.0
 # More than single precision has.
 _DIGITS = 9
-_OTHER = {"front": "back", "back": "front", "double": "double"}
 
 
 class _Remedies(NamedTuple):
@@ -98,7 +95,7 @@ def settings_of(
     files: Sequence[str],
     origins: Sequence[geometry.Origin],
     engine: bool,
-    technique: Technique,
+    technique: ImportedTechnique,
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> dict[str, Any]:
@@ -241,7 +238,7 @@ def _cone(
 def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, shadow_type: ShadowType) -> dict[str, Any]:
     settings: dict[str, Any] = {"type": "three.js", "shadow_type": shadow_type, "side": _each([m.side for m in meshes])}
     if any(mesh.shadow_side is not None for mesh in meshes):
-        chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else _OTHER.__getitem__
+        chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else OTHER_SIDE.__getitem__
         settings["shadow_side"] = _each([mesh.shadow_side or chosen(mesh.side) for mesh in meshes])
     if shadow is None:
         return settings
@@ -267,7 +264,7 @@ def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, distance: 
 
 def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:
     """Bounds of the numbers to fit, which contain those that are given."""
-    bias, normal_bias, radius = given.get("bias", 0.0), given.get("normal_bias", 0.0), given.get("radius", 1.0)
+    bias, normal_bias, radius = (given.get(key, getattr(ThreeJs, key)) for key in ("bias", "normal_bias", "radius"))
     (shift,), (offset,) = _rounded([min(_SHIFT * diagonal * slope, 1.0)], 2), _rounded([_OFFSET * diagonal], 2)
     return {
         "technique.bias": {"lower": max(-1.0, min(-shift, 2 * bias)), "upper": min(1.0, max(0.0, 2 * bias))},

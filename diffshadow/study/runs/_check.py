@@ -2,7 +2,9 @@
 
 from rich.console import Console
 
-from ...config import Config, EngineConfig, MappedConfig, build_fit, build_technique
+from ...config import Config, build_fit, build_technique
+from ...settings.engines import Engine
+from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
 from ..pages import _table as table
 from ._progress import Stages
@@ -22,7 +24,7 @@ def check(config: Config, *, console: Console) -> int:
     """
     # An engine's numbers are fitted only by name.
     names_engine = any(name.startswith("technique.") for name in config.fit.parameters)
-    fits = isinstance(config.technique, MappedConfig) or (isinstance(config.technique, EngineConfig) and names_engine)
+    fits = isinstance(config.technique, Mapped) or (isinstance(config.technique, Engine) and names_engine)
     for suffix in (SUFFIX, "") if fits else (SUFFIX,):
         folder_of(config, suffix)
     with Stages(console) as stages:

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from ...config import Config, ConfigError, EngineConfig, Mistake, build_shadow_mapping, dump_resolved, parse_config
+from ...config import Config, ConfigError, Mistake, build_shadow_mapping, dump_resolved, parse_config
 from ...geometry import PointLight, Scene
 from ...raster import Surface, draw_surface
+from ...settings.engines import Engine
 from ...shadow import EngineSetting, ShadowMapping, engine_settings, receiver
 from ..pages import _table as table
 from . import _record as record
@@ -51,7 +52,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
     """
     kind = config.technique.type
     if kind != "shadow_map":
-        mend = "a fit prints its code" if isinstance(config.technique, EngineConfig) else "change it"
+        mend = "a fit prints its code" if isinstance(config.technique, Engine) else "change it"
         what = f"is {kind}; expected shadow_map, whose bias is converted: {mend}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     with Stages(console) as stages:

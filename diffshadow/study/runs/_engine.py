@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..._types import HostArray, VectorMap
-from ...config import Config, DirectionalLightConfig, LightConfig
+from ...config import Config, DirectionalLightConfig
 from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight
+from ...settings import scene
 from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
 from ._setup import Drawn
 
@@ -23,14 +24,14 @@ def code_of(technique: FittableTechnique, config: Config, drawn: Sequence[Drawn]
     return {each.key: _code(technique, section, each) for section, each in zip(sections, drawn, strict=True)}
 
 
-def _code(technique: ThreeJs | BabylonJs, section: LightConfig, drawn: Drawn) -> str:
+def _code(technique: ThreeJs | BabylonJs, section: scene.Light, drawn: Drawn) -> str:
     light = _as_given(section, drawn.scene.light)
     # What the section gives is in world coordinates.
     origin = WORLD if isinstance(light, EngineLight) else drawn.scene.origin
     return engine_code(technique, light, _distances(drawn), origin)
 
 
-def _as_given(section: LightConfig, light: AbstractLight) -> AbstractLight | EngineLight:
+def _as_given(section: scene.Light, light: AbstractLight) -> AbstractLight | EngineLight:
     """`light`, or the engine's own camera if the section has one: a light's map keeps its middle and its size only."""
     if not isinstance(section, DirectionalLightConfig) or section.shadow_camera is None:
         return light

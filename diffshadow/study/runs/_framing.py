@@ -9,8 +9,9 @@ from jaxtyping import Bool, Int
 from ... import geometry, reference
 from ..._misc import as_float
 from ..._types import HostArray
-from ...config import Config, TracedReferenceConfig
+from ...config import Config
 from ...raster import Surface
+from ...settings.reference import TracedReference
 from ._sight import is_inside
 
 # A mesh with less than this part of its surface in the picture is mostly outside.
@@ -102,7 +103,7 @@ def lights_inside(config: Config, lit: Sequence[geometry.Scene], surface: Surfac
 
 def blockers_of(config: Config) -> reference.Blockers:
     """What blocks rays of the reference."""
-    return config.reference.blockers if isinstance(config.reference, TracedReferenceConfig) else "casters"
+    return config.reference.blockers if isinstance(config.reference, TracedReference) else "casters"
 
 
 def _hides_all(scene: geometry.Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:

@@ -15,6 +15,7 @@ from ..._checks import text_within
 from ..._types import HostArray
 from ...config import Config, FitPlan, build_shadow_mapping
 from ...geometry import Scene
+from ...settings.scene import SpotLight
 from ..pages._table import words
 from ._progress import Stages
 from ._setup import Drawn, Loaded, draw
@@ -158,4 +159,4 @@ def _cause(config: Config, name: str) -> str:
 def _is_obeyed(config: Config, name: str) -> bool:
     lights = {"scene." + ".".join(map(str, key)): light for key, light in config.scene.each_light.items()}
     light = lights[name.rpartition(".")[0]]
-    return light.type != "spot" or light.inner_angle is not None
+    return not isinstance(light, SpotLight) or light.inner_angle is not None

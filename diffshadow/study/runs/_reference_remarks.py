@@ -4,7 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ...config import Config, ThreeJsConfig, TracedReferenceConfig
+from ...config import Config
+from ...settings.engines import ThreeJs
+from ...settings.reference import TracedReference
 from ._setup import Drawn
 
 
@@ -18,8 +20,8 @@ def reference_remarks(config: Config, drawn: Sequence[Drawn]) -> Iterator[str]:
         elif seen.size and seen.min() >= 1:
             yield f"{each.key} casts no shadow into the reference, so errors are those of acne alone: move the light"
     technique = config.technique
-    is_traced = isinstance(config.reference, TracedReferenceConfig)
-    if isinstance(technique, ThreeJsConfig) and technique.intensity < 1 and is_traced:
+    is_traced = isinstance(config.reference, TracedReference)
+    if isinstance(technique, ThreeJs) and technique.intensity < 1 and is_traced:
         yield (
             f"technique.intensity is {technique.intensity:g}, and the reference's shadows are dark: the difference "
             "counts as false light; set it to 1 to compare shadows alone"

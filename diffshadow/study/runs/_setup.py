@@ -14,12 +14,11 @@ from ..._types import HostArray
 from ...config import (
     Config,
     ConfigError,
-    ImageReferenceConfig,
     Mistake,
-    TracedReferenceConfig,
     build_scene,
     build_shading,
 )
+from ...settings.reference import ImageReference, TracedReference
 from ._framing import dark_scene
 from ._progress import Stages
 from ._sight import blind_camera, blind_light
@@ -192,7 +191,7 @@ def visibility_of(
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:
     """The visibility in the reference's file; `None` if the reference is traced."""
-    if not isinstance(config.reference, ImageReferenceConfig):
+    if not isinstance(config.reference, ImageReference):
         return None
     path = ("reference", "path")
     try:
@@ -218,7 +217,7 @@ def _reference(
 
 def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
     traced = config.reference
-    assert isinstance(traced, TracedReferenceConfig)
+    assert isinstance(traced, TracedReference)
     how = traced.how(config.seed)
 
     def trace() -> dict[str, HostArray]:

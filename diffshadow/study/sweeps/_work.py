@@ -20,7 +20,8 @@ from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
-from ...config import LIMIT_ERROR, Config, RandomDiskConfig, SweepConfig, SweepRun, build_technique
+from ...config import LIMIT_ERROR, Config, SweepConfig, SweepRun, build_technique, changed
+from ...settings.filters import RandomDisk
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import is_outcome, read_json
 from ..runs import _record as record
@@ -238,11 +239,8 @@ def _limits(
     config: Config, samples: int, drawn: list[Drawn], folder: str, stages: Stages
 ) -> list[Float32[HostArray, "h w"]]:
     """The visibility of each light with very many taps; the same for all patterns, numbers of taps and seeds."""
-    section = config.filter
-    assert isinstance(section, RandomDiskConfig)
-    limit = config.model_copy(
-        update={"filter": section.model_copy(update={**_LIMIT, "samples": samples}), "seed": _LIMIT_SEED}
-    )
+    assert isinstance(config.filter, RandomDisk)
+    limit = changed(config, filter=changed(config.filter, **_LIMIT, samples=samples), seed=_LIMIT_SEED)
     parts = {"scene", "technique", "shadow_map", "bias", "compare", "filter"}
     key = json.dumps(limit.model_dump(mode="json", include=parts, warnings=False), sort_keys=True)
 

@@ -1,0 +1,25 @@
+"""Settings: each default, limit, unit, choice and meaning, stated once.
+
+A class of settings describes what can be set of one technique, filter, light or solver. Its annotations are types with
+marks, and its values are the defaults:
+
+    class Tent(Filter):
+        radius: Annotated[float, Limits(0, 128), Unit("texels"), Fitted(), "half the tent's width, in texels"] = 2.5
+
+A module names its class as `settings`. Its defaults come from there, and `_checks.check_settings` checks its fields. A
+section of a configuration inherits from the same class. Only rules between keys are written by hand.
+
+Nothing here needs JAX or pydantic, so that the command can refuse a configuration before either is loaded.
+"""
+
+from ._settings import MISSING as MISSING
+from ._settings import At as At
+from ._settings import Fitted as Fitted
+from ._settings import Form as Form
+from ._settings import Limits as Limits
+from ._settings import LongerThan as LongerThan
+from ._settings import Setting as Setting
+from ._settings import Settings as Settings
+from ._settings import Unit as Unit
+from ._settings import bare as bare
+from ._settings import is_union as is_union

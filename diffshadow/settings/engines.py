@@ -1,0 +1,115 @@
+"""Settings of the techniques that draw shadows as real-time engines do, in the engines' own names and units."""
+
+from typing import Annotated, Literal
+
+from ._settings import Fitted, Form, Limits, Unit
+from .quantities import FARTHEST, Fraction, Texels
+from .techniques import Technique
+
+Side = Literal["front", "back", "double"]
+"""Which faces of a mesh an engine draws."""
+Sides = Side | tuple[Side, ...]
+"""Of all meshes, or of each."""
+ShadowSides = Sides | tuple[Side | None, ...]
+"""Of all meshes, or of each; None for what the engine chooses."""
+OTHER_SIDE: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
+"""The side that three.js draws into shadow maps, of each side of a material: the renderer's own table."""
+ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
+BabylonFilter = Literal[
+    "NONE",
+    "POISSONSAMPLING",
+    "EXPONENTIALSHADOWMAP",
+    "BLUREXPONENTIALSHADOWMAP",
+    "CLOSEEXPONENTIALSHADOWMAP",
+    "BLURCLOSEEXPONENTIALSHADOWMAP",
+    "PCF",
+    "PCSS",
+]
+BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
+"""A `QUALITY_` constant of the shadow generator."""
+ImportedTechnique = Literal["three.js", "shadow_map"]
+"""The technique of a configuration that is made of an engine's scene."""
+
+_Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
+_ShadowSides = Annotated[ShadowSides, Form("front, back or double, or a list with one of them or null for each mesh")]
+# Window depth is from 0 to 1.
+_Depth = Annotated[float, Limits(-1, 1), Fitted()]
+_Length = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
+
+
+class Engine(Technique):
+    """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
+    engine's own."""
+
+    subpixels: Annotated[
+        int,
+        Limits(1, 1 << 16),
+        "steps to a texel at which the engine's rasterizer places vertices: 256 on most graphics hardware, 16 in "
+        "Chromium without it",
+    ] = 256
+
+
+class ThreeJs(Engine):
+    """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+
+    type: Literal["three.js"] = "three.js"
+    shadow_type: Annotated[ShadowType, "renderer.shadowMap.type"] = "PCFShadowMap"
+    bias: Annotated[
+        _Depth,
+        Unit("window depth"),
+        "light.shadow.bias: added to receivers' depth, so negative values lift them",
+    ] = 0.0
+    normal_bias: Annotated[_Length, Fitted(), "light.shadow.normalBias: shift of receivers along their normals"] = 0.0
+    radius: Annotated[Texels, Fitted(), "light.shadow.radius: of the filter; without effect in BasicShadowMap"] = 1.0
+    intensity: Annotated[Fraction, "light.shadow.intensity"] = 1.0
+    blur_samples: Annotated[int, Limits(1, 256), "light.shadow.blurSamples, in VSMShadowMap"] = 8
+    side: Annotated[_Sides, "material.side of all meshes, or of each"] = "front"
+    shadow_side: Annotated[
+        _ShadowSides | None,
+        "material.shadowSide of all meshes, or of each; default, and null in a list: the other side, in VSMShadowMap "
+        "the same",
+    ] = None
+    reversed_depth: Annotated[bool, "whether the renderer has reversedDepthBuffer"] = False
+
+
+class BabylonJs(Engine):
+    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
+    square."""
+
+    type: Literal["babylon.js"] = "babylon.js"
+    filter: Annotated[BabylonFilter, "the generator's FILTER_ constant"] = "NONE"
+    quality: Annotated[BabylonQuality, "filteringQuality, for filters PCF and PCSS"] = "HIGH"
+    bias: Annotated[_Depth, Unit("parts of the depth range"), "bias: pushes casters away from the light"] = 5e-5
+    normal_bias: Annotated[
+        _Length,
+        Fitted(searched=True),
+        "normalBias: how far casters' vertices move against their normals",
+    ] = 0.0
+    darkness: Annotated[Fraction, "darkness: the visibility in full shadow"] = 0.0
+    blur_scale: Annotated[
+        float,
+        Limits(0, 1024, above_low=True),
+        Unit("texels"),
+        Fitted(),
+        "blurScale: radius of POISSONSAMPLING, or size of a map over that of its blur",
+    ] = 2.0
+    depth_scale: Annotated[
+        float,
+        Limits(0, 1000, above_low=True),
+        Fitted(),
+        "depthScale: steepness of exponential maps",
+    ] = 50.0
+    frustum_edge_falloff: Annotated[Fraction, "frustumEdgeFalloff: width of the border in which shadows fade out"] = 0.0
+    contact_hardening_light_size_uv_ratio: Annotated[
+        Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS over the map's width"
+    ] = 0.1
+    blur_kernel: Annotated[int, Limits(0, 256), "blurKernel, with use_kernel_blur"] = 1
+    blur_box_offset: Annotated[int, Limits(0, 64), "blurBoxOffset, without use_kernel_blur"] = 1
+    use_kernel_blur: Annotated[bool, "useKernelBlur: whether the blur is a Gaussian"] = False
+    force_back_faces_only: Annotated[bool, "forceBackFacesOnly: whether only back faces cast"] = False
+    back_face_culling: Annotated[
+        bool | tuple[bool, ...],
+        Form("true or false, or a list with one of them for each mesh"),
+        "material.backFaceCulling of all meshes, or of each",
+    ] = True
+    float_maps: Annotated[bool, "usefullFloatFirst: floats rather than half floats in the map"] = False

@@ -1,0 +1,111 @@
+"""Settings of fits: solver, annealing, loss, and what is reported."""
+
+import math
+from typing import Annotated, Literal
+
+from ._settings import At, Form, Limits, Settings, Unit
+from .maps import SoftKernel, Width
+from .quantities import MAX_TEXELS, Factor
+
+SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
+Over = Literal["mean", "worst", "cvar"]
+
+FEWEST_POINTS = 3
+"""The fewest points of a front."""
+BLUR = 3.0
+"""The last standard deviation of a fit by default, in pixels."""
+# The largest standard deviation, as a fraction of the image's shorter side.
+_WIDEST = 1 / 8
+
+
+def widest_blur(*sides: int) -> float:
+    """The largest standard deviation for images of these `sides`, in pixels."""
+    return max(_WIDEST * min(sides), BLUR)
+
+
+_Tolerance = Annotated[float, Limits(0, 1, above_low=True, below_high=True)]
+Excess = Annotated[float, Limits(0, 10, above_low=True)]
+"""By which fraction of its best an error may exceed it."""
+Blur = Annotated[float, Limits(0, MAX_TEXELS), Unit("pixels")]
+
+
+class Solver(Settings):
+    """The optimizer."""
+
+    type: Annotated[SolverName, At("name"), "the method"] = "levenberg_marquardt"
+    # About a day, at a second per step.
+    max_steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "most steps in a phase"] = 30
+    rtol: Annotated[_Tolerance, "relative change at which a phase ends"] = 1e-4
+    atol: Annotated[_Tolerance, "absolute change at which a phase ends"] = 1e-6
+    learning_rate: Annotated[
+        float,
+        Limits(0, math.pi, above_low=True),
+        "for adam only: length of its first steps, in units where the bounds are pi apart",
+    ] = 0.05
+    noise: Annotated[
+        float | None,
+        Limits(0, 1, below_high=True),
+        "fraction of the loss by which it jumps; default: 0.25 in fits that move lights or meshes, else 0",
+    ] = None
+
+
+class Anneal(Settings):
+    """The soft compare's width during a fit: from `start` to `end` in geometric steps."""
+
+    start: Annotated[Width, "width in the first phase, in texels"] = 2.0
+    end: Annotated[Width, "width in the last phase, in texels"] = 0.05
+    phases: Annotated[int, Limits(1, 100), "number of phases"] = 4
+    kernel: Annotated[SoftKernel, "shape of the soft compare's step"] = "logistic"
+    ascending = (("end", "start", True),)
+
+
+class Loss(Settings):
+    """What a fit minimises: the mean square errors of its views as one number."""
+
+    over: Annotated[Over, "the mean over all pixels, the worst view, or the mean of the worst views"] = "mean"
+    fraction: Annotated[
+        float,
+        Limits(0, 1, above_low=True),
+        "for cvar: the fraction of all pixels that the worst views have",
+    ] = 0.1
+    false_shadow: Annotated[Factor, "factor of the squares where an image is too dark"] = 1.0
+    false_light: Annotated[Factor, "factor of the squares where an image is too light"] = 1.0
+
+
+class Fit(Settings):
+    """How a fit searches, and what it reports."""
+
+    blurs: Annotated[
+        tuple[Blur, ...] | None,
+        Form("a list of numbers that fall", "[24, 3]"),
+        Unit("pixels"),
+        "for lights and meshes: standard deviation of the Gaussian under which images are compared, in each phase; "
+        "default: from an eighth of the image's shorter side to 3, in steps of about a third",
+    ] = None
+    multistart: Annotated[
+        int,
+        Limits(1, 1024),
+        Unit("starts"),
+        At("starts"),
+        "number of starts: the initial values, and others within the bounds",
+    ] = 1
+    intervals: Annotated[
+        tuple[Excess, ...],
+        Form("a list of fractions", "[0.01, 0.05]"),
+        At("within"),
+        "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
+        "others fitted again",
+    ] = ()
+    tolerance: Annotated[Excess, "for prefer: fraction of its best by which the error may exceed it"] = 0.01
+    front: Annotated[
+        int,
+        Limits(0, 101),
+        Unit("points"),
+        f"points of the front of false shadow against false light, {FEWEST_POINTS} or more; default: not found",
+    ] = 0
+    # Each draws the map again.
+    evaluations: Annotated[
+        int,
+        Limits(1, 100_000),
+        "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
+    ] = 30

@@ -1,0 +1,35 @@
+"""Settings of sampling patterns."""
+
+from typing import Annotated, Literal
+
+from ._settings import At, Limits, Settings, Unit
+
+PatternName = Literal["stratified", "uniform", "poisson", "vogel", "sobol", "halton"]
+DiskMapping = Literal["concentric", "polar"]
+"""How the unit square is mapped to the unit disk. Both preserve area; `"concentric"` has less distortion."""
+MAX_TAPS = 1 << 20
+"""The most taps in a tile of a filter's patterns, which take seconds to generate."""
+MAX_PATTERN_TAPS = 16 * MAX_TAPS
+"""The most taps in a tile of any patterns, which take 270 MB."""
+
+Samples = Annotated[int, Limits(1, 4096), Unit("taps per pixel")]
+# With more than a filter has, a sweep finds what its runs converge to.
+PatternSamples = Annotated[int, Limits(1, MAX_TAPS), Unit("taps per pixel")]
+
+
+class Pattern(Settings):
+    """Where the taps of a disk lie, a different set for each pixel of a tile."""
+
+    pattern: Annotated[PatternName, At(), "how the taps are distributed on a disk"] = "stratified"
+    samples: Annotated[Samples, "taps per pixel"] = 32
+    pattern_size: Annotated[
+        int, Limits(1, 256), Unit("pixels"), "width of the tile of patterns, in pixels; default: 8, or 1 for vogel"
+    ] = 8
+    rotated: Annotated[bool, "whether each pixel also rotates its pattern; default: false, or true for vogel"] = False
+
+
+class Vogel(Pattern):
+    """The sunflower spiral, which is one set for all pixels, rotated for each."""
+
+    pattern_size = 1
+    rotated = True

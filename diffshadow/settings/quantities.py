@@ -1,0 +1,55 @@
+"""Quantities that many settings share, with the reasons for their limits."""
+
+from typing import Annotated
+
+from ._settings import Form, Limits, LongerThan, Unit
+
+MAX_TEXELS = 8192
+"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach farther."""
+MAX_VIRTUAL = 65536
+"""The most texels along a side of a map of which only pages are drawn. The rasterizer's coordinates go no farther."""
+FARTHEST = 1e9
+"""The greatest coordinate and length, in world units. Normals are cross products of edges, and their lengths are
+squared, so the fourth power of a length must be representable in float32, which ends at 3e38."""
+SMALLEST = 1e-6
+"""The least size of a mesh, in world units: the fourth power of an edge a thousandth as long must exceed 1e-38."""
+MAX_DEGREES = 3600.0
+"""The greatest angle: ten turns. Float32 resolves angles of this size to 0.0002 degrees."""
+NARROWEST = 0.01
+"""The narrowest field of view, and the least by which one stays below 180 degrees, in degrees: the projection matrix
+holds the tangent of the half angle and its reciprocal."""
+MAX_FACTOR = 1e6
+"""The greatest factor: colours are products of several, and must be representable in float32."""
+MAX_LAYERS = 8
+"""The most maps of a light: as many cascades, or the six faces of a point light."""
+
+Degrees = Annotated[float, Unit("degrees")]
+Turn = Annotated[Degrees, Limits(-MAX_DEGREES, MAX_DEGREES)]
+# Where shadows have a finite penumbra.
+HalfAngle = Annotated[Degrees, Limits(0, 90 - NARROWEST)]
+WorldUnits = Annotated[float, Limits(0, FARTHEST), Unit("world units")]
+Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world units")]
+Coordinate = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
+Texels = Annotated[float, Limits(0, MAX_TEXELS), Unit("texels")]
+Fraction = Annotated[float, Limits(0, 1)]
+Factor = Annotated[float, Limits(0, MAX_FACTOR)]
+
+Position = Annotated[
+    tuple[Coordinate, Coordinate, Coordinate], Form("three numbers [x, y, z]", "[0, 1, 0]"), Unit("world units")
+]
+_Step = Annotated[float, Limits(-FARTHEST, FARTHEST)]
+# Normalizing a direction squares its components.
+Direction = Annotated[
+    tuple[_Step, _Step, _Step], Form("three numbers [x, y, z]", "[0, -1, 0]"), LongerThan(1 / FARTHEST)
+]
+Angles = Annotated[tuple[Turn, Turn, Turn], Form("three angles [x, y, z]", "[0, 90, 0]"), Unit("degrees")]
+Colour = Annotated[
+    tuple[Fraction, Fraction, Fraction],
+    Form("three numbers [red, green, blue] from 0 to 1", "[0.8, 0.8, 0.8]"),
+]
+Radiance = Annotated[
+    tuple[Factor, Factor, Factor],
+    Form("a number, or three [red, green, blue], at least 0", "[0.8, 0.8, 0.8]", repeats=True),
+]
+_Side = Annotated[int, Limits(1, MAX_TEXELS)]
+Size = Annotated[tuple[_Side, _Side], Form("two whole numbers [height, width]", "[512, 512]")]

@@ -1,0 +1,173 @@
+"""Settings of techniques, and of how they lay out maps. A class has the name of its module in `shadow`."""
+
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
+
+from ._settings import Fitted, Form, Limits, Settings, Unit
+from .filters import Shape
+from .quantities import MAX_FACTOR, MAX_LAYERS, MAX_VIRTUAL, Distance, Fraction, Size, Texels
+
+DepthRange = Literal["camera", "surface"]
+"""Whether a layout fits maps to all depths between the camera's near and far, or to those of the surface it sees."""
+CascadeFit = Literal["cascade", "scene"]
+CascadeSelection = Literal["interval", "map"]
+"""Which cascade a point falls in: that of its depth, or the first whose map contains it."""
+WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
+LevelNorm = Literal["area", "worst"]
+"""Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
+VolumeMethod = Literal["z_fail", "z_pass"]
+
+MARGIN = 8.0
+"""Margin of a layout's maps that is made without a filter to know the reach of, in texels."""
+MAX_LEVEL_BIAS = 16.0
+SPARE = 1.0
+"""Texels of a map's margin beyond the filter's reach: for what is within half a texel of the border."""
+MAX_ACROSS = 1024
+"""The most pages along a side of a virtual map: tables have an entry for each page."""
+
+_ShadowDistance = Annotated[
+    Distance | None,
+    "depth beyond which nothing is shadowed, in world units; default: the camera's far",
+]
+
+
+class Technique(Settings):
+    """How shadows are drawn."""
+
+    type: Any
+
+
+class Mapped(Technique):
+    """Shadow maps, set up by the sections shadow_map, bias, compare and filter."""
+
+    @property
+    def layers(self) -> int:
+        """The number of maps of a light that has one view."""
+        return 1
+
+
+class SingleMap(Mapped):
+    """Shadow maps, set up by the sections shadow_map, bias, compare and filter."""
+
+    type: Literal["shadow_map"] = "shadow_map"
+
+
+class FittedLayout(Mapped):
+    """Maps that are fitted to what a camera sees, under directional lights."""
+
+    shadow_distance: _ShadowDistance = None
+    margin: Annotated[
+        Texels | None, "how far maps extend beyond what is seen, in texels; default: the filter's reach"
+    ] = None
+
+
+class Cascades(FittedLayout):
+    """Cascaded shadow maps: a map for each of several ranges of the camera's depth, under directional lights."""
+
+    type: Literal["cascades"] = "cascades"
+    distances: Annotated[
+        tuple[Distance, ...] | None,
+        Len(1, MAX_LAYERS),
+        Form(f"a list of 1 to {MAX_LAYERS} depths"),
+        Unit("world units"),
+        Fitted(searched=True),
+        "end of each slice along the camera's axis, in world units; instead of count and logarithmic",
+    ] = None
+    count: Annotated[int, Limits(1, MAX_LAYERS), "number of cascades"] = 4
+    logarithmic: Annotated[
+        Fraction,
+        Fitted(searched=True),
+        "spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
+    ] = 0.5
+    # The side of a cascade is at most a thousand times another's.
+    shares: Annotated[
+        tuple[Annotated[float, Limits(1e-3, 1e3)], ...] | None,
+        Len(1, MAX_LAYERS),
+        Form(f"a list of 1 to {MAX_LAYERS} shares, relative to one another"),
+        Fitted(searched=True),
+        "how many texels each cascade has, relative to the others, of count times shadow_map.resolution; "
+        "default: as many",
+    ] = None
+    depths: Annotated[DepthRange, "what is sliced: the camera's near to its far, or the depths that it sees"] = "camera"
+    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its end"] = "cascade"
+    stabilize: Annotated[bool, "whether texels stay where they are on surfaces as the camera moves and turns"] = True
+    select: Annotated[
+        CascadeSelection, "a receiver's cascade: that of its depth, or the first whose map contains it"
+    ] = "interval"
+    blend: Annotated[Fraction, Fitted(), "part of each slice over which its cascade fades into the next"] = 0.1
+    max_blend: Annotated[
+        Fraction | None, "greatest blend, which maps are drawn for; default: blend, in a fit its upper bound"
+    ] = None
+    fade: Annotated[Fraction, "part of the last slice over which shadows fade out before the shadow distance"] = 0.0
+    ascending = (("blend", "max_blend", True),)
+
+    @property
+    def layers(self) -> int:
+        return self.count if self.distances is None else len(self.distances)
+
+
+class PerspectiveWarp(FittedLayout):
+    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+
+    type: Literal["perspective_warp"] = "perspective_warp"
+    method: Annotated[WarpMethod, "how the warp's strength is found; lispsm has the least worst aliasing"] = "lispsm"
+    strength: Annotated[
+        float | None,
+        Limits(0, MAX_FACTOR),
+        Fitted(searched=True),
+        "the warp's strength, 0 for none; default: what method finds",
+    ] = None
+    focus: Annotated[
+        float,
+        Limits(0, 1, above_low=True),
+        Fitted(searched=True),
+        "part of what is seen, at the camera, that takes 80 % of a trapezoidal map",
+    ] = 0.3
+    depths: Annotated[
+        DepthRange | None,
+        "what the map shows: all depths of the camera, or those that it sees; default: camera, or surface for "
+        "perspective",
+    ] = None
+
+
+class ResolutionMatched(FittedLayout):
+    """A virtual map under each directional light, of which the pages that the camera needs are drawn, at the resolution
+    of the screen."""
+
+    type: Literal["resolution_matched"] = "resolution_matched"
+    page: Annotated[
+        int, Limits(16, 1024), Unit("texels"), "side of a page without its gutter, a power of two, in texels"
+    ] = 64
+    finest: Annotated[
+        int, Limits(32, MAX_VIRTUAL), Unit("texels"), "side of the map at its finest level, a power of two, in texels"
+    ] = 16384
+    norm: Annotated[LevelNorm, "what of a texel on the screen matches a pixel: its area, or longest extent"] = "area"
+    level_bias: Annotated[
+        float,
+        Limits(-MAX_LEVEL_BIAS, MAX_LEVEL_BIAS),
+        Fitted(searched=True),
+        "added to levels, -1 halves the size of texels on the screen; raised if the map is too small",
+    ] = 0.0
+
+
+class ShadowVolumes(Technique):
+    """Hard shadows from shadow volumes, without a map."""
+
+    type: Literal["shadow_volumes"] = "shadow_volumes"
+    method: Annotated[VolumeMethod, "which volume faces count: those behind the surface, or in front of it"] = "z_fail"
+
+
+class IrregularZBuffer(Technique):
+    """Hard shadows at the surface's own points, by testing triangles against them in the light's view."""
+
+    type: Literal["irregular_z_buffer"] = "irregular_z_buffer"
+
+
+class ProjectiveShadow(Technique):
+    """The casters' silhouette, drawn into a texture and projected onto the meshes that do not cast."""
+
+    type: Literal["projective_texture"] = "projective_texture"
+    resolution: Annotated[Size, Unit("texels"), "[height, width] in texels"] = (512, 512)
+    blur: Annotated[float, Limits(0, 256), Unit("texels"), "radius of the texture's blur, in texels"] = 0.0
+    kernel: Annotated[Shape, "shape of the blur"] = "box"
