@@ -36,7 +36,7 @@ from ._babylon_maps import (
     metric_in_window,
 )
 from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
-from ._engine_map import EngineMap, each_of
+from ._engine_map import EngineMap, as_each, each_of
 from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_light, babylon_spot_light
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
@@ -114,7 +114,7 @@ class BabylonJs(AbstractEngineShadows):
     blur_box_offset: int = eqx.field(static=True, default=1)
     use_kernel_blur: bool = eqx.field(static=True, default=False)
     force_back_faces_only: bool = eqx.field(static=True, default=False)
-    back_face_culling: bool | tuple[bool, ...] = eqx.field(static=True, default=True)
+    back_face_culling: bool | tuple[bool, ...] = eqx.field(static=True, converter=as_each, default=True)
     float_maps: bool = eqx.field(static=True, default=False)
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
     subpixels: int = eqx.field(static=True, default=256)
@@ -164,8 +164,9 @@ class BabylonJs(AbstractEngineShadows):
         arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = engine_light(scene.light, BABYLON_NUDGE)
-        texels = self.checked_map(stored, light)
-        if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight):
+        is_depth = self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight)
+        texels = self.checked_map(stored, light, is_depth=is_depth)
+        if is_depth:
             depth = jnp.where(texels < 1, texels - self.bias / 2, 1)
         else:
             is_exponential = self.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP")

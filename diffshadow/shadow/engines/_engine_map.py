@@ -88,6 +88,19 @@ def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
     return values
 
 
+def as_each(values: Any) -> Any:
+    """`values` as a static field holds them: a list as a tuple."""
+    return tuple(values) if isinstance(values, list) else values
+
+
+def check_sides(what: str, values: Any, *, may_be_none: bool = False) -> None:
+    """**Raises** `ValueError` unless `values` is a side, or a tuple of them; None counts if `may_be_none`."""
+    for value in values if isinstance(values, tuple) else (values,):
+        if not (value in Side.__args__ or (value is None and may_be_none)):
+            also = ", or None for what the engine chooses" if may_be_none else ""
+            raise ValueError(f"{what} is {values!r}; expected {', '.join(Side.__args__)}, or one for each mesh{also}")
+
+
 def per_face(values: Sequence[float | bool], scene: Scene) -> HostArray:
     """`values` of the scene's meshes, repeated for each of their faces."""
     return np.repeat(values, [mesh.faces.shape[0] for mesh in scene.meshes])

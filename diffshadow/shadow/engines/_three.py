@@ -17,7 +17,7 @@ from .._compare import AbstractCompare, HardCompare
 from .._technique import Side
 from ..patterns import interleaved_gradient_noise
 from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._engine_map import EngineMap, ShadowSides, Sides, each_of
+from ._engine_map import EngineMap, ShadowSides, Sides, as_each, check_sides, each_of
 from ._given import THREE_NUDGE, three_directional_light, three_point_light, three_spot_light
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 from ._variance import at_receivers, blurred, chebyshev
@@ -55,7 +55,7 @@ class ThreeJs(AbstractEngineShadows):
     hardware. Under VSM with a radius of about 1 and no bias, all surfaces are compared with themselves, and the last
     bits of depth decide. Those of the map that is drawn here differ from the engine's, so such noise is another.
 
-    **Raises** `ValueError` for an unknown shadow type, a negative radius, or fewer than 1 sample.
+    **Raises** `ValueError` for an unknown shadow type or side, a negative radius, or fewer than 1 sample.
     """
 
     bias: Scalar = eqx.field(converter=as_float, default=0.0)
@@ -65,8 +65,8 @@ class ThreeJs(AbstractEngineShadows):
     compare: AbstractCompare = HardCompare()
     shadow_type: ShadowType = eqx.field(static=True, default="PCFShadowMap")
     blur_samples: int = eqx.field(static=True, default=8)
-    side: Sides = eqx.field(static=True, default="front")
-    shadow_side: ShadowSides | None = eqx.field(static=True, default=None)
+    side: Sides = eqx.field(static=True, converter=as_each, default="front")
+    shadow_side: ShadowSides | None = eqx.field(static=True, converter=as_each, default=None)
     reversed_depth: bool = eqx.field(static=True, default=False)
     resolution: Resolution = eqx.field(static=True, default=(512, 512))
     subpixels: int = eqx.field(static=True, default=256)
@@ -78,6 +78,8 @@ class ThreeJs(AbstractEngineShadows):
     def __check_init__(self):
         check_choice("three.js' shadow_type", self.shadow_type, ShadowType.__args__)
         check_not_negative("three.js' radius", self.radius)
+        check_sides("three.js' side", self.side)
+        check_sides("three.js' shadow_side", self.shadow_side, may_be_none=True)
         if self.blur_samples < 1:
             raise ValueError(f"three.js' blur_samples is {self.blur_samples}; expected 1 or more")
 
@@ -114,7 +116,7 @@ class ThreeJs(AbstractEngineShadows):
         With VSM it is the texture before the blur. For the arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = engine_light(scene.light, THREE_NUDGE)
-        depth = self.checked_map(stored, light)
+        depth = self.checked_map(stored, light, is_depth=True)
         offset = _offsets(each_of(self.side, scene.meshes, "sides"))
         return self.with_depth(1 - depth if self.reversed_depth else depth, scene, light, offset)
 

@@ -19,7 +19,6 @@ _SHIFT, _OFFSET = 0.04, 0.0125
 _RADIUS = 6.0
 # More than single precision has.
 _DIGITS = 9
-_OTHER = {"front": "back", "back": "front", "double": "double"}
 
 
 class _Remedies(NamedTuple):
@@ -241,8 +240,7 @@ def _cone(
 def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, shadow_type: ShadowType) -> dict[str, Any]:
     settings: dict[str, Any] = {"type": "three.js", "shadow_type": shadow_type, "side": _each([m.side for m in meshes])}
     if any(mesh.shadow_side is not None for mesh in meshes):
-        chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else _OTHER.__getitem__
-        settings["shadow_side"] = _each([mesh.shadow_side or chosen(mesh.side) for mesh in meshes])
+        settings["shadow_side"] = _each([mesh.shadow_side for mesh in meshes])
     if shadow is None:
         return settings
     bias, normal_bias, radius, intensity = _rounded([shadow.bias, shadow.normal_bias, shadow.radius, shadow.intensity])
@@ -276,7 +274,7 @@ def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal:
     }
 
 
-def _each(values: list[str]) -> str | list[str]:
+def _each[T: (str, str | None)](values: list[T]) -> T | list[T]:
     return values[0] if len(set(values)) == 1 else values
 
 
