@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..._types import HostArray, Resolution
+from ..._types import HostArray, Resolution, Vec3
 from ...geometry import DirectionalLight, PointLight, SpotLight
 from ._abstract import is_vertical, upright_axes
 
-Point = Sequence[float] | HostArray
+Point = Sequence[float] | HostArray | Vec3
 """x, y and z, world units."""
 
 THREE_NUDGE = 1e-4

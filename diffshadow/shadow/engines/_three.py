@@ -51,9 +51,10 @@ class ThreeJs(AbstractEngineShadows):
     The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
     reads single texels.
 
-    From a map of the engine's, the blurred map of VSM has the engine's bits, as Chromium computes them without graphics
-    hardware. Under VSM with a radius of about 1 and no bias, all surfaces are compared with themselves, and the last
-    bits of depth decide. Those of the map that is drawn here differ from the engine's, so such noise is another.
+    From a map of the engine's (`from_map`), the blurred map of VSM has the engine's bits, as Chromium computes them
+    without graphics hardware. Depths of the map that is drawn here differ from the engine's by up to 1.2e-6. Under VSM
+    with a radius of about 1 or less and no bias, all surfaces are compared with themselves, and such last bits of depth
+    decide: 95.7 to 100 % of the pixels are then the engine's.
 
     **Raises** `ValueError` for an unknown shadow type or side, a negative radius, or fewer than 1 sample.
     """

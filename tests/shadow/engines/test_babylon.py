@@ -302,6 +302,8 @@ def test_each_mesh_needs_its_culling():
     golden = engine_golden("babylon", "directional_none_bias")
     with pytest.raises(ValueError, match="3 entries of back_face_culling, and the scene has 4 meshes"):
         BabylonJs(back_face_culling=(True, True, False)).prepare(scene_of(golden))
+    listed = BabylonJs(back_face_culling=[True, False, True, True])
+    assert listed.casting_sides(scene_of(golden)) == ("front", "double", "front", "front")
 
 
 # --- The pictures can tell a wrong preset ---
