@@ -53,9 +53,9 @@ def as_opengl(
     for what, matrix in (("world_to_eye", view), ("eye_to_clip", projection)):
         if matrix.shape != (4, 4):
             raise ValueError(f"the engine's {what} has shape {matrix.shape}; expected one matrix, (4, 4)")
+    if np.shape(depth) != (2,) or not np.isfinite(depth).all() or depth[0] == depth[1]:
+        raise ValueError(f"the engine's depth is {depth}; expected two numbers that differ, at near and far")
     near, far = depth
-    if not (np.isfinite(depth).all() and near != far):
-        raise ValueError(f"the engine's depth is {tuple(depth)}; expected two numbers that differ, at near and far")
     if left_handed:
         # Turned by half about y, the eye looks along -z, and x runs the other way in the image, too.
         view[[0, 2]] *= -1

@@ -470,7 +470,9 @@ def test_a_shadow_camera_looks_along_the_light_from_its_position(direction):
     corners = {(-1, -0.5, 1): (-1, -1, -1), (3, 1.5, 7): (1, 1, 1), (1, 0.5, 4): (0, 0, 0)}
     for (x, y, distance), clip in corners.items():
         point = position + x * right + y * up - distance * backward
-        np.testing.assert_allclose(light.view().clip(jnp.asarray(point, jnp.float32))[:3], clip, atol=1e-6)
+        # Looking straight up or down, three.js tilts its camera by 1e-4, which the middle of the window allows for.
+        found = light.view().clip(jnp.asarray(point, jnp.float32))[:3]
+        np.testing.assert_allclose(found, clip, atol=1e-6 if direction[0] else 3e-5)
 
 
 @pytest.mark.parametrize(

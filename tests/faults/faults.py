@@ -3181,17 +3181,17 @@ _CONFIG = (
     ),
     _fault(
         "shadow camera: an off-centre window is centred",
-        "config/building/_scene.py",
-        "center = position + (low + high)[:2] / 2 @ rows[:2]",
-        "center = position + 0 * (low + high)[:2] @ rows[:2]",
+        "shadow/engines/_given.py",
+        "+ (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]",
+        "+ 0 * (left + right) * axes[0] + 0 * (top + bottom) * axes[1]",
         "test_config_build.py",
         "test_import.py",
     ),
     _fault(
         "shadow camera: on its side under a vertical light",
-        "config/building/_scene.py",
-        "up = np.array([0, 0, -np.sign(backward[1])]) if is_vertical",
-        "up = np.array([1.0, 0, 0]) if is_vertical",
+        "shadow/engines/_given.py",
+        "up = axes[1] if is_given and is_vertical(direction)",
+        "up = axes[0] if is_given and is_vertical(direction)",
         "test_config_build.py",
     ),
     _fault(
@@ -3497,8 +3497,8 @@ _STUDY = (
     _fault(
         "import: a list of sides for the map's own",
         "study/imports/_settings.py",
-        'chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else OTHER_SIDE.__getitem__',
-        "chosen = lambda side: side",
+        "_each([mesh.shadow_side for mesh in meshes])",
+        "_each([mesh.side for mesh in meshes])",
         "test_import.py",
     ),
     _fault(

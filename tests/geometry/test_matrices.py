@@ -123,6 +123,77 @@ def test_matrices_can_be_traced_once_their_kind_is_known():
         jax.jit(eye)(jnp.zeros(3))
 
 
+def of_an_engine(is_perspective, left_handed, depth):
+    """Matrices of an engine as its documentation states them, and points with what the engine sees there.
+
+    The window is off the axis, near is 0.5, far is 9. The engine sees columns and rows from -1 to 1, and window depth.
+    """
+    (left, right), (bottom, top), (near, far), (first, last) = (-1.0, 3.0), (-0.5, 1.5), (0.5, 9.0), depth
+    eye, ahead = np.array([1.0, 2.0, 3.0]), np.array([1.0, -2.0, 2.0]) / 3
+    across = np.cross([0, 1, 0], ahead) * (1 if left_handed else -1)
+    across /= np.linalg.norm(across)
+    up = np.cross(ahead, across) * (1 if left_handed else -1)
+    along = ahead if left_handed else -ahead
+    view, projection = np.eye(4), np.zeros((4, 4))
+    view[:3, :3] = across, up, along
+    view[:3, 3] = -view[:3, :3] @ eye
+    sign = 1 if left_handed else -1
+    sides = np.array([[left, right], [bottom, top]])
+    width, middle = sides[:, 1] - sides[:, 0], sides.sum(axis=1)
+    x, y, distance = np.random.default_rng(0).uniform([-1, -0.5, 0.6], [3, 1.5, 8.9], (20, 3)).T
+    if is_perspective:
+        # The window lies on the near plane. Depth over w is a + b / distance.
+        projection[[0, 1], [0, 1]] = 2 * near / width
+        projection[:2, 2] = -sign * middle / width
+        slope = (last - first) * near * far / (near - far)
+        projection[2, 2:] = sign * (first - slope / near), slope
+        projection[3, 2] = sign
+        x, y = x * distance / near, y * distance / near
+        window = np.stack([near * x / distance, near * y / distance])
+        depth = far * (distance - near) / (distance * (far - near))
+    else:
+        projection[[0, 1], [0, 1]] = 2 / width
+        projection[:2, 3] = -middle / width
+        slope = (last - first) / (far - near)
+        projection[2, 2:] = sign * slope, first - slope * near
+        projection[3, 3] = 1
+        window, depth = np.stack([x, y]), (distance - near) / (far - near)
+    points = eye + np.outer(x, across) + np.outer(y, up) + np.outer(distance, ahead)
+    columns, rows = (2 * window - middle[:, None]) / width[:, None]
+    return view, projection, points, np.stack([columns, rows, depth], axis=-1)
+
+
+@pytest.mark.parametrize("depth", [(-1.0, 1.0), (0.0, 1.0), (1.0, 0.0)], ids=["opengl", "direct3d", "reversed"])
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize("is_perspective", [False, True])
+def test_light_of_an_engines_matrices_sees_what_the_engine_sees(is_perspective, left_handed, depth):
+    view, projection, points, expected = of_an_engine(is_perspective, left_handed, depth)
+    light = MatrixLight.from_engine(view, projection, left_handed=left_handed, depth=depth)
+    clip = np.asarray(light.view().clip(jnp.asarray(points, jnp.float32)))
+    found = clip[:, :3] / clip[:, 3:]
+    columns, rows, window_depth = expected.T
+    np.testing.assert_allclose(found[:, 0], -columns if left_handed else columns, atol=1e-5)
+    np.testing.assert_allclose(found[:, 1], rows, atol=1e-5)
+    np.testing.assert_allclose(found[:, 2] / 2 + 0.5, window_depth, atol=1e-5)
+    assert light.is_perspective == is_perspective
+    np.testing.assert_allclose([light.view().near, light.view().far], [0.5, 9.0], rtol=1e-4)
+    np.testing.assert_allclose(light.position, [1, 2, 3], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"depth": (1.0, 1.0)}, r"depth is \(1.0, 1.0\); expected two numbers that differ"),
+        ({"depth": (0.0, np.inf)}, r"depth is \(0.0, inf\); expected two numbers that differ"),
+        ({"left_handed": True}, "the matrix light's eye_to_clip has the last row"),
+        ({"world_to_eye": np.eye(3)}, r"the engine's world_to_eye has shape \(3, 3\)"),
+    ],
+)
+def test_matrices_of_no_engine_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        MatrixLight.from_engine(**{"world_to_eye": RIGID, "eye_to_clip": FRUSTUM, **wrong})
+
+
 RIGID = np.asarray(look_at(jnp.array([1.0, 2.0, 3.0]), jnp.array([-1.0, -2.0, -3.0]), jnp.array([0.0, 1.0, 0.0])))
 SIDES = jnp.array([-1.0, 1.0])
 NEAR, FAR = jnp.array(0.5), jnp.array(9.0)

@@ -10,8 +10,8 @@ from rasterizer_oracle import acceptable, rasterize_exact
 from scenes import compiled_programs, marked
 from triangle_soups import from_window, soup
 
-from diffshadow.geometry import PinholeCamera, library_mesh
-from diffshadow.raster import NO_FACE, DepthTest, rasterize, rasterize_depth
+from diffshadow.geometry import Mesh, OrthographicCamera, PinholeCamera, library_mesh
+from diffshadow.raster import NO_FACE, DepthTest, at_steps, draw_surface, rasterize, rasterize_depth
 from diffshadow.raster._windows import _up_to_last
 
 pytestmark = pytest.mark.optimized
@@ -396,3 +396,36 @@ def test_a_resolution_out_of_range_is_refused(resolution):
 def test_a_buffer_that_is_too_small_or_too_large_is_refused(buffer):
     with pytest.raises(ValueError, match=r"the buffer is \(.*expected .* at least \(8, 32\) and at most 8192"):
         rasterize(jnp.zeros((3, 4)), jnp.array([[0, 1, 2]]), (8, 32), buffer=buffer)
+
+
+# --- Rasterizers with coarser steps ---
+
+
+def test_vertices_are_placed_at_whole_steps_but_for_those_behind_the_eye():
+    clip = np.random.default_rng(0).uniform(-2, 2, (40, 4)).astype(np.float32)
+    placed = np.asarray(at_steps(jnp.asarray(clip), RESOLUTION, 16))
+    ahead = clip[:, 3] > 0
+    np.testing.assert_array_equal(placed[~ahead], clip[~ahead])
+    np.testing.assert_array_equal(placed[:, 2:], clip[:, 2:])
+    height, width = RESOLUTION
+    steps = lambda clip: (clip[ahead, :2] / clip[ahead, 3:] + 1) / 2 * [width * 16, height * 16]
+    np.testing.assert_allclose(steps(placed), np.round(steps(clip)), atol=0.01)
+
+
+def test_a_surface_at_coarse_steps_is_interpolated_between_the_steps():
+    """In a parallel view that is two units high, 32 pixels with 2 steps each place vertices at whole 32nds."""
+    vertices = np.array([[-0.83, -0.91, 0], [0.87, -0.79, 0], [0.11, 0.93, 0]])
+    camera = OrthographicCamera((0, 0, 5), (0, 0, 0), height=2.0, near=1.0, far=9.0, resolution=(32, 32))
+    mesh = Mesh(vertices, np.array([[0, 1, 2]]))
+    surface = draw_surface(mesh, camera, subpixels=2)
+    rows, columns = np.nonzero(surface.mask)
+    assert len(rows) > 300
+    centres = (
+        np.stack([columns, rows, np.full_like(rows, 16)], axis=-1) / 16 + np.array([1 / 32, 1 / 32, 0]) - [1, 1, 0]
+    )
+    corners = np.round(vertices * 32) / 32
+    assert np.abs(corners - vertices).max() > 0.01
+    shares = np.linalg.solve(np.vstack([corners[:, :2].T, np.ones(3)]), centres.T)
+    np.testing.assert_allclose(np.asarray(surface.position)[rows, columns], shares.T @ vertices, atol=1e-5)
+    with pytest.raises(ValueError, match="subpixels is 0; expected a whole number of steps to a pixel, such as 16"):
+        draw_surface(mesh, camera, subpixels=0)

@@ -10,11 +10,10 @@ from gltf_scene import gltf
 from rich.console import Console
 
 from diffshadow.cli import main
-from diffshadow.config import build_scene, dump_resolved, load_config, parse_config
+from diffshadow.config import build_scene, build_technique, dump_resolved, load_config, parse_config
 from diffshadow.geometry import PointLight
 from diffshadow.io import FileError, read_scene
-from diffshadow.settings.engines import ThreeJs
-from diffshadow.shadow import EngineLight
+from diffshadow.shadow import EngineLight, ThreeJs
 from diffshadow.shadow.engines._abstract import engine_light
 from diffshadow.study import import_scene
 
@@ -50,14 +49,35 @@ def test_camera_and_light_are_the_engines(tmp_path, name):
     np.testing.assert_allclose(to_window @ np.asarray(shadow), matrix(expected["shadow"]), atol=3e-6)
 
 
+SUN = ThreeJs.directional_light(
+    (-1.6, 3.0, 1.4), (0.0, 0.2, 0.0), left=-1.5, right=1.8, top=1.6, bottom=-1.9, near=1.0, far=6.5
+)
+CONE = {"angle": 0.5, "penumbra": 0.3, "focus": 0.9, "aspect": 1.2, "distance": 6.0, "resolution": (128, 96)}
+SPOT = ThreeJs.spot_light((-1.3, 2.6, 1.2), near=0.8, **CONE)
+LAMP = ThreeJs.point_light((0.1, 1.35, 0.25), near=0.15, far=5.0)
+
+
+@pytest.mark.parametrize(("name", "given"), [("yard", SUN), ("stage", SPOT), ("room", LAMP)])
+def test_the_light_is_the_light_of_the_files_numbers(tmp_path, name, given):
+    config, _ = imported(tmp_path, name)
+    found = build_scene(config).light
+    assert type(found) is type(given)
+    # Files have no size of lights.
+    for field in {*vars(given)} - {"radius", "angular_radius", "direction"}:
+        np.testing.assert_allclose(getattr(found, field), getattr(given, field), rtol=1e-6, err_msg=field)
+    if name != "room":
+        directions = [one.direction / np.linalg.norm(one.direction) for one in (found, given)]
+        np.testing.assert_allclose(*directions, atol=1e-6)
+
+
 def test_settings_of_the_shadow_are_taken_over(tmp_path):
     config, said = imported(tmp_path, "yard")
     technique = config.technique
-    assert isinstance(technique, ThreeJs)
+    assert isinstance(technique, engines.ThreeJs)
     assert (technique.bias, technique.normal_bias, technique.radius) == (-0.002, 0.004, 2.5)
     assert technique.side == ("front", "front", "front", "double", "front", "front")
-    # Of a material without shadowSide, what the engine chooses.
-    assert technique.shadow_side == technique.side
+    # A material without shadowSide casts what the engine chooses.
+    assert technique.shadow_side == ("front", "front", "front", None, "front", "front")
     assert config.shadow_map.resolution == (128, 160)
     for name, bounds in config.fit.parameters.items():
         assert bounds.lower <= getattr(technique, name.removeprefix("technique.")) <= bounds.upper
@@ -89,7 +109,8 @@ def test_meshes_that_do_not_cast_or_receive_are_marked(tmp_path):
 def test_a_material_without_shadow_side_casts_what_the_engine_chooses(tmp_path):
     config, _ = imported(tmp_path, "room")
     assert config.technique.side == ("front", "front", "double", "front")
-    assert config.technique.shadow_side == ("front", "front", "double", "back")
+    assert config.technique.shadow_side == ("front", "front", None, None)
+    assert build_technique(config).casting_sides(build_scene(config)) == ("front", "front", "double", "back")
 
 
 def test_bounds_hold_what_is_given(tmp_path):
@@ -102,11 +123,6 @@ def test_bounds_hold_what_is_given(tmp_path):
     config = load_config(made, fitting=True)
     for name, bounds in config.fit.parameters.items():
         assert bounds.lower < getattr(config.technique, name.removeprefix("technique.")) < bounds.upper
-
-
-def test_with_vsm_a_material_casts_its_own_side(tmp_path):
-    config, _ = imported(tmp_path, "stage", shadow_type="VSMShadowMap")
-    assert config.technique.shadow_side == ("front", "front", "front", "double", "front")
 
 
 def test_shadow_mapping_takes_the_same_map(tmp_path):

@@ -173,6 +173,12 @@ LOST = {
     "a back side from behind": (FROM_BEHIND, f"{THREE}, side: back", UNSET.replace("front", "back"), "front"),
     "a shadow side": (SUN, f"{THREE}, shadow_side: back", "technique.shadow_side is back", "back"),
     "a side of each": (SUN, f"{THREE}, shadow_side: [front, back, front]", "technique.shadow_side.1 is back", "back"),
+    "a side of some": (
+        SUN,
+        f"{THREE}, shadow_side: [front, null, front]",
+        "technique.side is front and technique.shadow_side.1 is not set",
+        "back",
+    ),
     "both sides": (SUN, f"{THREE}, side: double", None, None),
     "VSM": (SUN, f"{THREE}, shadow_type: VSMShadowMap", None, None),
     "VSM from behind": (FROM_BEHIND, f"{THREE}, shadow_type: VSMShadowMap", UNSET, "front"),

@@ -866,6 +866,36 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     assert "float shadow_visibility(" in capsys.readouterr().out
 
 
+@pytest.fixture
+def engines_page():
+    """The Python of docs/engines.md, block by block."""
+    text = (ROOT / "docs" / "engines.md").read_text(encoding="utf-8")
+    return [compile(block, "docs/engines.md", "exec") for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]
+
+
+@pytest.mark.exhaustive
+def test_python_of_the_engines_page_runs_and_takes_the_engines_maps(engines_page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names, (three, three_map, babylon, babylon_map) = {}, engines_page
+    exec(three, names)
+    own = np.asarray(names["technique"].prepare(names["scene"]).depth)
+    assert own.min() < 0.9
+    np.save("three_map.npy", own)
+    exec(three_map, names)
+    np.testing.assert_array_equal(names["visibility_in_three_js"], names["visibility"])
+    assert 0 < np.mean(names["visibility"]) < 1
+    exec(babylon, names)
+    depth = np.asarray(names["technique"].prepare(names["scene"]).depth)
+    near, far, bias = 0.8, 7.0, 0.004
+    # (d - n) / (f - n) at the distance d = f n / (f - z (f - n)), pushed by the bias.
+    distance = far * near / (far - depth * (far - near))
+    np.save("babylon_map.npy", np.where(depth < 1, (distance - near) / (far - near) + bias, 1))
+    exec(babylon_map, names)
+    off = np.abs(np.asarray(names["visibility_in_babylon_js"]) - names["visibility"])
+    assert (off < 1 / 255).mean() > 0.999
+    assert 0 < np.mean(names["visibility"]) < 1
+
+
 # Runs the command, and tells the most memory it held; the kernel's figure for children would count a forked parent's.
 WATCHED = """
 import atexit, re, sys

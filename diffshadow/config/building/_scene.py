@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ... import geometry, io
+from ... import geometry, io, shadow
 from ..._misc import as_float
 from ..._types import Faces, HostArray, Vec3
 from ...settings import scene
@@ -27,8 +26,6 @@ Triple = tuple[float, float, float]
 _MARGIN = 0.01
 # Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
 _LEAST_NEAR = 1e-3
-# Sine of the angle to the y axis below which a direction counts as vertical.
-_VERTICAL = 1e-9
 
 
 class Placed(NamedTuple):
@@ -238,17 +235,16 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
 
     **Raises** `ValueError` if the camera sees nothing of the scene.
     """
-    backward = -np.asarray(direction, np.float64)
-    backward /= np.linalg.norm(backward)
-    # Where +y is no direction across the view, three.js turns the view by a little about x.
-    is_vertical = np.hypot(backward[0], backward[2]) < _VERTICAL
-    up = np.array([0, 0, -np.sign(backward[1])]) if is_vertical else np.array([0.0, 1.0, 0.0])
-    right = np.cross(up, backward)
-    right /= np.linalg.norm(right)
-    rows = np.stack([right, np.cross(backward, right), backward])
+    position = stage.place(camera.position)
+    light = shadow.ThreeJs.directional_light(
+        position,
+        position + np.asarray(direction),
+        **camera.model_dump(exclude={"position"}),
+        angular_radius=angular_radius,
+    )
+    rows = np.asarray(light.view().world_to_eye, np.float64)[:3, :3]
     low = np.array([camera.left, camera.bottom, -camera.far])
     high = np.array([camera.right, camera.top, -camera.near])
-    position = stage.place(camera.position)
     seen = (stage.points - position) @ rows.T
     least, most = seen.min(axis=0), seen.max(axis=0)
     for sides, k, sign in (("left and right", 0, 1), ("bottom and top", 1, 1), ("near and far", 2, -1)):
@@ -259,10 +255,7 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
                 f"scene lies from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an overlap: "
                 "change them, or the position"
             )
-    center = position + (low + high)[:2] / 2 @ rows[:2]
-    return geometry.DirectionalLight(
-        direction, center, (high - low)[:2], camera.near, camera.far, angular_radius, jnp.asarray(up, float)
-    )
+    return light
 
 
 def _target(config: SpotLightConfig | RectangleLightConfig, stage: Stage) -> Vec3 | None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._checks import check_instance, check_value
-from ..._misc import as_float, dot, normalize
+from ..._misc import as_float, concrete, dot, normalize
 from ..._types import HostArray, Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface
@@ -19,6 +19,9 @@ from ...settings.engines import Side
 from .._compare import AbstractCompare
 from .._technique import AbstractTechnique
 from ._engine_map import Casters, EngineMap, map_of, per_face
+
+# The sine of the angle to the y axis below which a direction counts as vertical.
+_VERTICAL = 1e-9
 
 
 class Place(eqx.Module):
@@ -107,9 +110,12 @@ class AbstractEngineShadows(AbstractTechnique):
 
         - `stored`: (h, w), what the engine's map holds, as read back, with its bottom row first; of a point light
             (6, h, w), its faces in OpenGL's order.
-        - `scene`: with the engine's light.
+        - `scene`: with the engine's light and the engine's meshes, which say what receives shadows.
 
-        **Raises** `ValueError` for another shape, and what `prepare` raises.
+        The settings are those that the map was drawn with: what they do to depths is undone. The state is then as good
+        for other biases and radii.
+
+        **Raises** `ValueError` for another shape, numbers that no map holds, and what `prepare` raises.
         """
 
     def with_depth(
@@ -119,8 +125,12 @@ class AbstractEngineShadows(AbstractTechnique):
         receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         return EngineMap(depth, light, per_face(offset, scene), per_face(receives, scene))
 
-    def checked_map(self, stored: Any, light: AbstractLight) -> Float[Array, "*l h w"]:
-        """`stored` as an array. **Raises** `ValueError` unless it has the shape of a map of `light`."""
+    def checked_map(self, stored: Any, light: AbstractLight, *, is_depth: bool) -> Float[Array, "*l h w"]:
+        """`stored` as an array.
+
+        **Raises** `ValueError` unless it has the shape of a map of `light`, with finite numbers, from 0 to 1 if it
+        `is_depth`.
+        """
         found = as_float(stored)
         expected = (6, *self.resolution) if isinstance(light, PointLight) else self.resolution
         if found.shape != expected:
@@ -128,6 +138,14 @@ class AbstractEngineShadows(AbstractTechnique):
                 f"the engine's map has shape {found.shape}; expected {expected}, by the light and the technique's "
                 "resolution: read one channel, and set the resolution"
             )
+        known = concrete(found)
+        if known is not None:
+            least, most = float(known.min()), float(known.max())
+            if not np.isfinite([least, most]).all() or (is_depth and not (least >= 0 and most <= 1)):
+                expected = "depths from 0 to 1" if is_depth else "finite numbers"
+                raise ValueError(
+                    f"the engine's map has values from {least:.6g} to {most:.6g}; expected {expected}: read floats"
+                )
         return found
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
@@ -180,9 +198,15 @@ def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
     """
     backward = -np.asarray(direction, np.float64)
     backward /= np.linalg.norm(backward)
-    if np.hypot(backward[0], backward[2]) < 1e-9:
+    if is_vertical(backward):
         backward[2] += nudge
     backward /= np.linalg.norm(backward)
     right = np.cross([0.0, 1.0, 0.0], backward)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(backward, right), backward])
+
+
+def is_vertical(direction: Any) -> bool:
+    """Whether `direction` (3,) is straight up or down, so that +y is no direction across it."""
+    x, y, z = np.asarray(direction, np.float64)
+    return bool(np.hypot(x, z) < _VERTICAL * abs(y))

@@ -151,8 +151,9 @@ class BabylonJs(AbstractEngineShadows):
         arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = engine_light(scene.light, BABYLON_NUDGE)
-        texels = self.checked_map(stored, light)
-        if self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight):
+        is_depth = self.filter in ("PCF", "PCSS") and not isinstance(light, PointLight)
+        texels = self.checked_map(stored, light, is_depth=is_depth)
+        if is_depth:
             depth = jnp.where(texels < 1, texels - self.bias / 2, 1)
         else:
             is_exponential = self.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP")

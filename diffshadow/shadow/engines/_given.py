@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..._types import HostArray, Resolution
+from ..._types import HostArray, Resolution, Vec3
 from ...geometry import DirectionalLight, PointLight, SpotLight
-from ._abstract import upright_axes
+from ._abstract import is_vertical, upright_axes
 
-Point = Sequence[float] | HostArray
+Point = Sequence[float] | HostArray | Vec3
 """x, y and z, world units."""
 
 THREE_NUDGE = 1e-4
@@ -49,6 +49,7 @@ def three_spot_light(
     target: Point = (0.0, 0.0, 0.0),
     *,
     angle: float = math.pi / 3,
+    penumbra: float = 0.0,
     near: float = 0.5,
     far: float = 500.0,
     distance: float = 0.0,
@@ -63,6 +64,7 @@ def three_spot_light(
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
     - `angle`: `light.angle`: from the cone's axis to its side, in radians.
+    - `penumbra`: `light.penumbra`, from 0 to 1: the part of the angle over which shading falls off.
     - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
     - `focus`, `aspect`: of `light.shadow`.
     - `resolution`: of the map, (height, width); the window is as wide over its height as the map, times `aspect`.
@@ -72,7 +74,8 @@ def three_spot_light(
     """
     height, width = resolution
     direction, half_angle = np.subtract(target, position), math.degrees(angle * focus)
-    return SpotLight(position, direction, half_angle, near, distance or far, radius, aspect=aspect * width / height)
+    inner, aspect = min(math.degrees(angle * (1 - penumbra)), half_angle), aspect * width / height
+    return SpotLight(position, direction, half_angle, near, distance or far, radius, inner, aspect=aspect)
 
 
 def three_point_light(
@@ -180,6 +183,5 @@ def _parallel(
     is_given = np.isfinite(direction).all() and np.any(direction)
     axes = upright_axes(direction, nudge) if is_given else np.eye(3)
     center = np.asarray(position, np.float64) + (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]
-    is_vertical = np.hypot(axes[2, 0], axes[2, 2]) < abs(2 * nudge)
-    up = axes[1] if is_vertical else (0.0, 1.0, 0.0)
+    up = axes[1] if is_given and is_vertical(direction) else (0.0, 1.0, 0.0)
     return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)

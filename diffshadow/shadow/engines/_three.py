@@ -49,9 +49,10 @@ class ThreeJs(AbstractEngineShadows):
     The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
     reads single texels.
 
-    From a map of the engine's, the blurred map of VSM has the engine's bits, as Chromium computes them without graphics
-    hardware. Under VSM with a radius of about 1 and no bias, all surfaces are compared with themselves, and the last
-    bits of depth decide. Those of the map that is drawn here differ from the engine's, so such noise is another.
+    From a map of the engine's (`from_map`), the blurred map of VSM has the engine's bits, as Chromium computes them
+    without graphics hardware. Depths of the map that is drawn here differ from the engine's by up to 1.2e-6. Under VSM
+    with a radius of about 1 or less and no bias, all surfaces are compared with themselves, and such last bits of depth
+    decide: 95.7 to 100 % of the pixels are then the engine's.
     """
 
     settings: ClassVar = Settings
@@ -106,7 +107,7 @@ class ThreeJs(AbstractEngineShadows):
         With VSM it is the texture before the blur. For the arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = engine_light(scene.light, THREE_NUDGE)
-        depth = self.checked_map(stored, light)
+        depth = self.checked_map(stored, light, is_depth=True)
         offset = _offsets(each_of(self.side, scene.meshes, "sides"))
         return self.with_depth(1 - depth if self.reversed_depth else depth, scene, light, offset)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import geometry, io
-from ...settings.engines import OTHER_SIDE, ImportedTechnique, ShadowType, ThreeJs
+from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ._lamp import HALF_ANGLE, distance_lit, lamp_size
 
 # Pixels of the longer side of the image.
@@ -238,8 +238,7 @@ def _cone(
 def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, shadow_type: ShadowType) -> dict[str, Any]:
     settings: dict[str, Any] = {"type": "three.js", "shadow_type": shadow_type, "side": _each([m.side for m in meshes])}
     if any(mesh.shadow_side is not None for mesh in meshes):
-        chosen = (lambda side: side) if shadow_type == "VSMShadowMap" else OTHER_SIDE.__getitem__
-        settings["shadow_side"] = _each([mesh.shadow_side or chosen(mesh.side) for mesh in meshes])
+        settings["shadow_side"] = _each([mesh.shadow_side for mesh in meshes])
     if shadow is None:
         return settings
     bias, normal_bias, radius, intensity = _rounded([shadow.bias, shadow.normal_bias, shadow.radius, shadow.intensity])
@@ -273,7 +272,7 @@ def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal:
     }
 
 
-def _each(values: list[str]) -> str | list[str]:
+def _each[T: (str, str | None)](values: list[T]) -> T | list[T]:
     return values[0] if len(set(values)) == 1 else values
 
 

@@ -69,13 +69,13 @@ def _key(config: Config, technique: shadow.AbstractTechnique, index: int) -> tup
     """The key that says which faces cast, with its value, and how to let all of them cast."""
     each = lambda name, value: f"{name}.{index}" if isinstance(value, tuple) else name
     if isinstance(technique, shadow.ThreeJs):
-        given = technique.shadow_side
+        of_mesh = lambda values: values[index] if isinstance(values, tuple) else values
+        side, given = of_mesh(technique.side), of_mesh(technique.shadow_side)
+        key = each("technique.shadow_side", technique.shadow_side)
         mend = "set technique.shadow_side to double, as shadowSide of the material"
         if given is not None:
-            value = given[index] if isinstance(given, tuple) else given
-            return f"{each('technique.shadow_side', given)} is {value}", mend
-        value = technique.side[index] if isinstance(technique.side, tuple) else technique.side
-        return f"{each('technique.side', technique.side)} is {value} and technique.shadow_side is not set", mend
+            return f"{key} is {given}", mend
+        return f"{each('technique.side', technique.side)} is {side} and {key} is not set", mend
     if isinstance(technique, shadow.BabylonJs):
         key = each("technique.back_face_culling", technique.back_face_culling)
         also = " and technique.force_back_faces_only is true" if technique.force_back_faces_only else ""

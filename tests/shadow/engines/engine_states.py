@@ -8,7 +8,6 @@ from golden_engines import EngineGolden
 
 from diffshadow.geometry import MatrixLight, Mesh, PinholeCamera, PointLight, Scene
 from diffshadow.raster import Surface
-from diffshadow.shadow import EngineMap
 
 
 def matrix(values: list[float]) -> np.ndarray:
@@ -17,38 +16,29 @@ def matrix(values: list[float]) -> np.ndarray:
 
 
 def light_of(golden: EngineGolden) -> Any:
-    """The engine's light."""
+    """The light of the engine's matrices."""
     info = golden.info
     if golden.settings["light"]["type"] == "point":
         return PointLight(info["lightPosition"], info["near"], info["far"])
-    near, far = info["near"], info["far"]
-    projection = matrix(info["lightProjection"])
-    if golden.engine == "babylon":
-        return right_handed(matrix(info["lightView"]), projection)
-    is_parallel = projection[3, 3] == 1
-    # Without reversed depth, which the preset adds itself.
-    projection[2] = (
-        [0, 0, -2 / (far - near), -(far + near) / (far - near)]
-        if is_parallel
-        else [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)]
+    is_babylon = golden.engine == "babylon"
+    return MatrixLight.from_engine(
+        matrix(info["lightView"]),
+        matrix(info["lightProjection"]),
+        left_handed=is_babylon,
+        depth=(1.0, 0.0) if golden.settings.get("reversedDepthBuffer") else (-1.0, 1.0),
     )
-    return MatrixLight(matrix(info["lightView"]), projection, not is_parallel)
-
-
-def right_handed(view: np.ndarray, projection: np.ndarray) -> MatrixLight:
-    """What sees the mirror image of a left-handed camera, whose eye looks along +z."""
-    view, projection = view.copy(), projection.copy()
-    view[[0, 2]] *= -1
-    projection[0, 2:] *= -1
-    projection[:, 2] *= -1
-    return MatrixLight(view, projection, bool(projection[3, 3] == 0))
 
 
 def surface_of(golden: EngineGolden) -> Surface:
-    """What the engine's camera sees; faces are numbers of meshes."""
-    arrays = {key: jnp.asarray(golden.arrays[key]) for key in ("position", "normal", "mesh")}
-    position, normal, mesh = arrays.values()
-    return Surface(position, normal, normal, normal, mesh, mesh >= 0)
+    """What the engine's camera sees; faces are the first ones of meshes."""
+    meshes = golden.settings["meshes"]
+    position, normal, mesh = (golden.arrays[key] for key in ("position", "normal", "mesh"))
+    # three.js turns the normals of back sides.
+    turned = np.array([mesh.get("side") == "back" for mesh in meshes])[mesh]
+    normal = jnp.asarray(np.where(turned[..., None], -normal, normal))
+    first = np.cumsum([0, *(len(mesh["faces"]) for mesh in meshes)])[mesh]
+    face = jnp.asarray(np.where(mesh >= 0, first, -1), jnp.int32)
+    return Surface(jnp.asarray(position), normal, normal, normal, face, jnp.asarray(mesh >= 0))
 
 
 def scene_of(golden: EngineGolden) -> Scene:
@@ -69,21 +59,16 @@ def scene_of(golden: EngineGolden) -> Scene:
         resolution=(golden.settings["height"], golden.settings["width"]),
     )
     casts = tuple(mesh.get("casts", True) for mesh in golden.settings["meshes"])
-    return Scene(meshes, camera, light_of(golden), casts)
+    return Scene(meshes, camera, light_of(golden), casts, receives(golden))
 
 
-def receives(golden: EngineGolden) -> np.ndarray:
-    """Which meshes receive shadows, (m,)."""
-    return np.array([mesh.get("receives", True) for mesh in golden.settings["meshes"]])
-
-
-def read_back(golden: EngineGolden, depth: np.ndarray, offset: list[float]) -> EngineMap:
-    """The engine's own map; `offset` are the factors of the meshes' normal biases."""
-    return EngineMap(jnp.asarray(depth), light_of(golden), offset, receives(golden))
+def receives(golden: EngineGolden) -> tuple[bool, ...]:
+    """Which meshes receive shadows."""
+    return tuple(mesh.get("receives", True) for mesh in golden.settings["meshes"])
 
 
 def agreement(golden: EngineGolden, visibility: Any) -> float:
     """The share of receivers whose visibility differs by at most 1/255."""
     mesh = golden.arrays["mesh"]
-    counted = (mesh >= 0) & receives(golden)[mesh]
+    counted = (mesh >= 0) & np.array(receives(golden))[mesh]
     return float((np.abs(np.asarray(visibility) - golden.arrays["visibility"]) <= 1 / 255)[counted].mean())

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from engine_states import agreement, read_back, receives, scene_of, surface_of
+from engine_states import agreement, scene_of, surface_of
 from golden_engines import engine_golden, engine_goldens
 from scenes import marked
 
@@ -56,46 +56,19 @@ def preset(golden) -> BabylonJs:
     return BabylonJs(**settings, back_face_culling=culling, resolution=(size, size), subpixels=16)
 
 
-def depth_of(golden, technique) -> np.ndarray:
-    """Window depth without bias, from the engine's own map."""
-    info, bias = golden.info, float(technique.bias)
-    near, far = info["near"], info["far"]
-    if "map_depth" in golden.arrays:
-        depth = golden.arrays["map_depth"]
-        return np.where(depth < 1, depth - bias / 2, 1).astype(np.float32)
-    color = golden.arrays["map_metric"].astype(np.float64)
-    is_drawn = color != 1
-    if technique.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP"):
-        is_drawn = color > 0
-        color = -np.log(np.where(is_drawn, color, 1)) / float(technique.depth_scale)
-    metric = color - bias
-    if color.ndim == 3:
-        across = (np.arange(color.shape[-1]) + 0.5) * 2 / color.shape[-1] - 1
-        distance = (metric * (near + far) - near) / np.sqrt(1 + across**2 + across[:, None] ** 2)
-        depth = far * (distance - near) / ((far - near) * distance)
-    elif golden.settings["light"]["type"] == "spot":
-        depth = metric * far / (near + metric * (far - near))
-    else:
-        depth = metric
-    return np.where(is_drawn, depth, 1).astype(np.float32)
+def read_back(golden) -> np.ndarray:
+    """The map that the engine drew, before any blur."""
+    return golden.arrays["map_depth" if "map_depth" in golden.arrays else "map_metric"]
 
 
-def from_read_back(golden, technique, drawn_with=None):
-    """Visibility from the engine's own map, which it drew `drawn_with` these settings."""
-    offset = [0.0] * len(golden.settings["meshes"])
-    state = read_back(golden, depth_of(golden, drawn_with or technique), offset)
-    if "map_blurred" in golden.arrays:
-        size = int(technique.resolution[0] / float(technique.blur_scale))
-        state = dataclasses.replace(state, blurred=(size, size))
-    return visibility(golden, technique, state)
+def from_read_back(golden, technique):
+    """Visibility from the engine's own map."""
+    return visibility(golden, technique, technique.from_map(read_back(golden), scene_of(golden)))
 
 
 def from_own_map(golden, technique):
     """Visibility from a map that the library draws, at the engine's receivers."""
-    drawn = technique.prepare(scene_of(golden))
-    offset = jnp.zeros(len(golden.settings["meshes"]))
-    state = dataclasses.replace(drawn, offset=offset, receives=jnp.asarray(receives(golden)))
-    return visibility(golden, technique, state)
+    return visibility(golden, technique, technique.prepare(scene_of(golden)))
 
 
 def visibility(golden, technique, state):
@@ -248,7 +221,8 @@ def test_equal_depth_is_lit_by_metric_and_shadowed_by_the_texture_unit():
 def test_nothing_casts_whatever_the_bias(filter_):
     golden = engine_golden("babylon", "directional_none_bias")
     technique = BabylonJs(filter=filter_, bias=-0.5, resolution=(128, 128))
-    state = read_back(golden, np.ones((128, 128), np.float32), [0.0] * len(golden.settings["meshes"]))
+    scene, far = scene_of(golden), np.ones((128, 128), np.float32)
+    state = dataclasses.replace(technique.prepare(scene), depth=jnp.asarray(far))
     np.testing.assert_allclose(np.asarray(technique.visibility(state, surface_of(golden))), 1, atol=1e-6)
 
 
@@ -326,6 +300,8 @@ def test_each_mesh_needs_its_culling():
     golden = engine_golden("babylon", "directional_none_bias")
     with pytest.raises(ValueError, match="3 entries of back_face_culling, and the scene has 4 meshes"):
         BabylonJs(back_face_culling=(True, True, False)).prepare(scene_of(golden))
+    listed = BabylonJs(back_face_culling=[True, False, True, True])
+    assert listed.casting_sides(scene_of(golden)) == ("front", "double", "front", "front")
 
 
 # --- The pictures can tell a wrong preset ---
