@@ -112,8 +112,8 @@ class View(eqx.Module):
         """
         if not self.has_even_texels:
             raise ValueError(
-                "the window of a view with a warp or with tiles was to be moved by texels; expected a view whose "
-                "texels are even: leave the shift out, or use another layout"
+                "a shift by texels was given for a view with a warp, with pages or with layers of several sizes; "
+                "expected one whose texels are even: leave the shift out, or use another layout"
             )
         in_clip = jnp.append(2 * texels / jnp.array(resolution[::-1], texels.dtype), jnp.zeros(2, texels.dtype))
         moved = self.eye_to_clip + in_clip[:, None] * self.eye_to_clip[..., 3:, :]
