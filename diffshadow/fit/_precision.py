@@ -10,7 +10,6 @@ from scipy.ndimage import gaussian_filter
 
 from .._misc import as_float
 from .._types import HostArray
-from ._solve import Solution
 from .problems import REACH_OF_BLUR, Images, Joint
 
 # A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
@@ -36,15 +35,10 @@ class Precision(NamedTuple):
     least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Residuals are errors of the model far more than noise of the reference. The
     covariance is the sum of three parts.
 
-    *Other grids.* Where the map's texels lie is arbitrary, and a caster as thin as a texel looks different on every
-    grid. A fit of lights or meshes is therefore drawn again at its end with the grid of texels moved by a part of a
-    texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far away, to first
-    order, the fit would have ended on that grid. This part is (1/K) Σₖ δₖ δₖᵀ, the mean over the K grids.
-
-    *Errors that all grids share.* They are in m, the mean of the residuals of all K + 1 grids, with the fit's own.
-    Their part is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of the score Σᵢ sᵢ, sᵢ = (B²J)ᵢ mᵢ. A texel
-    moves an outline equally for all pixels that see it, so neighbours are correlated. S is therefore the estimate of
-    Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999),
+    *The scatter of the residuals.* This is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of the score
+    g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. A texel moves an outline equally for all pixels that see it, so that neighbours are
+    correlated. S is therefore the estimate of Conley, "GMM estimation with cross sectional dependence", Journal of
+    Econometrics 92 (1999),
 
         S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
 
@@ -53,11 +47,16 @@ class Precision(NamedTuple):
     the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
     *The remaining step.* Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than
-    at it. The square δδᵀ of the step on the fit's own grid is an estimate of that error.
+    at it. The square δδᵀ of the step δ = -(JᵀB²J)⁻¹ g is an estimate of that error.
 
-    There are no other grids, K = 0 and m = r, in fits of a technique alone, and under maps whose texels have no common
-    grid: warped ones, and those with pages or with cascades of several sizes. Deviations for casters thinner than a
-    texel are then too small.
+    *Other grids of texels.* Where the map's texels lie is arbitrary, and a caster as thin as a texel looks different on
+    every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with the grid moved by a part of
+    a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far away, to first
+    order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
+
+    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ under maps whose texels
+    have no even grid: warped ones, and those with pages or with cascades of several sizes. Deviations for casters
+    thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; large for what is undetermined.
@@ -71,20 +70,23 @@ class Precision(NamedTuple):
     undetermined: list[tuple[str, ...]]
 
 
-def on_grids(joint: Joint, solution: Solution) -> list[Float[HostArray, "k _ _"]]:
+def on_grids(joint: Joint, own: Images, roots: Float[HostArray, " v"]) -> list[Float[HostArray, "k _ _"]]:
     """The differences at the end of a phase, (k, h, w) for each image: with the texels of maps in their places, and
     then, in fits of lights or meshes, with these moved.
 
-    **Arguments:** `joint`: of the phase, with the values at its end.
+    **Arguments:**
+
+    - `joint`: of the phase, with the values at its end.
+    - `own`: its differences with the texels in their places, with the loss's weights.
+    - `roots`: (v,), of these weights.
     """
-    grids = [_each_image(solution.differences)]
+    grids = [_each_image(own)]
     for shift in _SHIFTS if joint.moves else ():
         # Not as one program: its parts share theirs with all else that is drawn.
         moved = joint.each(lambda problem, shift=shift: dataclasses.replace(problem, shift=as_float(shift)))
         differences, overflow = moved.differences(moved.subject)
         # Where silhouettes exceed their memory on another grid, the estimate does without it.
         if not overflow:
-            roots = np.asarray(solution.roots)
             grids.append([image * root for image, root in zip(_each_image(differences), roots, strict=True)])
     return [np.stack(images) for images in zip(*grids, strict=True)]
 
@@ -123,7 +125,7 @@ def precision_of(
     residuals = np.concatenate([_blurred(each, blur).reshape(len(each), -1) for each, _, blur in images], axis=1).T
     scatter = np.concatenate(
         [
-            _root_of_covariance(each.mean(axis=0) * _blurred(slope, blur), blur)
+            _root_of_covariance(each[0] * _blurred(slope, blur), blur)
             for (each, _, blur), slope in zip(images, blurred, strict=True)
         ],
         axis=1,

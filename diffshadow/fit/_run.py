@@ -151,7 +151,8 @@ class Run:
         lower, upper = np.asarray(self.parameters.lower), np.asarray(self.parameters.upper)
         span = (upper - lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
-        differences = on_grids(phase.joint.put(self.parameters, as_float(path.values[chosen + 1])), solution)
+        joint = phase.joint.put(self.parameters, as_float(path.values[chosen + 1]))
+        differences = on_grids(joint, solution.differences, np.asarray(solution.roots))
         slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
         return precision_of(names, differences, slopes, phase.blurs, span)
 

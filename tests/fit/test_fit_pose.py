@@ -31,7 +31,6 @@ from diffshadow.fit._phases import Phase, phases_of
 from diffshadow.fit._precision import on_grids, precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
-from diffshadow.fit._solve import Solution
 from diffshadow.fit._starts import starts_within
 from diffshadow.fit.problems import Joint, blurs_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt, Stop
@@ -321,14 +320,14 @@ def test_precision_is_the_scatter_of_repeated_regressions():
 @pytest.mark.parametrize("grids", [1, 5])
 @pytest.mark.parametrize("blur", [0.0, 0.5], ids=["sharp", "blurred"])
 def test_precision_is_its_formula(blur, grids):
-    """With sums over all pairs of pixels: A⁻¹ S A⁻¹ + δ₀ δ₀ᵀ + mean(δₖ δₖᵀ), A = JᵀB²J. The score of S is of the mean
-    residual of all grids, and δ is the step for the residual of each, first of the fit's own."""
+    """With sums over all pairs of pixels: A⁻¹ S A⁻¹ + δ₀ δ₀ᵀ + mean(δₖ δₖᵀ), A = JᵀB²J. Here δ is the step for the
+    residual on each grid. The fit's own grid is the first, and S is of its residual alone."""
     rng, reach = np.random.default_rng(5), max(1, round(4 * blur))
     slopes, residuals = rng.normal(size=(2, 7, 9)), 0.05 * rng.normal(size=(grids, 7, 9))
     span = np.array([2.0, 5.0])
     once = np.stack([_gaussian(image, blur) for image in slopes])
     twice = np.stack([_gaussian(image, blur) for image in once])
-    score = (twice * residuals.mean(axis=0)).reshape(2, -1)
+    score = (twice * residuals[0]).reshape(2, -1)
     y, x = np.indices(residuals.shape[1:]).reshape(2, -1)
     near = lambda at: np.maximum(0, 1 - abs(at[:, None] - at) / reach)
     inverse = np.linalg.inv(np.einsum("phw,qhw->pq", once, once))
@@ -343,7 +342,7 @@ def test_precision_is_its_formula(blur, grids):
 
 
 def test_precision_tells_how_far_the_grid_of_texels_moves_a_fit():
-    """Residuals that one step on every grid explains, and that cancel in the mean."""
+    """Without residuals on its own grid, the fit has the mean square of the steps on the others."""
     slopes = np.random.default_rng(4).normal(size=(1, 20, 20))
     residuals = np.array([0.0, 0.3, -0.3, 0.1, -0.1])[:, None, None] * slopes
     told = precision_of("a", [residuals], [slopes], [0.0], np.full(1, 10.0))
@@ -358,12 +357,6 @@ GRIDS = {
 }
 
 
-def ended(differences, roots):
-    """The end of a phase."""
-    none, steps = jnp.zeros(1), jnp.zeros((), jnp.int32)
-    return Solution(none, none, none, differences, (), roots, steps, optx.RESULTS.successful)
-
-
 @pytest.mark.parametrize("name", marked(GRIDS, {"cascades", "point"}))
 def test_other_grids_have_their_texels_elsewhere(name):
     kind, layout, is_even = GRIDS[name]
@@ -372,10 +365,9 @@ def test_other_grids_have_their_texels_elsewhere(name):
     one = dataclasses.replace(one, arrangement=dataclasses.replace(one.arrangement, technique=technique)).planned()
     joint = Joint.of(one)
     own, _ = joint.differences(joint.subject)
-    solution = ended(tuple(3 * each for each in own), jnp.array([3.0]))
-    (found,) = on_grids(joint, solution)
+    (found,) = on_grids(joint, tuple(3 * each for each in own), np.array([3.0]))
     assert found.shape == (5, 64, 64)
-    np.testing.assert_array_equal(found[0], solution.differences[0][0])
+    np.testing.assert_array_equal(found[0], 3 * own[0][0])
     off = np.abs(found[1:] - found[0]).sum(axis=(1, 2)) / np.abs(found[0]).sum()
     if is_even:
         # Only pixels at the outline see another texel.
@@ -387,7 +379,7 @@ def test_other_grids_have_their_texels_elsewhere(name):
 def test_a_grid_whose_silhouettes_exceed_their_memory_is_left_out():
     joint = Joint.of(dataclasses.replace(problem(SUN), crossings=1))
     own, _ = joint.differences(joint.subject)
-    assert [images.shape for images in on_grids(joint, ended(own, jnp.ones(1)))] == [(1, 64, 64)]
+    assert [images.shape for images in on_grids(joint, own, np.ones(1))] == [(1, 64, 64)]
 
 
 def test_precision_counts_the_step_that_a_fit_has_left():
