@@ -304,6 +304,6 @@ class Programs:
             joint, free = given[0], np.asarray(given[2])
             images = tuple(np.zeros((len(p.numbers) if isinstance(p, Stack) else 1, 4, 4)) for p in joint.problems)
             slopes, end = tuple(np.zeros((2, *each.shape)) for each in images), jnp.asarray(free + self.step)
-            return Solution(end, np.zeros(2), np.ones(2), images, slopes, 0, RESULTS.successful)
+            return Solution(end, np.zeros(2), np.ones(2), images, slopes, np.ones(1), 0, RESULTS.successful)
 
         return program

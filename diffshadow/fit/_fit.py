@@ -176,7 +176,7 @@ def fit(
         least = profiler.best.values
         values = profiler.preferred(prefer, tolerance).values if prefer else least
     points = front_of(run, least, front) if front else []
-    end = run.judged_at(as_float(values))
+    end, precision = run.judged_at(as_float(values)), run.precision(path, best - 1)
     result = FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),
@@ -188,7 +188,7 @@ def fit(
         seconds_compiling=run.seconds_compiling,
         seconds_running=time.perf_counter() - began - run.seconds_compiling,
         arrangement=end.subject if end.moves else None,
-        precision=run.precision(path, best - 1),
+        precision=precision,
         starts=tried,
         enlargements=run.enlargements,
         problems=run.judge.problems,

@@ -1,5 +1,6 @@
 """How well an image determines what was fitted to it."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -7,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
+from .._misc import as_float
 from .._types import HostArray
-from .problems import REACH_OF_BLUR
+from .problems import REACH_OF_BLUR, Images, Joint
 
 # A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
 # does, or if its standard deviation is more than this fraction of the distance between its bounds.
@@ -21,14 +23,22 @@ _PART = 0.3
 _CORRELATED = 4
 
 
+# Where the grid of texels lies for the other drawings, in texels. With the grid in its place, these are the points of a
+# lattice that has each of five fractions of a texel once along either axis.
+_SHIFTS = ((0.2, 0.4), (0.4, -0.2), (-0.4, 0.2), (-0.2, -0.4))
+
+
 class Precision(NamedTuple):
     """The covariance of fitted values, to first order, from the Jacobian at the end of the phase that was chosen.
 
     With `r` the pixels' residuals, `J` their derivatives and `B` the blur under which they are compared, the error of a
-    least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Its covariance is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of
-    the score g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. Residuals are errors of the model far more than noise of the reference: a texel
-    moves an outline equally for all pixels that see it, so neighbours are correlated. S is therefore the estimate of
-    Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999),
+    least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Residuals are errors of the model far more than noise of the reference. The
+    covariance is the sum of three parts.
+
+    *The scatter of the residuals.* This is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of the score
+    g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. A texel moves an outline equally for all pixels that see it, so that neighbours are
+    correlated. S is therefore the estimate of Conley, "GMM estimation with cross sectional dependence", Journal of
+    Econometrics 92 (1999),
 
         S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
 
@@ -36,8 +46,17 @@ class Precision(NamedTuple):
     independent. L is four times the blur's standard deviation, which covers a texel. With L = 1, without blur, this is
     the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
 
-    Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than at it. The square of
-    the remaining step, δδᵀ with δ = -(JᵀB²J)⁻¹ g, is added as an estimate of that error.
+    *The remaining step.* Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than
+    at it. The square δδᵀ of the step δ = -(JᵀB²J)⁻¹ g is an estimate of that error.
+
+    *Other grids of texels.* Where the map's texels lie is arbitrary, and a caster as thin as a texel looks different on
+    every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with the grid moved by a part of
+    a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far away, to first
+    order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
+
+    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ under maps whose texels
+    have no even grid: warped ones, and those with pages or with cascades of several sizes. Deviations for casters
+    thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; large for what is undetermined.
@@ -51,9 +70,34 @@ class Precision(NamedTuple):
     undetermined: list[tuple[str, ...]]
 
 
+def on_grids(joint: Joint, own: Images, roots: Float[HostArray, " v"]) -> list[Float[HostArray, "k _ _"]]:
+    """The differences at the end of a phase, (k, h, w) for each image: with the texels of maps in their places, and
+    then, in fits of lights or meshes, with these moved.
+
+    **Arguments:**
+
+    - `joint`: of the phase, with the values at its end.
+    - `own`: its differences with the texels in their places, with the loss's weights.
+    - `roots`: (v,), of these weights.
+    """
+    grids = [_each_image(own)]
+    for shift in _SHIFTS if joint.moves else ():
+        # Not as one program: its parts share theirs with all else that is drawn.
+        moved = joint.each(lambda problem, shift=shift: dataclasses.replace(problem, shift=as_float(shift)))
+        differences, overflow = moved.differences(moved.subject)
+        # Where silhouettes exceed their memory on another grid, the estimate does without it.
+        if not overflow:
+            grids.append([image * root for image, root in zip(_each_image(differences), roots, strict=True)])
+    return [np.stack(images) for images in zip(*grids, strict=True)]
+
+
+def _each_image(images: Images) -> list[Float[HostArray, "_ _"]]:
+    return [image for several in images for image in np.asarray(several)]
+
+
 def precision_of(
     names: Sequence[str],
-    differences: Sequence[Float[HostArray, "_ _"]],
+    differences: Sequence[Float[HostArray, "k _ _"]],
     slopes: Sequence[Float[HostArray, "p _ _"]],
     blurs: Sequence[float],
     span: Float[HostArray, " p"],
@@ -62,7 +106,8 @@ def precision_of(
 
     **Arguments:**
 
-    - `differences`: (h, w), the residuals of each image before they are blurred.
+    - `differences`: (k, h, w), the residuals of each image before they are blurred: first on the map's own grid, and
+        then on any other ones.
     - `slopes`: (p, h, w), their derivatives with respect to each parameter's fraction of the distance `span` (p,)
         between its bounds.
     - `blurs`: standard deviation, in pixels, of the Gaussian under which each image is compared; 0 for none.
@@ -74,22 +119,24 @@ def precision_of(
     kept = tuple(names[i] for i in used)
     if not used:
         return Precision((), {}, [], [])
-    blurred = [np.stack([_blurred(slope[i], blur) for i in used]) for _, slope, blur in images]
+    blurred = [_blurred(slope[used], blur) for _, slope, blur in images]
     columns = np.concatenate([each.reshape(len(used), -1) for each in blurred], axis=1).T
-    residual = np.concatenate([_blurred(difference, blur).ravel() for difference, _, blur in images])
+    # One column for each grid.
+    residuals = np.concatenate([_blurred(each, blur).reshape(len(each), -1) for each, _, blur in images], axis=1).T
     scatter = np.concatenate(
         [
-            _root_of_covariance(difference * np.stack([_blurred(each, blur) for each in slope]), blur)
-            for (difference, _, blur), slope in zip(images, blurred, strict=True)
+            _root_of_covariance(each[0] * _blurred(slope, blur), blur)
+            for (each, _, blur), slope in zip(images, blurred, strict=True)
         ],
         axis=1,
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
     # Along the principal directions, from the best determined to the worst. Where the residual is 0, the fit is exact.
     inverse = 1 / np.maximum(effect, _NO_EFFECT) ** 2
-    left = inverse * (ways @ (columns.T @ residual))
+    steps = inverse[:, None] * (ways @ (columns.T @ residuals))
+    steps[:, 1:] /= max(steps.shape[1] - 1, 1) ** 0.5
     # The covariance is the product of this and its transpose: positive, however little a combination does.
-    root = np.column_stack([inverse[:, None] * (ways @ scatter), left])
+    root = np.column_stack([inverse[:, None] * (ways @ scatter), steps])
     lost = (effect < _LEAST_EFFECT * effect[0]) | (np.linalg.norm(root, axis=1) > _MOST_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
@@ -108,9 +155,9 @@ def precision_of(
 _NO_EFFECT = 1e-50
 
 
-def _blurred(image: Float[HostArray, "h w"], deviation: float) -> Float[HostArray, "h w"]:
-    wide = np.asarray(image, np.float64)
-    return gaussian_filter(wide, deviation, mode="constant", truncate=REACH_OF_BLUR) if deviation else wide
+def _blurred(images: Float[HostArray, "n h w"], deviation: float) -> Float[HostArray, "n h w"]:
+    wide = np.asarray(images, np.float64)
+    return gaussian_filter(wide, (0, deviation, deviation), mode="constant", truncate=REACH_OF_BLUR)
 
 
 def _root_of_covariance(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p n"]:

@@ -14,7 +14,7 @@ from ._history import Reporter, Step
 from ._loss import Errors, Loss
 from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
-from ._precision import Precision, precision_of
+from ._precision import Precision, on_grids, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
@@ -151,7 +151,8 @@ class Run:
         lower, upper = np.asarray(self.parameters.lower), np.asarray(self.parameters.upper)
         span = (upper - lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
-        differences = [image for images in solution.differences for image in np.asarray(images)]
+        joint = phase.joint.put(self.parameters, as_float(path.values[chosen + 1]))
+        differences = on_grids(joint, solution.differences, np.asarray(solution.roots))
         slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
         return precision_of(names, differences, slopes, phase.blurs, span)
 

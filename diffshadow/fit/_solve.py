@@ -28,6 +28,7 @@ class Solution(NamedTuple):
     - `gradient`: (a,), of the mean square of the compared differences.
     - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
     - `differences`, `slopes`: of each problem, (n, h, w) and (a, n, h, w), before the blur, with the loss's weights.
+    - `roots`: (v,), of these weights.
     """
 
     value: Float[Array, " a"]
@@ -35,6 +36,7 @@ class Solution(NamedTuple):
     slope: Float[Array, " a"]
     differences: Images
     slopes: Stacks
+    roots: Float[Array, " v"]
     steps: Array
     result: optx.RESULTS
 
@@ -42,7 +44,7 @@ class Solution(NamedTuple):
 def _solve(
     joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array, stop: Stop
 ) -> Solution:
-    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks]]:
+    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks, Array]]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
         # once for each; here it is a matrix, found once together with the residuals.
         joint, parameters, scale = args
@@ -59,7 +61,7 @@ def _solve(
         rows = [_flat(multiplied(compared, roots)) + along]
         if curvature_rows is not None:
             rows.append(jnp.matmul(curvature_rows, change, precision="highest"))
-        return scale * jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes))
+        return scale * jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes), roots)
 
     solution = optx.least_squares(
         residual,
@@ -71,7 +73,7 @@ def _solve(
         max_steps=solver.max_steps,
         throw=False,
     )
-    differences, slopes = solution.state.aux
+    differences, slopes, roots = solution.state.aux
     end, jacobian = _flat(joint.compared(differences)), _columns(jax.vmap(joint.compared)(slopes))
     return Solution(
         value=solution.value,
@@ -79,6 +81,7 @@ def _solve(
         slope=jnp.sqrt(jnp.sum(jacobian**2, axis=0)),
         differences=differences,
         slopes=slopes,
+        roots=roots,
         steps=solution.stats["num_steps"],
         result=solution.result,
     )

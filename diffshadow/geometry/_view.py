@@ -71,6 +71,12 @@ class View(eqx.Module):
         return jnp.matmul(self.eye_to_clip, self.world_to_eye, precision="highest")
 
     @property
+    def has_even_texels(self) -> bool:
+        """Whether a map's texels divide the window evenly: there is no warp, and no layer shows a part of a virtual
+        map."""
+        return self.warp is None and self.tile is None
+
+    @property
     def unwarped(self) -> "View":
         """The same view without its warp."""
         return dataclasses.replace(self, warp=None)
@@ -100,7 +106,15 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def shifted(self, texels: Float[Array, "2"], resolution: tuple[int, int]) -> "View":
-        """With its window moved, so that points lie so many `texels` further along x and y of a map of `resolution`."""
+        """With its window moved, so that points lie so many `texels` further along x and y of a map of `resolution`.
+
+        **Raises** `ValueError` unless texels are even.
+        """
+        if not self.has_even_texels:
+            raise ValueError(
+                "a shift by texels was given for a view with a warp, with pages or with layers of several sizes; "
+                "expected one whose texels are even: leave the shift out, or use another layout"
+            )
         in_clip = jnp.append(2 * texels / jnp.array(resolution[::-1], texels.dtype), jnp.zeros(2, texels.dtype))
         moved = self.eye_to_clip + in_clip[:, None] * self.eye_to_clip[..., 3:, :]
         return self._with(self.world_to_eye, moved)

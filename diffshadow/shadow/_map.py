@@ -117,12 +117,14 @@ def draw_shadow_map(
         default from `plan_crossings`. Under a trace, it is required with `edges`.
     - `raises`: whether more crossings than that are an error. Otherwise the map's `overflow` says whether there are
         more: throw such a map away, and draw again with more memory.
+    - `shift`: (2,), how far the grid of texels is moved, in texels: points lie so much further along x and y of the
+        map. It stays within a texel, since the window moves with the grid. None to leave it where the light has it.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
     `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
-    `edges` for one with pages or with cascades of several sizes, and what `rasterize` raises; and a runtime error if
-    the silhouettes have more `crossings`.
+    `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
+    raises; and a runtime error if the silhouettes have more `crossings`.
     """
     # It checks them.
     MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
@@ -198,7 +200,7 @@ def _check_allows_edges(view: View, resolution: Resolution, depth_layer: DepthLa
             f'edges were given with depth_layer {depth_layer!r} and cull {cull!r}; expected "nearest" and "none": '
             "leave edges out, or change depth_layer and cull"
         )
-    if view.warp is not None or view.tile is not None:
+    if not view.has_even_texels:
         layout = "pages" if view.pages is not None else "cascades of several sizes"
         raise ValueError(
             f"edges were given for a map with {layout if view.warp is None else 'a warp'}, which has no silhouettes; "
@@ -236,7 +238,8 @@ class MapSettings:
         check_settings(self)
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
-        """The shadow map of `casters` under `light`; `edges`, `crossings` and `raises` as for `draw_shadow_map`."""
+        """The shadow map of `casters` under `light`; `edges`, `crossings`, `raises` and `shift` as for
+        `draw_shadow_map`."""
         given = {name: value for name, value in vars(self).items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 

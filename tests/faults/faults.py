@@ -2223,7 +2223,7 @@ _FIT = (
     _fault(
         "precision: the step that is left does not count",
         "fit/_precision.py",
-        "root = np.column_stack([inverse[:, None] * (ways @ scatter), left])",
+        "root = np.column_stack([inverse[:, None] * (ways @ scatter), steps])",
         "root = inverse[:, None] * (ways @ scatter)",
         "test_fit_pose.py",
     ),

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from scenes import LAMP, floor_camera, jacfwd_and_value, quad, sun
+from scenes import LAMP, floor_camera, jacfwd_and_value, marked, quad, sun
 from scipy.ndimage import gaussian_filter
 
 from diffshadow.fit import (
@@ -28,7 +28,7 @@ from diffshadow.fit import (
     with_values,
 )
 from diffshadow.fit._phases import Phase, phases_of
-from diffshadow.fit._precision import precision_of
+from diffshadow.fit._precision import on_grids, precision_of
 from diffshadow.fit._programs import compiled
 from diffshadow.fit._run import Path, Run
 from diffshadow.fit._starts import starts_within
@@ -48,7 +48,7 @@ from diffshadow.geometry import (
 )
 from diffshadow.raster import draw_surface
 from diffshadow.reference import reference_from_image, trace_visibility
-from diffshadow.shadow import Bias, Bilinear, MapSettings, ShadowMapping
+from diffshadow.shadow import Bias, Bilinear, Cascades, MapSettings, PerspectiveWarp, ShadowMapping, SingleMap
 
 FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
 POINTS = merge([FLOOR, CARD]).vertices
@@ -297,7 +297,7 @@ def test_precision_is_the_scatter_of_repeated_regressions():
     residuals = noise * rng.normal(size=(20_000, 20, 20))
     fits = _regressions(residuals, slopes, 0)
     left = residuals[:400] - np.einsum("np,phw->nhw", fits[:400], slopes)
-    told = [precision_of("abc", [each], [slopes], [0.0], span) for each in left]
+    told = [precision_of("abc", [each[None]], [slopes], [0.0], span) for each in left]
     deviations = np.array([list(each.deviations.values()) for each in told])
     np.testing.assert_allclose(np.sqrt(np.mean(deviations**2, axis=0)), fits.std(axis=0) * span, rtol=0.04)
     np.testing.assert_allclose(np.mean([each.correlations for each in told], axis=0), np.corrcoef(fits.T), atol=0.04)
@@ -305,34 +305,80 @@ def test_precision_is_the_scatter_of_repeated_regressions():
     # From one of them, as well as 400 pixels can tell.
     np.testing.assert_allclose(deviations[0], fits.std(axis=0) * span, rtol=0.2)
     # Two images of the same kind tell twice as much.
-    both = precision_of("abc", [left[0], left[0]], [slopes, slopes], [0.0, 0.0], span)
+    both = precision_of("abc", [left[:1], left[:1]], [slopes, slopes], [0.0, 0.0], span)
     np.testing.assert_allclose(list(both.deviations.values()), deviations[0] / 2**0.5)
 
 
+@pytest.mark.parametrize("grids", [1, 5])
 @pytest.mark.parametrize("blur", [0.0, 0.5], ids=["sharp", "blurred"])
-def test_precision_is_its_formula(blur):
-    """With sums over all pairs of pixels: (JᵀB²J)⁻¹ (S + g gᵀ) (JᵀB²J)⁻¹, with scores (B²J)ᵢ rᵢ and their sum g."""
+def test_precision_is_its_formula(blur, grids):
+    """With sums over all pairs of pixels: A⁻¹ S A⁻¹ + δ₀ δ₀ᵀ + mean(δₖ δₖᵀ), A = JᵀB²J. Here δ is the step for the
+    residual on each grid. The fit's own grid is the first, and S is of its residual alone."""
     rng, reach = np.random.default_rng(5), max(1, round(4 * blur))
-    slopes, residual, span = rng.normal(size=(2, 7, 9)), 0.05 * rng.normal(size=(7, 9)), np.array([2.0, 5.0])
+    slopes, residuals = rng.normal(size=(2, 7, 9)), 0.05 * rng.normal(size=(grids, 7, 9))
+    span = np.array([2.0, 5.0])
     once = np.stack([_gaussian(image, blur) for image in slopes])
     twice = np.stack([_gaussian(image, blur) for image in once])
-    score = (twice * residual).reshape(2, -1)
-    y, x = np.indices(residual.shape).reshape(2, -1)
+    score = (twice * residuals[0]).reshape(2, -1)
+    y, x = np.indices(residuals.shape[1:]).reshape(2, -1)
     near = lambda at: np.maximum(0, 1 - abs(at[:, None] - at) / reach)
     inverse = np.linalg.inv(np.einsum("phw,qhw->pq", once, once))
-    left = inverse @ np.einsum("phw,hw->p", once, _gaussian(residual, blur))
-    covariance = inverse @ (score @ (near(x) * near(y)) @ score.T) @ inverse + np.outer(left, left)
-    told = precision_of("ab", [residual], [slopes], [blur], span)
+    covariance = inverse @ (score @ (near(x) * near(y)) @ score.T) @ inverse
+    for number, residual in enumerate(residuals):
+        step = inverse @ np.einsum("phw,hw->p", once, _gaussian(residual, blur))
+        covariance += np.outer(step, step) / (1 if number == 0 else grids - 1)
+    told = precision_of("ab", [residuals], [slopes], [blur], span)
     deviations = np.sqrt(np.diag(covariance))
     assert [told.deviations[name] for name in "ab"] == pytest.approx(deviations * span, rel=1e-6)
     np.testing.assert_allclose(told.correlations, covariance / np.outer(deviations, deviations), rtol=1e-6)
+
+
+def test_precision_tells_how_far_the_grid_of_texels_moves_a_fit():
+    """Without residuals on its own grid, the fit has the mean square of the steps on the others."""
+    slopes = np.random.default_rng(4).normal(size=(1, 20, 20))
+    residuals = np.array([0.0, 0.3, -0.3, 0.1, -0.1])[:, None, None] * slopes
+    told = precision_of("a", [residuals], [slopes], [0.0], np.full(1, 10.0))
+    assert told.deviations["a"] == pytest.approx(10 * np.sqrt(0.05))
+
+
+GRIDS = {
+    "sun": ("directional", SingleMap(), True),
+    "point": ("point", SingleMap(), True),
+    "cascades": ("directional", Cascades(2, margin=2.0), True),
+    "warped": ("directional", PerspectiveWarp(), False),
+}
+
+
+@pytest.mark.parametrize("name", marked(GRIDS, {"cascades", "point"}))
+def test_other_grids_have_their_texels_elsewhere(name):
+    kind, layout, is_even = GRIDS[name]
+    one = problem(LIGHTS[kind], silhouettes=is_even)
+    technique = dataclasses.replace(TECHNIQUE, layout=layout)
+    one = dataclasses.replace(one, arrangement=dataclasses.replace(one.arrangement, technique=technique)).planned()
+    joint = Joint.of(one)
+    own, _ = joint.differences(joint.subject)
+    (found,) = on_grids(joint, tuple(3 * each for each in own), np.array([3.0]))
+    assert found.shape == (5, 64, 64)
+    np.testing.assert_array_equal(found[0], 3 * own[0][0])
+    off = np.abs(found[1:] - found[0]).sum(axis=(1, 2)) / np.abs(found[0]).sum()
+    if is_even:
+        # Only pixels at the outline see another texel.
+        assert 0 < off.min() <= off.max() < 0.06, off
+    else:
+        np.testing.assert_allclose(found[1:], found[:1].repeat(4, axis=0), atol=1e-6)
+
+
+def test_a_grid_whose_silhouettes_exceed_their_memory_is_left_out():
+    joint = Joint.of(dataclasses.replace(problem(SUN), crossings=1))
+    own, _ = joint.differences(joint.subject)
+    assert [images.shape for images in on_grids(joint, own, np.ones(1))] == [(1, 64, 64)]
 
 
 def test_precision_counts_the_step_that_a_fit_has_left():
     rng = np.random.default_rng(3)
     slopes, left = rng.normal(size=(2, 20, 20)), np.array([0.3, -0.2])
     residual = 1e-6 * rng.normal(size=(20, 20)) + np.einsum("p,phw->hw", left, slopes)
-    told = precision_of("ab", [residual], [slopes], [0.0], np.ones(2))
+    told = precision_of("ab", [residual[None]], [slopes], [0.0], np.ones(2))
     assert min(told.deviations["a"] / 0.3, told.deviations["b"] / 0.2) > 1
 
 
@@ -347,7 +393,7 @@ def test_precision_covers_the_truth_where_neighbouring_residuals_are_correlated(
     left = residuals - np.einsum("np,phw->nhw", fits, slopes)
 
     def covered(deviations):
-        told = [precision_of("ab", [each], [slopes], [1.5], np.ones(2)).deviations.values() for each in left]
+        told = [precision_of("ab", [each[None]], [slopes], [1.5], np.ones(2)).deviations.values() for each in left]
         return np.mean(np.abs(fits) < deviations * np.array([list(each) for each in told]))
 
     # The share has a binomial's standard deviation of 0.02 for one of them, and 0.01 for two.
@@ -363,7 +409,7 @@ def test_what_an_image_cannot_tell_apart_is_named():
     a, b = np.random.default_rng(1).normal(size=(2, 20, 20))
     # b and c do the same, a is by itself, d does nothing.
     slopes = np.stack([a, b, b, 0 * a])
-    told = precision_of("abcd", [np.full((20, 20), 0.01)], [slopes], [0.0], np.ones(4))
+    told = precision_of("abcd", [np.full((1, 20, 20), 0.01)], [slopes], [0.0], np.ones(4))
     assert told.names == ("a", "b", "c")
     assert told.undetermined == [("b", "c")]
     assert told.deviations["a"] < 1 < min(told.deviations["b"], told.deviations["c"])

@@ -23,7 +23,7 @@ from scenes import (
     technique,
 )
 
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, SpotLight, library_mesh, merge
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, SpotLight, Tile, library_mesh, merge
 from diffshadow.raster import DepthTest, draw_surface
 from diffshadow.shadow import (
     Bias,
@@ -37,6 +37,7 @@ from diffshadow.shadow import (
     receiver,
 )
 from diffshadow.shadow._map import _midpoint
+from diffshadow.shadow._receiver import project
 
 # A map and an image of one size share what is compiled. Nothing in an image of this size is too large for a window.
 SIZE = (32, 32)
@@ -88,6 +89,23 @@ def test_culling_leaves_out_the_faces_named():
     # All faces are turned up, to the light.
     np.testing.assert_array_equal(full, no_back)
     assert (no_front == 1).all()
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_a_shift_moves_the_grid_of_texels(light):
+    mesh = floor_and_card()
+    own, moved = (drawn_map(mesh, LIGHTS[light](mesh), **how) for how in ({}, {"shift": jnp.array([3.0, -2.0])}))
+    points = floor_surface(1.0, (4, 4)).position
+    texel = lambda drawn: np.asarray(project(drawn.view, SIZE, points)[0])
+    np.testing.assert_allclose(texel(moved) - texel(own), np.broadcast_to([3.0, -2.0], (4, 4, 2)), atol=1e-4)
+    off = np.abs(moved.depth[:-2, 3:] - own.depth[2:, :-3])
+    assert (off < 1e-5).mean() > 0.99
+
+
+def test_maps_whose_texels_are_not_even_have_no_shift():
+    light = sun(floor_and_card()).view()
+    with pytest.raises(ValueError, match="a shift by texels was given for a view with a warp, with pages"):
+        dataclasses.replace(light, tile=Tile(jnp.zeros(2, jnp.int32), jnp.int32(16))).shifted(jnp.ones(2), SIZE)
 
 
 def test_an_image_in_the_buffer_of_a_map_is_the_same_and_shares_its_program(monkeypatch):

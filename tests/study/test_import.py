@@ -13,6 +13,7 @@ from diffshadow.cli import main
 from diffshadow.config import build_scene, build_technique, dump_resolved, load_config, parse_config
 from diffshadow.geometry import PointLight
 from diffshadow.io import FileError, read_scene
+from diffshadow.settings import engines
 from diffshadow.shadow import EngineLight, ThreeJs
 from diffshadow.shadow.engines._abstract import engine_light
 from diffshadow.study import import_scene

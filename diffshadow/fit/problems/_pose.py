@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -41,6 +42,8 @@ class PoseProblem(AbstractProblem):
     - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
         cover a texel of the map as the camera sees it.
+    - `shift`: (2,), how far the map's grid of texels is moved, as for `draw_shadow_map`; none to leave it in place.
+        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
     """
 
     arrangement: Arrangement
@@ -53,6 +56,7 @@ class PoseProblem(AbstractProblem):
     crossings: int | None = eqx.field(static=True, default=None)
     edges: Edges | None = None
     blur: Scalar = eqx.field(converter=as_float, default=BLUR)
+    shift: Float[Array, "2"] | None = None
 
     @classmethod
     def of(
@@ -140,8 +144,10 @@ class PoseProblem(AbstractProblem):
         casters, light, every = _arranged(self.scene, arrangement, self.index)
         surface = draw_surface(every, self.scene.camera) if self.surface is None else self.surface
         light = arrangement.technique.layout.light(light, self.scene.camera, self.settings.resolution, surface)
-        shadow_map = self.settings.draw(casters, light, edges=self._edges(), crossings=self.crossings, raises=raises)
-        return shadow_map, surface
+        how: dict[str, Any] = {"edges": self._edges(), "crossings": self.crossings, "raises": raises}
+        if self.shift is not None and light.view().has_even_texels:
+            how["shift"] = self.shift
+        return self.settings.draw(casters, light, **how), surface
 
     @property
     def sharpest(self) -> "PoseProblem":
