@@ -195,7 +195,9 @@ def with_patterns(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Any],
 
 
 def _with_sides_exchanged(technique: Any) -> Any:
-    return dataclasses.replace(technique, map=technique.map._replace(resolution=technique.map.resolution[::-1]))
+    return dataclasses.replace(
+        technique, map=dataclasses.replace(technique.map, resolution=technique.map.resolution[::-1])
+    )
 
 
 def _scaled_by(scale: float) -> Callable[[Any], Any]:

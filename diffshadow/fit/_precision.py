@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.ndimage import gaussian_filter
 
 from .._misc import as_float
 from .._types import HostArray
-from .problems import REACH_OF_BLUR, Images, Joint
+from .problems import REACH_OF_BLUR, Joint
 
 # A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
 # does, or if its standard deviation is more than this fraction of the distance between its bounds.
@@ -70,7 +70,9 @@ class Precision(NamedTuple):
     undetermined: list[tuple[str, ...]]
 
 
-def on_grids(joint: Joint, own: Images, roots: Float[HostArray, " v"]) -> list[Float[HostArray, "k _ _"]]:
+def on_grids(
+    joint: Joint, own: Sequence[Float[Array | HostArray, "..."]], roots: Float[HostArray, " v"]
+) -> list[Float[HostArray, "k _ _"]]:
     """The differences at the end of a phase, (k, h, w) for each image: with the texels of maps in their places, and
     then, in fits of lights or meshes, with these moved.
 
@@ -91,7 +93,7 @@ def on_grids(joint: Joint, own: Images, roots: Float[HostArray, " v"]) -> list[F
     return [np.stack(images) for images in zip(*grids, strict=True)]
 
 
-def _each_image(images: Images) -> list[Float[HostArray, "_ _"]]:
+def _each_image(images: Sequence[Float[Array | HostArray, "..."]]) -> list[Float[HostArray, "_ _"]]:
     return [image for several in images for image in np.asarray(several)]
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool
 from .._types import HostArray
 from ..geometry import Scene
 from ..settings.reference import Blockers
+from ..settings.reference import TracedReference as Settings
 from ._embree import EmbreeTracer
 from ._visibility import BATCH, Centre, Job, blocking_faces, sampling_of
 
@@ -16,7 +17,7 @@ from ._visibility import BATCH, Centre, Job, blocking_faces, sampling_of
 _SAMPLES = 16
 
 
-def hides_light(scene: Scene, faces: Bool[HostArray, " f"], blockers: Blockers = "casters") -> bool:
+def hides_light(scene: Scene, faces: Bool[HostArray, " f"], blockers: Blockers = Settings.blockers) -> bool:
     """Whether any of `faces` blocks a ray between a light and a surface seen through a pixel's centre.
 
     Faces count even if others block the same light. For a light with a size, 16 points are tried per pixel.
@@ -40,7 +41,7 @@ def hides_light(scene: Scene, faces: Bool[HostArray, " f"], blockers: Blockers =
     return False
 
 
-def is_lit(scene: Scene, pixels: Bool[HostArray, "h w"], blockers: Blockers = "casters") -> bool:
+def is_lit(scene: Scene, pixels: Bool[HostArray, "h w"], blockers: Blockers = Settings.blockers) -> bool:
     """Whether a light reaches a surface seen through the centre of one of `pixels`; arguments as for `hides_light`.
 
     For a light with a size, 16 points are tried per pixel. It takes little time if a light does.

@@ -116,7 +116,7 @@ def test_no_default_of_a_setting_is_written_again():
             is_known = any(type(value) is type(each) and value == each for each in known[name])
             if value is not None and is_known and (where, name) not in OTHERS:
                 again.append(f"{where}:{line}: {name} = {value!r}")
-    assert again == []
+    assert again == [], "\n".join(again)
 
 
 def test_sections_declare_no_key_of_their_settings():

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..._checks import check_points, check_value, listed
 from ..._misc import array_module, as_float, dot, normalize
 from ..._types import Scalar, Vec3
+from ...settings.quantities import NARROWEST
 from ...settings.scene import OuterAngle
 from .._camera import check_near_far, check_pose
 from .._transforms import centred_perspective, frame, look_at, transform_points
@@ -64,7 +65,7 @@ class LightFrustum(NamedTuple):
                 f"{name} at {listed(position)} is inside the scene, so no cone contains all of it; expected a "
                 "position outside, or an outer_angle in degrees: move the light or give the angle"
             )
-        return cls(direction, float(angle) if outer_angle is None else outer_angle, near, far)
+        return cls(direction, max(float(angle), NARROWEST) if outer_angle is None else outer_angle, near, far)
 
     @classmethod
     def framing(

@@ -7,6 +7,9 @@ import numpy as np
 
 from ..._types import HostArray, Resolution, Vec3
 from ...geometry import DirectionalLight, PointLight, SpotLight
+from ...settings import scene
+from ...settings.maps import ShadowMap
+from ...settings.scene import ShadowCamera
 from ._abstract import is_vertical, upright_axes
 
 Point = Sequence[float] | HostArray | Vec3
@@ -22,13 +25,13 @@ def three_directional_light(
     position: Point,
     target: Point = (0.0, 0.0, 0.0),
     *,
-    left: float = -5.0,
-    right: float = 5.0,
-    top: float = 5.0,
-    bottom: float = -5.0,
-    near: float = 0.5,
-    far: float = 500.0,
-    angular_radius: float = 0.0,
+    left: float = ShadowCamera.left,
+    right: float = ShadowCamera.right,
+    top: float = ShadowCamera.top,
+    bottom: float = ShadowCamera.bottom,
+    near: float = ShadowCamera.near,
+    far: float = ShadowCamera.far,
+    angular_radius: float = scene.DirectionalLight.angular_radius,
 ) -> DirectionalLight:
     """three.js' `DirectionalLight`, with its `shadow.camera`; defaults are the engine's.
 
@@ -50,13 +53,13 @@ def three_spot_light(
     *,
     angle: float = math.pi / 3,
     penumbra: float = 0.0,
-    near: float = 0.5,
-    far: float = 500.0,
+    near: float = ShadowCamera.near,
+    far: float = ShadowCamera.far,
     distance: float = 0.0,
     focus: float = 1.0,
-    aspect: float = 1.0,
-    resolution: Resolution = (512, 512),
-    radius: float = 0.0,
+    aspect: float = scene.SpotLight.aspect,
+    resolution: Resolution = ShadowMap.resolution,
+    radius: float = scene.SpotLight.radius,
 ) -> SpotLight:
     """three.js' `SpotLight`, with its `shadow`; defaults are the engine's.
 
@@ -79,7 +82,12 @@ def three_spot_light(
 
 
 def three_point_light(
-    position: Point, *, near: float = 0.5, far: float = 500.0, distance: float = 0.0, radius: float = 0.0
+    position: Point,
+    *,
+    near: float = ShadowCamera.near,
+    far: float = ShadowCamera.far,
+    distance: float = 0.0,
+    radius: float = scene.PointLight.radius,
 ) -> PointLight:
     """three.js' `PointLight`, with its `shadow.camera`; defaults are the engine's.
 
@@ -105,7 +113,7 @@ def babylon_directional_light(
     shadow_min_z: float,
     shadow_max_z: float,
     shadow_ortho_scale: float = 0.1,
-    angular_radius: float = 0.0,
+    angular_radius: float = scene.DirectionalLight.angular_radius,
 ) -> DirectionalLight:
     """Babylon.js' `DirectionalLight` whose `autoUpdateExtends` is false.
 
@@ -135,7 +143,7 @@ def babylon_spot_light(
     shadow_min_z: float,
     shadow_max_z: float,
     shadow_angle_scale: float = 1.0,
-    radius: float = 0.0,
+    radius: float = scene.SpotLight.radius,
 ) -> SpotLight:
     """Babylon.js' `SpotLight`.
 
@@ -154,7 +162,7 @@ def babylon_spot_light(
 
 
 def babylon_point_light(
-    position: Point, *, shadow_min_z: float, shadow_max_z: float, radius: float = 0.0
+    position: Point, *, shadow_min_z: float, shadow_max_z: float, radius: float = scene.PointLight.radius
 ) -> PointLight:
     """Babylon.js' `PointLight`.
 
