@@ -27,7 +27,7 @@ FOLDERS = {
         *("_fit", "_train"),
     ),
     "config": ("sections", "whole", "reading", "building"),
-    "study": ("files", "pages", "imports", "runs", "sweeps", "advice", "_report"),
+    "study": ("files", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}

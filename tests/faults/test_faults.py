@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from faults import FAULTS, Fault
 
 
@@ -37,6 +38,12 @@ def test_each_fault_has_a_name_of_its_own_and_tests_that_there_are():
     for fault in FAULTS:
         assert fault.tests, fault
         assert set(fault.tests) <= there, fault
+
+
+def test_each_fault_stands_in_the_file_of_its_subpackage():
+    for listed in Path(__file__).parent.glob("*.yaml"):
+        files = yaml.safe_load(listed.read_text(encoding="utf-8"))
+        assert {file.partition("/")[0].removesuffix(".py").lstrip("_") for file in files} == {listed.stem}
 
 
 def test_every_subpackage_has_faults_that_its_tests_must_see():

@@ -173,7 +173,7 @@ def test_no_method_has_a_greater_error_by_default_than_no_warp():
     assert max(by_default.values()) < greatest("lispsm", strength=0.0)
     # The camera's near is 20 times as near as what is seen: the perspective to it is far too strong.
     assert greatest("perspective", depths="camera", margin=0.0) > 2 * greatest("perspective", strength=0.0, margin=0.0)
-    assert [PerspectiveWarp(method).depths for method in METHODS] == ["camera", "surface", "camera"]
+    assert [PerspectiveWarp(method).needs_surface for method in METHODS] == [False, True, False]
 
 
 def warped_to(layout, camera, surface):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffshadow.config import parse_config
-from diffshadow.study.runs._reference_remarks import reference_remarks
+from diffshadow.study.remarks._reference import reference_remarks
 
 LIT = np.array([[1.0, 1.0], [1.0, 0.0]])
 MASK = np.array([[True, True], [True, False]])

@@ -8,11 +8,11 @@ from rich.console import Console
 
 from diffshadow.config import build_scene, build_technique, parse_config
 from diffshadow.raster import draw_surface
-from diffshadow.study.runs._framing import dark_scene
+from diffshadow.study.remarks._framing import dark_scene
+from diffshadow.study.remarks._scene import scene_remarks
+from diffshadow.study.remarks._sides import side_remarks
 from diffshadow.study.runs._progress import Stages
-from diffshadow.study.runs._scene_remarks import scene_remarks
 from diffshadow.study.runs._setup import draw, load
-from diffshadow.study.runs._side_remarks import side_remarks
 
 SCENE = """
 scene:

@@ -5,7 +5,7 @@ import pytest
 
 from diffshadow.config import build_scene, parse_config
 from diffshadow.raster import Surface
-from diffshadow.study.runs._sight import blind_camera, blind_light
+from diffshadow.study.remarks._sight import blind_camera, blind_light
 
 SCENE = """
 scene:

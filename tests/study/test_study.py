@@ -583,7 +583,7 @@ def ended(blur: float, result: str = "successful") -> fit.Outcome:
     ],
 )
 def test_first_phase_that_was_cut_short_is_reported_where_it_matters(last, losses, said):
-    from diffshadow.study.runs._remarks import remarks
+    from diffshadow.study.remarks._fit import remarks
 
     history = [fit.Step(0, i, 0.0, loss, (5.0,), start=1) for i, loss in enumerate(losses)]
     # Another start's steps, and those of the phase that converged, count for nothing.

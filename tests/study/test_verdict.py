@@ -10,11 +10,11 @@ from scenes import floor_and_card, side_camera, sun
 from diffshadow import fit, reference
 from diffshadow.config import parse_config
 from diffshadow.geometry import Scene
+from diffshadow.study._drawn import Drawn
 from diffshadow.study.pages._table import knee_text
+from diffshadow.study.remarks._fit import remarks
+from diffshadow.study.remarks._verdict import verdict
 from diffshadow.study.runs._explained import Fitted, unexplained
-from diffshadow.study.runs._remarks import remarks
-from diffshadow.study.runs._setup import Drawn
-from diffshadow.study.runs._verdict import verdict
 
 SLANTED = np.array([0.5, -1.0, -0.3])
 

@@ -11,11 +11,11 @@ from rich.console import Console
 from ... import fit, raster
 from ..._misc import as_float
 from ...config import Config, build_fit, build_technique, fit_paths
+from ..remarks._verdict import unexplained_verdict
 from ..runs import _record as record
 from ..runs._explained import fitted_images, unexplained
 from ..runs._progress import Stages
 from ..runs._setup import load, visibility_of
-from ..runs._verdict import unexplained_verdict
 from ..runs._views import draw_views
 from ._times import Load, Times, Watch, times_of, unevenness_of
 

@@ -7,9 +7,9 @@ from ...settings.engines import Engine
 from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
 from ..pages import _table as table
+from ..remarks._scene import scene_remarks
 from ._progress import Stages
 from ._render import SUFFIX
-from ._scene_remarks import scene_remarks
 from ._setup import check_comparable, load, see
 
 

@@ -14,8 +14,9 @@ from ... import geometry, metrics, raster, shadow
 from ..._types import HostArray
 from ...config import Config
 from .. import style
+from .._drawn import Drawn
 from ..pages import _figures as figures
-from ._setup import Drawn, visibility_of
+from ._setup import visibility_of
 from ._shade import shade
 
 # Number of neighbouring pixels whose patterns are shown separately.

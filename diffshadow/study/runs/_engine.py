@@ -10,7 +10,7 @@ from ...config import Config, DirectionalLightConfig
 from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight
 from ...settings import scene
 from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
-from ._setup import Drawn
+from .._drawn import Drawn
 
 CODE = "engine.js"
 """The file in a run's folder that holds the code."""

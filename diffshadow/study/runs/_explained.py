@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 from ... import fit, reference
 from ..._types import HostArray
 from ...geometry import Scene
-from ._setup import Drawn
+from .._drawn import Drawn
+from ..remarks._verdict import Change, Unexplained
 from ._views import Views
 
 # Above this part of a reference's variance, rays decide whether what a fit leaves is an error of the technique.
@@ -31,41 +32,6 @@ _MOST_TRACED = 8
 
 Image = Float[HostArray, "h w"]
 Mask = Bool[HostArray, "h w"]
-
-
-class Change(NamedTuple):
-    """How a reference has to be changed to show what rays see.
-
-    - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
-    - `is_inverted`: whether light and shadow are exchanged.
-    - `low`, `high`: the reference's values where rays see shadow and light.
-    - `rmse`: of the turned and inverted reference against rays.
-    - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
-    """
-
-    turn: str
-    is_inverted: bool
-    low: float
-    high: float
-    rmse: float
-    left: float
-
-
-class Unexplained(NamedTuple):
-    """What a fit leaves of its references.
-
-    - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
-    - `keys`: of the lights or views whose references are not of this scene in its fitted state; there may be none.
-    - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
-    - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
-    """
-
-    rmse: float
-    constant: float
-    keys: list[str] = []  # noqa: RUF012
-    by_rays: float | None = None
-    given: bool = False
-    change: Change | None = None
 
 
 class Fitted(NamedTuple):

@@ -12,20 +12,21 @@ from ... import fit, shadow
 from ..._misc import as_array, as_float
 from ..._types import HostArray
 from ...config import Config, FitPlan, build_fit, build_fittable
+from .._drawn import Drawn
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
+from ..remarks._fit import remarks
+from ..remarks._layout import layout_remarks
+from ..remarks._reference import reference_remarks
+from ..remarks._verdict import Verdict, verdict
 from . import _pose as poses
 from . import _record as record
 from ._engine import CODE, code_of
 from ._explained import fitted_images, unexplained
-from ._layout_remarks import layout_remarks
 from ._progress import Stages
-from ._reference_remarks import reference_remarks
-from ._remarks import remarks
-from ._setup import Drawn, load, visibility_of
+from ._setup import load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
-from ._verdict import Verdict, verdict
 from ._views import DrawnView, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]

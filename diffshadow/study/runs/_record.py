@@ -15,10 +15,10 @@ import numpy as np
 
 from ... import metrics, shadow
 from ...config import CONFIG_FILE, FITTED_FILE, Config, dump_resolved, with_fitted
+from .._drawn import Drawn
 from ..files._run_folder import RESULT
 from ..files._schema import write_json
 from ..files._stored import ARRAYS
-from ._setup import Drawn
 
 SCHEMA_VERSION = 1
 _PACKAGES = ("diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy")

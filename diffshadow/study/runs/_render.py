@@ -9,15 +9,16 @@ from rich.console import Console
 from ... import shadow
 from ..._types import HostArray
 from ...config import Config, build_technique
+from .._drawn import Drawn
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import stored, to_bytes
 from ..pages import _table as table
+from ..remarks._layout import layout_remarks
+from ..remarks._reference import reference_remarks
+from ..remarks._scene import scene_remarks
 from . import _record as record
-from ._layout_remarks import layout_remarks
 from ._progress import Stages
-from ._reference_remarks import reference_remarks
-from ._scene_remarks import scene_remarks
-from ._setup import Drawn, draw, load, visibility_of
+from ._setup import draw, load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
 
 SUFFIX = "-render"

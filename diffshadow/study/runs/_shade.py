@@ -10,7 +10,7 @@ from ... import metrics
 from ..._misc import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
-from ._setup import Drawn
+from .._drawn import Drawn
 
 Pictures = dict[str, UInt8[HostArray, "h w 3"]]
 """Pictures in sRGB, 8 bits per channel, by the names of their arrays."""

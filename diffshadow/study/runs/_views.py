@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 from ... import shadow
 from ...config import Config, ConfigError, Mistake, build_technique
+from .._drawn import Drawn
+from ..remarks._scene import scene_remarks
 from ._progress import Stages
-from ._scene_remarks import scene_remarks
-from ._setup import Drawn, Loaded, draw, load
+from ._setup import Loaded, draw, load
 
 
 class DrawnView(NamedTuple):

@@ -22,13 +22,14 @@ from ... import io, metrics, reference
 from ..._types import HostArray
 from ...config import LIMIT_ERROR, Config, SweepConfig, SweepRun, build_technique, changed
 from ...settings.filters import RandomDisk
+from .._drawn import Drawn
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import is_outcome, read_json
 from ..runs import _record as record
 from ..runs import _render as render_run
 from ..runs._fit import fit_technique, write_fit
 from ..runs._progress import Stages
-from ..runs._setup import Drawn, draw, load, visibility_of
+from ..runs._setup import draw, load, visibility_of
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
 """The folders of runs, of their figures, and of filters' limits, inside the sweep's folder."""

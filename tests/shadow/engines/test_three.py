@@ -130,9 +130,9 @@ def test_a_mesh_without_a_shadow_side_casts_what_the_engine_chooses():
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"side": "both"}, "three.js' side is 'both'; expected front, back, double, or one for each mesh$"),
-        ({"side": ("front", None)}, r"three.js' side is \('front', None\)"),
-        ({"shadow_side": ["front", "none"]}, "three.js' shadow_side is .*, or None for what the engine chooses"),
+        ({"side": "both"}, "ThreeJs.side is 'both'; expected front, back or double, or a list"),
+        ({"side": ("front", None)}, r"ThreeJs.side is \['front', None\]"),
+        ({"shadow_side": ["front", "none"]}, "ThreeJs.shadow_side is .* or null for each mesh"),
     ],
 )
 def test_unknown_sides_are_named(wrong, said):

@@ -10,7 +10,7 @@ from ...geometry import AbstractCamera, Mesh, Scene
 from ...raster import Surface
 from ...shadow import AbstractTechnique
 from ._framing import blockers_of, framing_remarks, lights_inside
-from ._side_remarks import side_remarks
+from ._sides import side_remarks
 from ._sight import size_of
 
 # A mesh this many times smaller or larger than all others is likely to be in another unit.

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from ... import shadow
-from ._setup import Drawn
+from .._drawn import Drawn
 
 
 def layout_remarks(

@@ -7,7 +7,7 @@ import numpy as np
 from ...config import Config
 from ...settings.engines import ThreeJs
 from ...settings.reference import TracedReference
-from ._setup import Drawn
+from .._drawn import Drawn
 
 
 def reference_remarks(config: Config, drawn: Sequence[Drawn]) -> Iterator[str]:

@@ -8,7 +8,6 @@ import numpy as np
 from ...config import Config, FitPlan
 from ...fit import FitResult
 from ..pages._table import UNEXPLAINED
-from ._explained import Change, Unexplained
 
 BEST_ALREADY = "best already"
 Kind = Literal["unexplained", "best already", "nothing fitted", "fitted"]
@@ -21,6 +20,41 @@ _STARTS, _MOST_STARTS = 8, 1024
 _NEARLY = 0.05
 # Up to this factor, what a fit gains is said in percent.
 _MUCH_BETTER = 1.5
+
+
+class Change(NamedTuple):
+    """How a reference has to be changed to show what rays see.
+
+    - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
+    - `is_inverted`: whether light and shadow are exchanged.
+    - `low`, `high`: the reference's values where rays see shadow and light.
+    - `rmse`: of the turned and inverted reference against rays.
+    - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
+    """
+
+    turn: str
+    is_inverted: bool
+    low: float
+    high: float
+    rmse: float
+    left: float
+
+
+class Unexplained(NamedTuple):
+    """What a fit leaves of its references.
+
+    - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
+    - `keys`: of the lights or views whose references are not of this scene in its fitted state; there may be none.
+    - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
+    - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
+    """
+
+    rmse: float
+    constant: float
+    keys: list[str] = []  # noqa: RUF012
+    by_rays: float | None = None
+    given: bool = False
+    change: Change | None = None
 
 
 class Verdict(NamedTuple):

@@ -1,0 +1,1 @@
+"""What runs say beside their figures: faults of what they were given, causes, and what to try."""
