@@ -31,12 +31,14 @@ FOLDERS = {
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
+ASIDE_IMPORTS |= {"_setup": {"_xla", "_memory", "io"}}
 IMPORTED_BY = {
     "reference": {"fit", "study"},
     "metrics": {"study"},
     "io": {"config", "study", "cli"},
-    "_xla": {"study", "cli"},
-    "_memory": {"study", "cli"},
+    "_xla": {"study"},
+    "_memory": {"study"},
+    "_setup": {"cli"},
 }
 PURE = {*COMMON, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}
 IMPURE_MODULES = {
