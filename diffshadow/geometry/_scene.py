@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
-from .._checks import check_instance
+from .._checks import check_instance, shown_with_values
 from .._misc import concrete
 from .._types import HostArray
 from ._camera import AbstractCamera
@@ -85,6 +85,9 @@ class Scene(eqx.Module):
                 ),
                 stacklevel=4,
             )
+
+    def __repr__(self) -> str:
+        return shown_with_values(self)
 
     @property
     def mesh(self) -> Mesh:

@@ -11,7 +11,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import as_tuple, check_settings
+from .._checks import as_tuple, check_settings, shown_with_values
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, Tile, View
@@ -68,6 +68,9 @@ class ShadowMap(eqx.Module):
         self.depth, self.light, self.depth_format = depth, light, depth_format
         self.silhouettes, self.padded, self.overflow = silhouettes, padded, overflow
         self.view = light.view() if view is None else view
+
+    def __repr__(self) -> str:
+        return shown_with_values(self)
 
     @property
     def resolution(self) -> Resolution:
