@@ -7,7 +7,7 @@ from jax import lax
 from .._checks import check_instance
 from .._misc import dot, normalize
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
-from ..geometry import AbstractCamera, Mesh, View, face_normals
+from ..geometry import AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals
 from ..settings import maps
 from ..settings.maps import Cull
 from ._fixed import at_steps
@@ -53,7 +53,7 @@ class Surface(eqx.Module):
 
 
 def draw_surface(
-    mesh: Mesh,
+    mesh: MeshLike,
     camera: AbstractCamera,
     *,
     cull: Cull = maps.ShadowMap.cull,
@@ -71,9 +71,8 @@ def draw_surface(
 
     **Raises** `ValueError` unless `subpixels` is a positive whole number.
     """
-    check_instance("the mesh", mesh, Mesh, "a Mesh, such as scene.mesh")
     check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
-    mesh = mesh.padded()
+    mesh = as_mesh(mesh).padded()
     view = camera.view()
     clip = view.clip_vertices(mesh.vertices)
     if subpixels is not None:

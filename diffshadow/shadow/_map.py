@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import as_tuple, check_settings, shown_with_values
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Edges, Mesh, Tile, View
+from ..geometry import AbstractLight, Edges, Mesh, MeshLike, Tile, View, as_mesh
 from ..raster import (
     DepthTest,
     Fragments,
@@ -80,7 +80,7 @@ class ShadowMap(eqx.Module):
 
 
 def draw_shadow_map(
-    mesh: Mesh,
+    mesh: MeshLike,
     light: AbstractLight,
     resolution: Resolution,
     *,
@@ -129,6 +129,7 @@ def draw_shadow_map(
     `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
     raises; and a runtime error if the silhouettes have more `crossings`.
     """
+    mesh = as_mesh(mesh)
     # It checks them.
     MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
     view = light.view() if shift is None else light.view().shifted(shift, resolution)
