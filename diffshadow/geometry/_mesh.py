@@ -12,11 +12,15 @@ from jaxtyping import Array, Float
 
 from .._checks import check_instance, listed
 from .._misc import array_module, as_float, as_int, concrete, normalize, padded_to, shared_mesh_size
+from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, Mat4, Vertices
 from ..settings import Setting
 from ..settings.quantities import Fraction
 from ._transforms import transform_points, transform_vectors
 from ._trimesh import Triangles, TriangleScene, parts_of
+
+# From where a mesh is shown.
+_FROM = np.array([0.8, 0.7, 1.0])
 
 
 def _as_faces(faces: Any) -> Faces:
@@ -121,6 +125,20 @@ class Mesh(eqx.Module):
         """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
         vertices, faces, normals = _transformed(matrix, self.vertices, self.faces, self.corner_normals)
         return Mesh(vertices, faces, normals, self.albedo)
+
+    def _repr_html_(self) -> str | None:
+        """A picture from above the front's right."""
+        if not is_known(self):
+            return None
+        faces, (low, high) = np.asarray(self.faces), np.asarray(self.bounds)
+        right = np.cross((0, 1, 0), _FROM)
+        axes = np.stack([each / np.linalg.norm(each) for each in (right, np.cross(_FROM, right), -_FROM)], axis=-1)
+        half = max(float(np.linalg.norm(high - low)) / 2, np.finfo(np.float32).tiny)
+        seen = (np.asarray(self.vertices) - (low + high) / 2) @ axes / half
+        colours = lit(np.asarray(face_normals(self)), _FROM, np.asarray(self.albedo))
+        image = draw_faces(np.append(seen, np.ones((len(seen), 1)), axis=1), faces, colours, (SIDE, SIDE))
+        size = " x ".join(f"{length:.3g}" for length in high - low)
+        return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self) -> "Mesh":
         """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:

@@ -11,9 +11,10 @@ from jaxtyping import Bool
 
 from .._checks import check_instance, shown_with_values
 from .._misc import as_float, concrete
+from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
 from ._camera import AbstractCamera
-from ._mesh import Mesh, MeshLike, as_mesh, merge, meshes_of
+from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge, meshes_of
 from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of
 from ._trimesh import TriangleScene
 from ._trimesh_scene import camera_of, lights_of
@@ -118,6 +119,22 @@ class Scene(eqx.Module):
 
     def __repr__(self) -> str:
         return shown_with_values(self)
+
+    def _repr_html_(self) -> str | None:
+        """A picture of what the camera sees, without shadows."""
+        if not is_known(self):
+            return None
+        mesh, view = self.mesh, self.camera.view()
+        height, width = self.camera.resolution
+        resolution = (max(1, SIDE * height // max(height, width)), max(1, SIDE * width // max(height, width)))
+        points = np.append(np.asarray(mesh.vertices), np.ones((mesh.vertices.shape[0], 1)), axis=1)
+        colours = lit(np.asarray(face_normals(mesh)), np.asarray(view.world_to_eye)[2, :3], np.asarray(mesh.albedo))
+        image = draw_faces(points @ np.asarray(view.matrix).T, np.asarray(mesh.faces), colours, resolution)
+        lights = ", ".join(type(light).__name__ for light in self.lights)
+        title = (
+            f"Scene: {len(self.meshes)} meshes, {mesh.faces.shape[0]:,} triangles; {lights}; {width} x {height} pixels"
+        )
+        return as_html(title, image)
 
     @property
     def mesh(self) -> Mesh:

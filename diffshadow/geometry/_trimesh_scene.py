@@ -8,11 +8,10 @@ from jaxtyping import Array, Float
 from .._misc import as_float
 from .._types import HostArray
 from ._camera import PinholeCamera
-from ._trimesh import TriangleScene
 from .lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 
 
-def camera_of(scene: TriangleScene | Any) -> PinholeCamera | None:
+def camera_of(scene: Any) -> PinholeCamera | None:
     """The camera of `scene`; none if it has none of its own (trimesh makes one for whoever asks)."""
     if not getattr(scene, "has_camera", False):
         return None
@@ -29,7 +28,7 @@ def camera_of(scene: TriangleScene | Any) -> PinholeCamera | None:
     )
 
 
-def lights_of(scene: TriangleScene | Any, points: Float[Array, "n 3"]) -> tuple[AbstractLight, ...]:
+def lights_of(scene: Any, points: Float[Array, "n 3"]) -> tuple[AbstractLight, ...]:
     """The lights of `scene`, whose shadow maps are fitted to `points`; none if it has none of its own.
 
     **Raises** `ValueError` for a light of another kind than directional, point and spot.

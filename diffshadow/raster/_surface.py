@@ -2,10 +2,12 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from .._checks import check_instance
 from .._misc import dot, normalize
+from .._pictures import as_html, is_known, lit
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals
 from ..settings import maps
@@ -44,6 +46,16 @@ class Surface(eqx.Module):
     face: FaceMap
     mask: Mask
     from_behind: Mask | None = None
+
+    def _repr_html_(self) -> str | None:
+        """A picture of the surface, lit from above."""
+        if not is_known(self):
+            return None
+        colours = lit(np.asarray(self.normal), np.array([0.4, 0.8, 0.5]), np.asarray(self.albedo))
+        mask = np.asarray(self.mask)
+        height, width = mask.shape
+        title = f"Surface: {width} x {height} pixels, {mask.mean():.0%} of them with a face"
+        return as_html(title, np.where(mask[..., None], colours, 1.0))
 
     @property
     def shading_normal(self) -> VectorMap:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_tuple, check_settings, shown_with_values
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
+from .._pictures import as_html, grey_of, is_known
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, MeshLike, Tile, View, as_mesh
 from ..raster import (
@@ -71,6 +72,15 @@ class ShadowMap(eqx.Module):
 
     def __repr__(self) -> str:
         return shown_with_values(self)
+
+    def _repr_html_(self) -> str | None:
+        """A picture of the depths, dark where they are near. Of several layers, the first."""
+        if not is_known(self):
+            return None
+        depth = np.asarray(self.depth)
+        size = " x ".join(map(str, depth.shape[::-1]))
+        title = f"ShadowMap of a {type(self.light).__name__}: {size} texels, {self.depth_format}"
+        return as_html(title, grey_of(depth.reshape(-1, *depth.shape[-2:])[0]))
 
     @property
     def resolution(self) -> Resolution:
