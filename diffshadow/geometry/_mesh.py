@@ -178,14 +178,15 @@ def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None
     ]
 
 
-def as_mesh(given: MeshLike | Any, name: str = "the mesh") -> Mesh:
+def as_mesh(given: Any, name: str = "the mesh") -> Mesh:
     """`given` if it is a mesh, or else what `Mesh.from_trimesh` makes of it; `name` stands for it in messages.
 
     **Raises** what that raises, and `TypeError` for any other object.
     """
     if isinstance(given, Mesh):
         return given
-    if isinstance(given, type) or not isinstance(given, Triangles | TriangleScene):
+    has_faces = isinstance(given, Triangles | TriangleScene) and not isinstance(given, type)
+    if not has_faces:
         check_instance(name, given, Mesh, "a Mesh, or an object with vertices and faces, such as a trimesh.Trimesh")
     return Mesh.from_trimesh(given)
 
