@@ -16,9 +16,7 @@ before JAX makes its first array, sets the process up for fast work. It calls th
 """
 
 from importlib import import_module
-from importlib.metadata import version
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._memory import collect_rarely as collect_rarely
 from ._memory import keep_freed_memory as keep_freed_memory
@@ -37,16 +35,21 @@ if TYPE_CHECKING:
     from . import shadow as shadow
     from . import study as study
 
-__version__ = version("diffshadow")
+__version__: str
 
 _SUBPACKAGES = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
 
 
-def __getattr__(name: str) -> ModuleType:
+def __getattr__(name: str) -> Any:
     if name in _SUBPACKAGES:
         return import_module(f".{name}", __name__)
+    if name == "__version__":
+        # Takes ten times as long to load as all the rest.
+        from importlib.metadata import version
+
+        return version("diffshadow")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_SUBPACKAGES])
+    return sorted([*globals(), *_SUBPACKAGES, "__version__"])
