@@ -76,15 +76,14 @@ class FitResult(NamedTuple):
     def _repr_html_(self) -> str:
         """The fitted values and errors as a table, and the reference of the first problem."""
         deviations = {} if self.precision is None else self.precision.deviations
-        rows = [("", "before", "after", "std. dev.")]
+        rows: list[tuple[str, ...]] = [("", "before", "after", "std. dev.")]
         for name, value in self.fitted.items():
             deviation = f"{deviations[name]:.2g}" if name in deviations else ""
             rows.append((name, f"{self.initial[name]:.4g}", f"{value:.4g}", deviation))
         rows.append(("error", *(f"{error:.4f}" for error in self.errors), ""))
         # A sample of pixels is no image.
-        images = [
-            image for image in (getattr(each, "reference", None) for each in self.problems) if np.ndim(image) == 2
-        ]
+        references = (getattr(each, "reference", None) for each in self.problems)
+        images = [image for image in references if image is not None and np.ndim(image) == 2]
         title = f"Fit of {len(self.fitted)} parameters: {self.steps} steps in {len(self.phases)} phases"
         return as_html(title, images[0] if images else None, rows)
 
