@@ -6,18 +6,21 @@ Its subpackages, each with its public names on one page:
 - `shading`: lit images. `fit`: settings by gradient. `reference`: traced truth. `metrics`: errors of shadows.
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
-A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global;
-`use_all_cores()`, called before JAX makes its first array, lets XLA run loops on all cores, `keep_freed_memory()`
-spares large arrays fresh pages, and `collect_rarely()` spares imports and traces the garbage collector.
+A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global. `setup()`, called
+before JAX makes its first array, sets the process up for fast work. It calls these, which can also be called alone:
+
+- `use_all_cores()` lets XLA run loops on all cores.
+- `keep_freed_memory()` spares large arrays fresh pages.
+- `collect_rarely()` spares imports and traces the garbage collector.
+- `io.keep_compiled_programs()` keeps what JAX compiles for the next process.
 """
 
 from importlib import import_module
-from importlib.metadata import version
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._memory import collect_rarely as collect_rarely
 from ._memory import keep_freed_memory as keep_freed_memory
+from ._setup import setup as setup
 from ._xla import use_all_cores as use_all_cores
 
 if TYPE_CHECKING:
@@ -32,16 +35,21 @@ if TYPE_CHECKING:
     from . import shadow as shadow
     from . import study as study
 
-__version__ = version("diffshadow")
+__version__: str
 
 _SUBPACKAGES = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
 
 
-def __getattr__(name: str) -> ModuleType:
+def __getattr__(name: str) -> Any:
     if name in _SUBPACKAGES:
         return import_module(f".{name}", __name__)
+    if name == "__version__":
+        # Takes ten times as long to load as all the rest.
+        from importlib.metadata import version
+
+        return version("diffshadow")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_SUBPACKAGES])
+    return sorted([*globals(), *_SUBPACKAGES, "__version__"])

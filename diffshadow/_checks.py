@@ -6,12 +6,16 @@ import math
 from typing import Any, ClassVar, get_args, get_origin
 
 import equinox as eqx
+import jax
 import numpy as np
+from jax.core import Tracer
 
 from ._misc import concrete
 from .settings import Limits, LongerThan, Setting, Settings
 
 _MAX_SHOWN = 16
+# Whose values are shown; others, such as keys of random numbers, have none.
+_NUMBERS = tuple(np.dtype(kind) for kind in ("bool", "int32", "int64", "uint32", "float32", "float64"))
 
 
 class CheckedModule(eqx.Module):
@@ -39,6 +43,24 @@ class CheckedModule(eqx.Module):
 
     def _check_rules(self) -> None:
         """Rules between fields."""
+
+    def __repr__(self) -> str:
+        return shown_with_values(self)
+
+
+def shown_with_values(module: eqx.Module) -> str:
+    """The text of `module`, with its single numbers as numbers. Larger arrays, and traced ones, are shown by shape."""
+    return eqx.tree_pformat(jax.tree.map(_as_shown, module))
+
+
+def _as_shown(leaf: Any) -> Any:
+    if not isinstance(leaf, jax.Array | np.ndarray | np.generic) or leaf.ndim or leaf.dtype not in _NUMBERS:
+        return leaf
+    # Memory that a program was given has no value any more.
+    if isinstance(leaf, Tracer) or (isinstance(leaf, jax.Array) and leaf.is_deleted()):
+        return leaf
+    # Without the digits that single precision does not have.
+    return float(f"{leaf:.7g}") if leaf.dtype == np.float32 else leaf.item()
 
 
 def check_settings(module: Any, part: str = "") -> None:

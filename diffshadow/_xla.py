@@ -3,6 +3,7 @@
 import os
 import sys
 import warnings
+from pathlib import Path
 
 _OPTIONS = "--xla_backend_extra_options"
 # Loops whose steps read and write fewer bytes together are small. The largest that should be one program writes windows
@@ -27,9 +28,10 @@ def use_all_cores() -> None:
     if _is_running():
         warnings.warn(
             "JAX's backend already runs, so XLA keeps the flags that it has read; expected no array before "
-            "diffshadow.use_all_cores(): call it right after the imports",
+            "diffshadow.setup() or use_all_cores(): call it right after the imports",
             RuntimeWarning,
-            stacklevel=2,
+            # The user's line, whichever of both is called there.
+            skip_file_prefixes=(str(Path(__file__).parent),),
         )
         return
     os.environ["XLA_FLAGS"] = f"{flags} {_OPTIONS}=xla_cpu_small_while_loop_byte_threshold={_SMALL_LOOP}".strip()

@@ -21,8 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from ._memory import collect_rarely, keep_freed_memory
-from ._xla import use_all_cores
+from ._setup import setup
 from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable, settings_file
 from .console import Console
 from .settings.engines import ImportedTechnique, ShadowType, ThreeJs
@@ -392,9 +391,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
     after an interrupt. Any other error is a bug, and keeps its traceback.
     """
-    use_all_cores()
-    keep_freed_memory()
-    collect_rarely()
+    # Without JAX, which `_start_jax` loads.
+    setup(programs=False)
     errors = Console(stderr=True)
     for stream in (sys.stdout, sys.stderr):
         # The stream's encoding may lack characters of names.
@@ -515,9 +513,7 @@ def _start_jax() -> None:
 
     **Raises** `ValueError` if it cannot run on the platforms that the environment names.
     """
-    from .io import keep_compiled_programs
-
-    keep_compiled_programs()
+    setup(cores=False, memory=False, collector=False)
     platforms = os.environ.get("JAX_PLATFORMS")
     if not platforms:
         return

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import collect_rarely, fit, geometry, io, keep_freed_memory, raster, reference, use_all_cores
+from diffshadow import fit, geometry, io, raster, reference, setup
 from diffshadow.config import (
     Config,
     ConfigError,
@@ -46,10 +46,8 @@ USER_ERROR, INTERRUPTED = 2, 130
 
 # The style of a run's figures.
 INK, FAINT = style.INK, style.FAINT
-# At import, since experiments make arrays when they are imported.
-use_all_cores()
-keep_freed_memory()
-collect_rarely()
+# At import, since experiments make arrays when they are imported. `start` lets compiled programs be kept.
+setup(programs=False)
 
 COLOURS, HEAT = style.CYCLE, style.DISTANCE
 figure, colour_bar, curve = style.figure, style.colour_bar, style.curve
@@ -304,7 +302,7 @@ def write(
 def start(app: App) -> NoReturn:
     """Runs an experiment with the process's arguments, and exits; with 2 and one message after a user's mistake."""
     errors = Console(stderr=True)
-    io.keep_compiled_programs()
+    setup(cores=False, memory=False, collector=False)
     try:
         app(sys.argv[1:], exit_on_error=False, print_error=False)
     except (CycloptsError, ConfigError, io.FileError, OSError) as error:

@@ -29,7 +29,7 @@ from _opengl_passes import SETTINGS as SETTINGS
 from _opengl_passes import OpenGL, Triangles
 from rich.table import Table
 
-from diffshadow import collect_rarely, keep_freed_memory, raster, shadow, use_all_cores
+from diffshadow import raster, setup, shadow
 from diffshadow.geometry import (
     DirectionalLight,
     MatrixLight,
@@ -43,9 +43,7 @@ from diffshadow.geometry import (
 )
 
 # At import, since benchmarks make arrays when they are imported.
-use_all_cores()
-keep_freed_memory()
-collect_rarely()
+setup(programs=False)
 
 CULL = "back"
 LIGHT_DIRECTION = (0.1, -1.0, 0.5)

@@ -25,7 +25,7 @@ import numpy as np
 from cyclopts import App
 from rich.table import Table
 
-from diffshadow import fit, use_all_cores
+from diffshadow import fit, setup
 from diffshadow.config import Config, build_fit, build_scene, parse_config
 from diffshadow.console import Console
 from diffshadow.study import pose_problems
@@ -218,7 +218,7 @@ def show(console: Console, rows: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    use_all_cores()
+    setup()
     try:
         app()
     except (ValueError, OSError) as error_:

@@ -14,8 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from diffshadow import config, fit, metrics, raster, reference, shadow
+from diffshadow import config, fit, metrics, raster, reference, setup, shadow
 
+setup()  # before the first array
 plt.style.use("diffshadow.mplstyle")
 SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 PIXELS, TEXELS, RAYS, GRID = (48, 96, 16, 7) if SMALL else (128, 160, 128, 25)

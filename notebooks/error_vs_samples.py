@@ -19,8 +19,9 @@ import pandas as pd
 from rich.console import Console
 from scipy.stats import t
 
-from diffshadow import config, study
+from diffshadow import config, setup, study
 
+setup()  # before the first array
 plt.style.use("diffshadow.mplstyle")
 SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 SAMPLES = (4, 16, 64) if SMALL else (4, 8, 16, 32, 64, 128, 256)

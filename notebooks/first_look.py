@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from diffshadow import fit, geometry, metrics, raster, reference, shadow
+from diffshadow import fit, geometry, metrics, raster, reference, setup, shadow
 
+setup()  # before the first array
 plt.style.use("diffshadow.mplstyle")
 SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 pixels, texels, rays = (48, 96, 16) if SMALL else (192, 512, 128)

@@ -15,8 +15,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from diffshadow import config, fit, study
+from diffshadow import config, fit, setup, study
 
+setup()  # before the first array
 plt.style.use("diffshadow.mplstyle")
 SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 PIXELS, TEXELS, STEPS, GRID = (48, 96, 8, 5) if SMALL else (128, 256, 20, 15)

@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from diffshadow import config, fit, reference, shadow, study
+from diffshadow import config, fit, reference, setup, shadow, study
 
+setup()  # before the first array
 plt.style.use("diffshadow.mplstyle")
 SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 MESHES = ["torus_knot", "chair", "blob", "fence", "torus", "sphere", "low_poly_sphere", "box", "thin_wall", "plane"]

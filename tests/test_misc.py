@@ -86,17 +86,44 @@ diffshadow.use_all_cores()
 assert os.environ["XLA_FLAGS"] == flags
 """
 
+SET_UP = """
+import gc
+import os
+import sys
+import diffshadow
+
+before = gc.get_threshold()
+diffshadow.setup(cores=False, memory=False, collector=False, programs=False)
+assert "XLA_FLAGS" not in os.environ and gc.get_threshold() == before
+diffshadow.setup(programs=False)
+assert "small_while_loop_byte_threshold" in os.environ["XLA_FLAGS"] and gc.get_threshold() != before
+# What takes long to load is loaded on first use.
+assert not {"jax", "trimesh", "importlib.metadata"} & set(sys.modules)
+diffshadow.setup(programs=sys.argv[1])
+import jax
+assert jax.config.jax_compilation_cache_dir == sys.argv[1]
+"""
+
 
 def test_importing_starts_no_backend_and_leaves_its_flags_alone_until_all_cores_are_asked_for():
     without = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     subprocess.run([sys.executable, "-W", "error", "-c", FRESH], env=without, check=True)
 
 
+def test_one_call_sets_a_process_up_and_each_part_has_a_switch(tmp_path):
+    unset = {"XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR"}
+    without = {name: value for name, value in os.environ.items() if name not in unset}
+    run = [sys.executable, "-W", "error", "-c", SET_UP, str(tmp_path / "programs")]
+    subprocess.run(run, env=without, check=True)
+    assert (tmp_path / "programs").is_dir()
+
+
 def test_all_cores_come_too_late_once_jax_runs(monkeypatch):
     jnp.zeros(1).block_until_ready()
     monkeypatch.setenv("XLA_FLAGS", "--xla_dump_to=here")
-    with pytest.warns(RuntimeWarning, match="JAX's backend already runs.* call it right after the imports"):
-        diffshadow.use_all_cores()
+    with pytest.warns(RuntimeWarning, match="JAX's backend already runs.* call it right after the imports") as caught:
+        diffshadow.setup(memory=False, collector=False, programs=False)
+    assert caught[0].filename == __file__
     assert os.environ["XLA_FLAGS"] == "--xla_dump_to=here"
     # Options of the user's own are left alone, and so is one that is set already.
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from hatchling.builders.wheel import WheelBuilder
 
+import diffshadow
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -24,4 +26,5 @@ def test_wheel_has_the_mark_of_typed_packages_and_all_that_is_no_python(tmp_path
 
 def test_citation_names_the_version_of_the_package():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert diffshadow.__version__ == version
     assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)

@@ -4,8 +4,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from .._checks import check_arguments, check_instance
 from .._misc import as_float
+from .._pictures import as_html
 from ..settings.fit import FEWEST_POINTS
 from ..settings.fit import Fit as Settings
 from ..shadow import FittableTechnique
@@ -69,6 +72,20 @@ class FitResult(NamedTuple):
     front: list[FrontPoint] = []  # noqa: RUF012
     at_bounds: list[AtBound] = []  # noqa: RUF012
     errors: tuple[float, float] = (0.0, 0.0)
+
+    def _repr_html_(self) -> str:
+        """The fitted values and errors as a table, and the reference of the first problem."""
+        deviations = {} if self.precision is None else self.precision.deviations
+        rows: list[tuple[str, ...]] = [("", "before", "after", "std. dev.")]
+        for name, value in self.fitted.items():
+            deviation = f"{deviations[name]:.2g}" if name in deviations else ""
+            rows.append((name, f"{self.initial[name]:.4g}", f"{value:.4g}", deviation))
+        rows.append(("error", *(f"{error:.4f}" for error in self.errors), ""))
+        # A sample of pixels is no image.
+        references = (getattr(each, "reference", None) for each in self.problems)
+        images = [image for image in references if image is not None and np.ndim(image) == 2]
+        title = f"Fit of {len(self.fitted)} parameters: {self.steps} steps in {len(self.phases)} phases"
+        return as_html(title, images[0] if images else None, rows)
 
     @property
     def steps(self) -> int:

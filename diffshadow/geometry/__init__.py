@@ -13,6 +13,8 @@ from ._library import LIBRARY as LIBRARY
 from ._library import OptionError as OptionError
 from ._library import library_mesh as library_mesh
 from ._mesh import Mesh as Mesh
+from ._mesh import MeshLike as MeshLike
+from ._mesh import as_mesh as as_mesh
 from ._mesh import face_normals as face_normals
 from ._mesh import merge as merge
 from ._normals import crease_normals as crease_normals

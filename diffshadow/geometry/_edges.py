@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .._misc import as_array, as_int, concrete, padded_to, shared_size
 from .._types import HostArray
-from ._mesh import Mesh
+from ._mesh import Mesh, MeshLike, as_mesh
 
 NO_NEIGHBOUR = -1
 """The second face of an edge that has only one."""
@@ -47,13 +47,14 @@ class Edges(eqx.Module):
     is_closed: bool = eqx.field(static=True)
 
     @classmethod
-    def of(cls, mesh: Mesh) -> "Edges":
+    def of(cls, mesh: MeshLike) -> "Edges":
         """The edges of `mesh`.
 
         Only vertices at exactly the same place count as one; `weld` merges vertices that are merely close.
 
         **Raises** `ValueError` if the mesh is traced.
         """
+        mesh = as_mesh(mesh)
         vertices, faces = concrete(mesh.vertices), concrete(mesh.faces)
         if vertices is None or faces is None:
             raise ValueError(

@@ -10,12 +10,17 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._checks import listed
+from .._checks import check_instance, listed
 from .._misc import array_module, as_float, as_int, concrete, normalize, padded_to, shared_mesh_size
+from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, Mat4, Vertices
 from ..settings import Setting
 from ..settings.quantities import Fraction
 from ._transforms import transform_points, transform_vectors
+from ._trimesh import Triangles, TriangleScene, parts_of
+
+# From where a mesh is shown.
+_FROM = np.array([0.8, 0.7, 1.0])
 
 
 def _as_faces(faces: Any) -> Faces:
@@ -85,10 +90,55 @@ class Mesh(eqx.Module):
                 "expected indices from 0 to one less than the number of vertices"
             )
 
+    @classmethod
+    def from_trimesh(cls, given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> "Mesh":
+        """The mesh of an object of trimesh, or of any other with `vertices` and `faces`.
+
+        Vertices at the same position are welded, as `io.load_mesh` does.
+
+        **Arguments:**
+
+        - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
+            an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
+            become albedo as they are, and textures are ignored.
+        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
+            `vertex_normals`.
+
+        **Warns** of geometries of a scene that have no faces, such as paths, which are left out.
+
+        **Raises** `ValueError` if there are no triangles, an array has a wrong shape, an index is out of range, a
+        vertex is not finite, or normals are asked for and missing.
+        """
+        return merge(meshes_of(given, crease_angle))
+
+    def to_trimesh(self) -> Any:
+        """A `trimesh.Trimesh` of the same vertices and faces in the same order, with the albedo as colours of faces.
+
+        Colours have 8 bits. The normals are trimesh's own, since it has none for corners.
+        """
+        import trimesh  # which takes long to load
+
+        colours = np.round(255 * np.asarray(self.albedo)).astype(np.uint8)
+        return trimesh.Trimesh(np.asarray(self.vertices), np.asarray(self.faces), face_colors=colours, process=False)
+
     def transformed(self, matrix: Mat4) -> "Mesh":
         """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
         vertices, faces, normals = _transformed(matrix, self.vertices, self.faces, self.corner_normals)
         return Mesh(vertices, faces, normals, self.albedo)
+
+    def _repr_html_(self) -> str | None:
+        """A picture from above the front's right."""
+        if not is_known(self):
+            return None
+        faces, (low, high) = np.asarray(self.faces), np.asarray(self.bounds)
+        right = np.cross((0, 1, 0), _FROM)
+        axes = np.stack([each / np.linalg.norm(each) for each in (right, np.cross(_FROM, right), -_FROM)], axis=-1)
+        half = max(float(np.linalg.norm(high - low)) / 2, np.finfo(np.float32).tiny)
+        seen = (np.asarray(self.vertices) - (low + high) / 2) @ axes / half
+        colours = lit(np.asarray(face_normals(self)), _FROM, np.asarray(self.albedo))
+        image = draw_faces(np.append(seen, np.ones((len(seen), 1)), axis=1), faces, colours, (SIDE, SIDE))
+        size = " x ".join(f"{length:.3g}" for length in high - low)
+        return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self) -> "Mesh":
         """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:
@@ -114,6 +164,31 @@ class Mesh(eqx.Module):
         xp = array_module(self.vertices, self.faces)
         used = xp.asarray(self.vertices)[xp.asarray(self.faces)].reshape(-1, 3)
         return as_float(xp.stack([used.min(axis=0), used.max(axis=0)]))
+
+
+MeshLike = Mesh | Triangles | TriangleScene
+"""A mesh, or what `Mesh.from_trimesh` makes one of."""
+
+
+def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:
+    """As `Mesh.from_trimesh`, with a mesh for each node of a scene."""
+    return [
+        Mesh(part.vertices, part.faces, part.normals, **({} if part.albedo is None else {"albedo": part.albedo}))
+        for part in parts_of(given, crease_angle)
+    ]
+
+
+def as_mesh(given: Any, name: str = "the mesh") -> Mesh:
+    """`given` if it is a mesh, or else what `Mesh.from_trimesh` makes of it; `name` stands for it in messages.
+
+    **Raises** what that raises, and `TypeError` for any other object.
+    """
+    if isinstance(given, Mesh):
+        return given
+    has_faces = isinstance(given, Triangles | TriangleScene) and not isinstance(given, type)
+    if not has_faces:
+        check_instance(name, given, Mesh, "a Mesh, or an object with vertices and faces, such as a trimesh.Trimesh")
+    return Mesh.from_trimesh(given)
 
 
 def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
@@ -142,8 +217,9 @@ def _face_normals(vertices: Vertices, faces: Faces) -> Float[Array, "f 3"]:
     return normalize(jnp.cross(b - a, c - a))
 
 
-def merge(meshes: Sequence[Mesh]) -> Mesh:
+def merge(meshes: Sequence[MeshLike]) -> Mesh:
     """One mesh that holds the triangles of all `meshes`, in their order."""
+    meshes = [as_mesh(mesh) for mesh in meshes]
     if not meshes:
         raise ValueError("got no meshes to merge; expected at least one")
     if len(meshes) == 1:

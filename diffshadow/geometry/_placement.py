@@ -6,10 +6,10 @@ import equinox as eqx
 
 from .._misc import array_module, as_float, concrete
 from .._types import Scalar
-from ._mesh import Mesh
+from ._mesh import Mesh, MeshLike, as_mesh
 
 
-def fit_to_size(mesh: Mesh, size: Scalar | float | int) -> Mesh:
+def fit_to_size(mesh: MeshLike, size: Scalar | float | int) -> Mesh:
     """The mesh scaled uniformly to `size`, and centred on the origin in x and z.
 
     **Arguments:**
@@ -22,7 +22,7 @@ def fit_to_size(mesh: Mesh, size: Scalar | float | int) -> Mesh:
 
     **Raises** `ValueError` if `size` is not positive, or the mesh has no extent.
     """
-    known_size = concrete(size)
+    mesh, known_size = as_mesh(mesh), concrete(size)
     if known_size is not None and not 0 < known_size < float("inf"):
         raise ValueError(f"the size to fit a mesh to is {known_size}; expected positive world units")
     xp = array_module(mesh.vertices, size)
@@ -38,12 +38,12 @@ def fit_to_size(mesh: Mesh, size: Scalar | float | int) -> Mesh:
     return _with_vertices(mesh, (xp.asarray(mesh.vertices) - centre) * (xp.asarray(size, low.dtype) / extent))
 
 
-def drop_to_ground(mesh: Mesh, height: Scalar | float | int = 0.0) -> Mesh:
+def drop_to_ground(mesh: MeshLike, height: Scalar | float | int = 0.0) -> Mesh:
     """The mesh moved up or down so that its lowest vertex lies at y = `height`, world units.
 
     **Raises** `ValueError` if `height` is not finite.
     """
-    known = concrete(height)
+    mesh, known = as_mesh(mesh), concrete(height)
     if known is not None and not abs(known) < float("inf"):
         raise ValueError(f"the height to put a mesh at is {known}; expected finite world units")
     xp = array_module(mesh.vertices, height)

@@ -2,18 +2,22 @@
 
 import dataclasses
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
-from .._checks import check_instance
-from .._misc import concrete
+from .._checks import check_instance, shown_with_values
+from .._misc import as_float, concrete
+from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
 from ._camera import AbstractCamera
-from ._mesh import Mesh, merge
+from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge, meshes_of
 from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of
+from ._trimesh import TriangleScene
+from ._trimesh_scene import camera_of, lights_of
 from .lights import AbstractLight
 
 
@@ -21,12 +25,21 @@ def _as_tuple[T](given: T | Iterable[T]) -> tuple[T, ...]:
     return tuple(given) if isinstance(given, Iterable) else (given,)
 
 
+def _as_meshes(given: MeshLike | Iterable[Any]) -> tuple[Mesh, ...]:
+    if isinstance(given, TriangleScene):
+        return tuple(meshes_of(given))
+    return tuple(as_mesh(mesh, "a mesh of the scene") for mesh in _as_tuple(given))
+
+
 class Scene(eqx.Module):
     """Meshes, a camera and lights.
 
-    - `meshes`: all visible surfaces; one mesh or several, stored as a tuple.
-    - `camera`: where the image is drawn from.
-    - `lights`: one light or several, stored as a tuple.
+    - `meshes`: all visible surfaces; one mesh or several, stored as a tuple. What has vertices and faces is taken as
+        `Mesh.from_trimesh` takes it. A `trimesh.Scene` has a mesh for each node of its graph.
+    - `camera`: where the image is drawn from. It may be left out for a `trimesh.Scene` that has one.
+    - `lights`: one light or several, stored as a tuple. They may be left out for a `trimesh.Scene` that has some: its
+        directional, point and spot lights. Their shadow maps are fitted to the meshes, and their colours, intensities
+        and ranges are ignored.
     - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
         shadows. It blocks no ray of the ray-traced reference either, unless that asks for `blockers="all"`.
     - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
@@ -34,27 +47,45 @@ class Scene(eqx.Module):
     - `origin`: the world point that the coordinates of meshes, camera and lights are counted from. A scene far from the
         world's origin needs one, see `origin_of`; a configuration's scene has it.
 
-    **Raises** `ValueError` if there is no mesh or no light, if no mesh casts, or unless `casts` and `receives` have one
-    entry per mesh.
+    **Raises** `ValueError` if there is no mesh, no camera or no light, if no mesh casts, or unless `casts` and
+    `receives` have one entry per mesh.
 
     **Warns** with `PrecisionWarning` if the meshes are so far from their origin that single precision cannot hold their
     shape.
     """
 
-    meshes: tuple[Mesh, ...] = eqx.field(converter=_as_tuple)
+    meshes: tuple[Mesh, ...]
     camera: AbstractCamera
-    lights: tuple[AbstractLight, ...] = eqx.field(converter=_as_tuple)
+    lights: tuple[AbstractLight, ...]
     casts: tuple[bool, ...] | None = eqx.field(static=True, default=None)
     receives: tuple[bool, ...] | None = eqx.field(static=True, default=None)
-    origin: Origin = eqx.field(static=True, converter=as_origin, default=WORLD)
+    origin: Origin = eqx.field(static=True, default=WORLD)
+
+    def __init__(
+        self,
+        meshes: MeshLike | Iterable[Any],
+        camera: AbstractCamera | None = None,
+        lights: AbstractLight | Iterable[AbstractLight] | None = None,
+        casts: tuple[bool, ...] | None = None,
+        receives: tuple[bool, ...] | None = None,
+        origin: Sequence[float | int] = WORLD,
+    ):
+        self.meshes = _as_meshes(meshes)
+        found = camera_of(meshes) if camera is None else camera
+        if found is None:
+            raise ValueError("the scene has no camera; expected one, such as a PinholeCamera")
+        self.camera = found
+        if lights is None:
+            points = [np.asarray(mesh.vertices) for mesh in self.meshes] if isinstance(meshes, TriangleScene) else []
+            lights = lights_of(meshes, as_float(np.concatenate(points))) if points else ()
+        self.lights = _as_tuple(lights)
+        self.casts, self.receives, self.origin = casts, receives, as_origin(origin)
 
     def __check_init__(self):
         if not self.meshes:
             raise ValueError("the scene has no mesh; expected a mesh, or several in a sequence")
         if not self.lights:
             raise ValueError("the scene has no light; expected a light, or several in a sequence")
-        for mesh in self.meshes:
-            check_instance("a mesh of the scene", mesh, Mesh, "a Mesh")
         check_instance("the scene's camera", self.camera, AbstractCamera, "a camera, such as a PinholeCamera")
         for light in self.lights:
             check_instance("a light of the scene", light, AbstractLight, "a light, such as a DirectionalLight")
@@ -85,6 +116,25 @@ class Scene(eqx.Module):
                 ),
                 stacklevel=4,
             )
+
+    def __repr__(self) -> str:
+        return shown_with_values(self)
+
+    def _repr_html_(self) -> str | None:
+        """A picture of what the camera sees, without shadows."""
+        if not is_known(self):
+            return None
+        mesh, view = self.mesh, self.camera.view()
+        height, width = self.camera.resolution
+        resolution = (max(1, SIDE * height // max(height, width)), max(1, SIDE * width // max(height, width)))
+        points = np.append(np.asarray(mesh.vertices), np.ones((mesh.vertices.shape[0], 1)), axis=1)
+        colours = lit(np.asarray(face_normals(mesh)), np.asarray(view.world_to_eye)[2, :3], np.asarray(mesh.albedo))
+        image = draw_faces(points @ np.asarray(view.matrix).T, np.asarray(mesh.faces), colours, resolution)
+        lights = ", ".join(type(light).__name__ for light in self.lights)
+        title = (
+            f"Scene: {len(self.meshes)} meshes, {mesh.faces.shape[0]:,} triangles; {lights}; {width} x {height} pixels"
+        )
+        return as_html(title, image)
 
     @property
     def mesh(self) -> Mesh:

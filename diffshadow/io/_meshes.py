@@ -18,6 +18,7 @@ from ._paths import existing_file
 from ._ply import read_ply
 from ._polygons import Polygons, triangulate
 from ._stl import read_stl
+from ._trimesh import read_others, suffix_of_others
 
 # Readers take the file's bytes and its folder.
 _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
@@ -39,11 +40,12 @@ _FEW = 12
 
 
 def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 30.0) -> Mesh:
-    """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB or glTF 2.0.
+    """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
     are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Colours,
-    materials and skins are ignored.
+    materials and skins are ignored. trimesh reads other formats, such as 3MF, COLLADA and zip archives. It cuts
+    polygons as fans, and some formats need a further package (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
@@ -54,23 +56,19 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
 
-    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, or if its coordinates lie
-    so far from their origin that single precision, in which they were stored, has rounded the mesh's shape.
+    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, if its polygons are cut as
+    fans, or if its coordinates lie so far from their origin that single precision, in which they were stored, has
+    rounded the mesh's shape.
 
-    **Raises** `FileError` if the file is missing, damaged or in an unknown format, requires an unsupported extension
-    of its format, has a polygon that crosses itself, holds no triangles, or holds vertices that are not finite; and
-    without a `crease_angle` if it has no normals, or some that are not finite.
+    **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
+    requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
+    vertices that are not finite; and without a `crease_angle` if it has no normals, or some that are not finite.
     """
     file = existing_file(path, "mesh")
-    if file.suffix.lower() not in _READERS:
-        raise FileError(
-            f"cannot read the mesh file {file}: its suffix is {file.suffix!r}; "
-            f"expected one of {', '.join(_READERS)}: convert it"
-        )
     try:
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
-            polygons = _READERS[file.suffix.lower()](file.read_bytes(), file.parent)
+            polygons = _reader(file)(file.read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
@@ -84,6 +82,14 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
             f"every triangle of the mesh file {file} has two corners at the same position; "
             "expected triangles with an area: check its export"
         )
+    if polygons.are_fans:
+        warnings.warn(
+            MeshWarning(
+                f"the mesh file {file} is read by trimesh, which cuts polygons as fans: concave ones come out wrong; "
+                "to avoid this, convert it to OBJ, PLY or glTF"
+            ),
+            stacklevel=2,
+        )
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
@@ -93,6 +99,22 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     if crease_angle is not None:
         normals = crease_normals(vertices, faces, crease_angle)
     return Mesh(vertices, faces, normals)
+
+
+def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:
+    """What reads the format that the suffix of `file` names.
+
+    **Raises** `FileError` if nothing does.
+    """
+    if own := _READERS.get(file.suffix.lower()):
+        return own
+    suffix = suffix_of_others(file)
+    if suffix is None:
+        raise FileError(
+            f"cannot read the mesh file {file}: its suffix is {file.suffix!r}; expected one of "
+            f"{', '.join(_READERS)}, or of a format of meshes that trimesh reads, such as .3mf or .zip: convert it"
+        )
+    return lambda data, _: read_others(data, suffix, file.name)
 
 
 def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:

@@ -29,6 +29,7 @@ class Polygons(NamedTuple):
     - `left_out`: how many elements of other kinds the file holds, by their singular names, such as "line".
     - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format of which
       they are not read.
+    - `are_fans`: whether the faces may be concave polygons that a library has cut as fans.
     """
 
     vertices: Float[HostArray, "v 3"]
@@ -36,6 +37,7 @@ class Polygons(NamedTuple):
     sizes: Int[HostArray, " f"]
     left_out: Mapping[str, int] = MappingProxyType({})
     normals: Float[HostArray, "v 3"] | None = None
+    are_fans: bool = False
 
 
 def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:

@@ -2,12 +2,14 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from .._checks import check_instance
 from .._misc import dot, normalize
+from .._pictures import as_html, is_known, lit
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
-from ..geometry import AbstractCamera, Mesh, View, face_normals
+from ..geometry import AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals
 from ..settings import maps
 from ..settings.maps import Cull
 from ._fixed import at_steps
@@ -45,6 +47,16 @@ class Surface(eqx.Module):
     mask: Mask
     from_behind: Mask | None = None
 
+    def _repr_html_(self) -> str | None:
+        """A picture of the surface, lit from above."""
+        if not is_known(self):
+            return None
+        colours = lit(np.asarray(self.normal), np.array([0.4, 0.8, 0.5]), np.asarray(self.albedo))
+        mask = np.asarray(self.mask)
+        height, width = mask.shape
+        title = f"Surface: {width} x {height} pixels, {mask.mean():.0%} of them with a face"
+        return as_html(title, np.where(mask[..., None], colours, 1.0))
+
     @property
     def shading_normal(self) -> VectorMap:
         """(h, w, 3), unit interpolated normal, turned as `normal` is."""
@@ -53,7 +65,7 @@ class Surface(eqx.Module):
 
 
 def draw_surface(
-    mesh: Mesh,
+    mesh: MeshLike,
     camera: AbstractCamera,
     *,
     cull: Cull = maps.ShadowMap.cull,
@@ -71,9 +83,8 @@ def draw_surface(
 
     **Raises** `ValueError` unless `subpixels` is a positive whole number.
     """
-    check_instance("the mesh", mesh, Mesh, "a Mesh, such as scene.mesh")
     check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
-    mesh = mesh.padded()
+    mesh = as_mesh(mesh).padded()
     view = camera.view()
     clip = view.clip_vertices(mesh.vertices)
     if subpixels is not None:

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
+from .._pictures import as_html
 from .._types import HostArray
 
 
@@ -34,6 +35,12 @@ class Reference:
     face: Int32[HostArray, "h w"]
     samples: int
     standard_error: Float32[HostArray, "h w"]
+
+    def _repr_html_(self) -> str:
+        """A picture of the visibility."""
+        height, width = self.visibility.shape
+        how = f"{self.samples} rays a pixel, noise {self.noise_floor:.2g}" if self.samples else "given"
+        return as_html(f"Reference: visibility of {width} x {height} pixels, {how}", self.visibility)
 
     @property
     def noise_floor(self) -> float:

@@ -11,10 +11,11 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import as_tuple, check_settings
+from .._checks import as_tuple, check_settings, shown_with_values
 from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
+from .._pictures import as_html, grey_of, is_known
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Edges, Mesh, Tile, View
+from ..geometry import AbstractLight, Edges, Mesh, MeshLike, Tile, View, as_mesh
 from ..raster import (
     DepthTest,
     Fragments,
@@ -69,6 +70,18 @@ class ShadowMap(eqx.Module):
         self.silhouettes, self.padded, self.overflow = silhouettes, padded, overflow
         self.view = light.view() if view is None else view
 
+    def __repr__(self) -> str:
+        return shown_with_values(self)
+
+    def _repr_html_(self) -> str | None:
+        """A picture of the depths, dark where they are near. Of several layers, the first."""
+        if not is_known(self):
+            return None
+        depth = np.asarray(self.depth)
+        size = " x ".join(map(str, depth.shape[::-1]))
+        title = f"ShadowMap of a {type(self.light).__name__}: {size} texels, {self.depth_format}"
+        return as_html(title, grey_of(depth.reshape(-1, *depth.shape[-2:])[0]))
+
     @property
     def resolution(self) -> Resolution:
         """(height, width) in texels."""
@@ -77,7 +90,7 @@ class ShadowMap(eqx.Module):
 
 
 def draw_shadow_map(
-    mesh: Mesh,
+    mesh: MeshLike,
     light: AbstractLight,
     resolution: Resolution,
     *,
@@ -126,6 +139,7 @@ def draw_shadow_map(
     `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
     raises; and a runtime error if the silhouettes have more `crossings`.
     """
+    mesh = as_mesh(mesh)
     # It checks them.
     MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
     view = light.view() if shift is None else light.view().shifted(shift, resolution)

@@ -3,11 +3,13 @@
 import json
 import math
 import re
+import zipfile
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 from diffshadow.config import (
     ConfigError,
@@ -24,6 +26,7 @@ from diffshadow.config import (
 from diffshadow.config.sections._filters import FILTERS
 from diffshadow.fit import resolve
 from diffshadow.geometry import face_normals
+from diffshadow.io import MeshWarning
 from diffshadow.settings import biases
 from diffshadow.settings.maps import SoftCompare
 from diffshadow.shadow import ThreeJs
@@ -80,6 +83,23 @@ def test_a_mistake_in_a_far_scene_says_what_coordinates_are_counted_from():
     text = f"scene: {{meshes: [{mesh}], camera: {camera}}}"
     with pytest.raises(ConfigError, match=r"\[1.0, 1.0, 1.0\].*counted from the scene's origin, \[600000.0, -8000.0"):
         build_scene(parse_config(placed_at(text, FAR)))
+
+
+def test_a_mesh_in_a_format_that_trimesh_reads_is_built_and_a_missing_package_named(tmp_path, monkeypatch):
+    with zipfile.ZipFile(tmp_path / "part.zip", "w") as archive:
+        archive.writestr("part.obj", "v 0 0 0\nv 2 0 0\nv 0 0 2\nf 1 3 2\n")
+    text = "scene: {{meshes: [{{path: part.{}, size: 1}}]}}"
+    with pytest.warns(MeshWarning, match="polygons as fans"):
+        scene = build_scene(parse_config(text.format("zip"), folder=tmp_path))
+    np.testing.assert_allclose(scene.mesh.bounds, [[-0.5, 0, -0.5], [0.5, 0, 0.5]], atol=1e-6)
+
+    def fail(**_):
+        raise ImportError("No module named 'lxml'")
+
+    monkeypatch.setitem(trimesh.exchange.load.mesh_loaders, "3mf", fail)
+    (tmp_path / "part.3mf").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"part\.3mf is in the format 3mf, which needs .* not installed: lxml"):
+        build_scene(parse_config(text.format("3mf"), folder=tmp_path))
 
 
 def test_poses_of_a_far_scene_are_fitted_from_its_origin_and_reported_in_the_world(tmp_path):

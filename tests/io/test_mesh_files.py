@@ -3,6 +3,8 @@
 import json
 import os
 import struct
+import warnings
+import zipfile
 from pathlib import Path
 
 import jax
@@ -11,7 +13,7 @@ import pytest
 import trimesh
 
 from diffshadow.geometry import face_normals, library_mesh
-from diffshadow.io import FileError, MeshWarning, load_mesh
+from diffshadow.io import FileError, MeshWarning, load_mesh, write_ply
 from diffshadow.io._gltf import _matrix
 from diffshadow.io._gltf_schema import Node
 
@@ -55,6 +57,82 @@ def test_a_closed_mesh_comes_back_closed_from_every_format(suffix, tmp_path):
 
 def _bytes(exported):
     return exported if isinstance(exported, bytes) else exported.encode()
+
+
+def triangles(vertices, faces):
+    """The triangles in an order that depends on nothing but their corners, each from its least corner on."""
+    corners = np.asarray(vertices, np.float32)[np.asarray(faces)] + np.float32(0)
+    turned = [np.roll(each, -min(range(3), key=lambda i: tuple(each[i])), axis=0) for each in corners]
+    return sorted(np.reshape(each, -1).tolist() for each in turned)
+
+
+def written(path, mesh):
+    """Writes the mesh as we do for PLY, and as trimesh does for other formats."""
+    if path.name == "ours.ply":
+        write_ply(path, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    else:
+        path.write_bytes(_bytes(as_trimesh(mesh).export(file_type=path.suffix[1:])))
+    return path
+
+
+@pytest.mark.parametrize("name", ["ours.ply", "a.ply", "a.obj", "a.off", "a.stl", "a.glb"])
+def test_trimesh_reads_the_same_triangles_from_every_format(name, tmp_path):
+    torus = library_mesh("torus", segments=6, sides=4)
+    path = written(tmp_path / name, torus)
+    ours, theirs = load_mesh(path), trimesh.load_mesh(path, process=False)
+    expected = triangles(torus.vertices, torus.faces)
+    np.testing.assert_allclose(triangles(ours.vertices, ours.faces), expected, atol=1e-6)
+    np.testing.assert_allclose(triangles(theirs.vertices, theirs.faces), expected, atol=1e-6)
+
+
+# Formats that trimesh reads
+
+
+def test_an_archive_is_read_with_a_remark_on_its_polygons(tmp_path):
+    torus = library_mesh("torus", segments=16, sides=8)
+    with zipfile.ZipFile(tmp_path / "torus.zip", "w") as archive:
+        archive.writestr("torus.obj", as_trimesh(torus).export(file_type="obj"))
+    with pytest.warns(MeshWarning, match=r"torus\.zip is read by trimesh, which cuts polygons as fans"):
+        mesh = load_mesh(tmp_path / "torus.zip")
+    assert mesh.faces.shape == torus.faces.shape
+    assert is_closed(mesh)
+    assert volume(mesh) == pytest.approx(volume(torus), rel=1e-5)
+
+
+@pytest.mark.parametrize(("suffix", "package"), [("3mf", "lxml"), ("dae", "collada")])
+def test_objects_of_a_format_that_trimesh_reads_stand_where_its_scene_puts_them(suffix, package, tmp_path):
+    pytest.importorskip(package)
+    pytest.importorskip("networkx")
+    scene = trimesh.Scene()
+    box = as_trimesh(library_mesh("box"))
+    scene.add_geometry(box, geom_name="box")
+    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([10, 0, 0]))
+    if suffix == "dae":  # whose writer takes meshes alone
+        scene = scene.to_mesh()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the package that writes it
+        (tmp_path / f"part.{suffix}").write_bytes(_bytes(scene.export(file_type=suffix)))
+        mesh = load_mesh(tmp_path / f"part.{suffix}")
+    assert mesh.faces.shape == (24, 3)
+    np.testing.assert_allclose(mesh.bounds, [[-0.5, 0, -0.5], [10.5, 1, 0.5]], atol=1e-6)
+
+
+@pytest.mark.parametrize("message", ["No module named 'lxml'", "missing `pip install lxml`"])
+def test_a_missing_package_is_named(message, tmp_path, monkeypatch):
+    def fail(**_):
+        raise ImportError(message)
+
+    monkeypatch.setitem(trimesh.exchange.load.mesh_loaders, "3mf", fail)
+    expected = r"part\.3mf is in the format 3mf, which needs a package that is not installed: lxml; install it"
+    with pytest.raises(FileError, match=expected):
+        load_mesh(write(tmp_path / "part.3mf", ""))
+
+
+def test_points_in_a_format_that_trimesh_reads_are_no_mesh(tmp_path):
+    with pytest.raises(FileError, match=r"3 points but no triangles"):
+        load_mesh(write(tmp_path / "points.xyz", "0 0 0\n1 0 0\n0 1 0\n"))
+    with pytest.raises(FileError, match=r"is damaged: trimesh cannot read it"):
+        load_mesh(write(tmp_path / "garbage.zip", "garbage"))
 
 
 def test_crease_angle_decides_between_flat_and_smooth(tmp_path):
@@ -146,7 +224,7 @@ def test_a_pipe_is_refused_before_it_is_waited_for(tmp_path):
         load_mesh(tmp_path / "pipe.obj")
 
 
-@pytest.mark.parametrize("name", ["mesh.txt", "mesh.png", "mesh", "mesh.dae", "mesh.xyz"])
+@pytest.mark.parametrize("name", ["mesh.txt", "mesh.png", "mesh", "mesh.binvox"])
 def test_unknown_suffixes_are_refused_with_the_known_ones(name, tmp_path):
     with pytest.raises(FileError, match=r"its suffix is .*expected one of .*\.glb.*\.obj.*\.ply.*\.stl"):
         load_mesh(write(tmp_path / name, TRIANGLE))

@@ -851,7 +851,7 @@ def readme():
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, traced, far, training) = {}, readme
+    names, (technique, sun, traced, far, trimeshes, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
@@ -861,6 +861,9 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     assert re.search(r"\[.*\d.*\]", capsys.readouterr().out)
     exec(far, names)
     assert names["scene"].origin == (6e5, 0, 3e6)
+    exec(trimeshes, names)
+    assert len(names["scene"].meshes) == 2
+    assert len(names["back"].faces) == len(names["scene"].mesh.faces)
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
     assert "float shadow_visibility(" in capsys.readouterr().out

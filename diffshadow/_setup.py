@@ -1,0 +1,37 @@
+"""One call that sets a process up for fast work."""
+
+import os
+
+from ._memory import collect_rarely, keep_freed_memory
+from ._xla import use_all_cores
+
+
+def setup(
+    *, cores: bool = True, memory: bool = True, collector: bool = True, programs: bool | str | os.PathLike[str] = True
+) -> None:
+    """Sets this process up as the command `diffshadow` does: call it right after the imports.
+
+    JAX reads some of this as it makes its first array, and importing the package changes nothing global. Each part can
+    be left out. A second call does no harm.
+
+    **Arguments:**
+
+    - `cores`: XLA runs loops on all cores, see `use_all_cores`.
+    - `memory`: freed memory is kept for the next arrays, see `keep_freed_memory`.
+    - `collector`: Python's garbage collector runs less often, see `collect_rarely`.
+    - `programs`: compiled programs are kept for the next process, see `io.keep_compiled_programs`; a folder to keep
+        them in another than its own. This loads JAX.
+
+    **Warns** with a `RuntimeWarning` if JAX's backend already runs: `cores` then has no effect in this process.
+    """
+    if cores:
+        use_all_cores()
+    if memory:
+        keep_freed_memory()
+    if collector:
+        collect_rarely()
+    if programs is not False:
+        # Loads JAX, which the other parts do without.
+        from .io import keep_compiled_programs
+
+        keep_compiled_programs(None if programs is True else programs)
