@@ -88,6 +88,8 @@ class _RenderedLight(_Part):
     light: str
     errors: _LightErrors
     aliasing: _Aliasing | None = None
+    reference_noise_floor: Fraction | None = None
+    pixels: Count | None = None
 
 
 class _FittedLight(_Part):
@@ -111,6 +113,7 @@ class _Metrics(_Part):
 
 
 class _RenderMetrics(_Metrics):
+    technique: str = ""
     errors: _Errors
     lights: list[_RenderedLight] = Field(min_length=1)
 
@@ -143,24 +146,38 @@ class _Phase(_Part):
 
 
 class _Solver(_Part):
+    """`flat`: the parameters without a gradient."""
+
+    name: str = ""
     steps: Count
     chosen_phase: int = Field(ge=-1)
+    flat: list[str] = []
+    seconds_compiling: Seconds | None = None
+    seconds_running: Seconds | None = None
     phases: list[_Phase]
 
 
 class _Precision(_Part):
+    """As `fit.Precision`."""
+
+    names: list[str] = []
     deviations: dict[str, float | None] = {}
+    correlations: list[list[float | None]] = []
+    undetermined: list[list[str]] = []
 
 
 class _Start(_Part):
     initial: Numbers
+    end: Numbers = {}
     loss: Annotated[float, Field(ge=0)] | None
 
 
 class _Poses(_Part):
     truth: Numbers = {}
+    error: Numbers = {}
     precision: _Precision | None = None
     starts: list[_Start] | None = None
+    enlargements: Count = 0
 
 
 class _At(_Part):
@@ -202,9 +219,11 @@ class _Verdict(_Part):
     kind: str
     sentence: str = Field(min_length=1)
     remedies: list[str] = []
+    constant_rmse: Fraction | None = None
 
 
 class _Run(_Part):
+    schema_version: Count = 0
     name: str = Field(min_length=1)
     warnings: list[str] | None = None
     seconds: dict[str, Seconds]
@@ -259,8 +278,15 @@ class _Fit(_Run):
 
 
 class _Sweep(_Part):
+    """`runs`: how many there are, of which so many are `done` and `failed`."""
+
+    schema_version: Count = 0
     kind: Literal["sweep"]
     name: str = Field(min_length=1)
+    source: str = ""
+    runs: Count = 0
+    done: Count = 0
+    failed: Count = 0
     settings: SweepConfig
     versions: dict[str, str] = {}
     command: str = ""
@@ -342,6 +368,10 @@ class _Measurements(_Part):
 
 
 class _Outcome(_Part):
+    """Of a run of a sweep."""
+
+    schema_version: Count = 0
+    files: list[str] = []
     id: str
     status: Literal["ok", "failed"]
     error: str | None
@@ -390,6 +420,15 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
+
+
+def as_stored(result: Mapping[str, Any]) -> dict[str, Any]:
+    """What `result.json` holds of a run, a sweep or a recommendation: the keys of the schema, and no other.
+
+    **Raises** `ValidationError` for a key or a value that readers would not take.
+    """
+    kind = _KINDS.get(result.get("kind", ""), _Outcome)
+    return kind.model_validate(_plain(result), extra="forbid").model_dump(mode="json", exclude_unset=True)
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ... import metrics, shadow
 from ...config import CONFIG_FILE, FITTED_FILE, Config, dump_resolved, with_fitted
 from .._drawn import Drawn
 from ..files._run_folder import RESULT
-from ..files._schema import write_json
+from ..files._schema import as_stored, write_json
 from ..files._stored import ARRAYS
 
 SCHEMA_VERSION = 1
@@ -142,4 +142,4 @@ def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes `result.json`. Call it last, since it lists all other files."""
     files = sorted([*(entry.name for entry in folder.iterdir()), RESULT])
-    write_json(folder / RESULT, {"schema_version": SCHEMA_VERSION, **record, "files": files})
+    write_json(folder / RESULT, as_stored({"schema_version": SCHEMA_VERSION, **record, "files": files}))

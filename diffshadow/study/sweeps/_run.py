@@ -19,7 +19,7 @@ from rich.table import Table
 from ... import io
 from ...config import LABEL, Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
-from ..files._schema import write_json
+from ..files._schema import as_stored, write_json
 from ..files._stored import SWEEP
 from ..pages import _table as table
 from ..runs import _record as record
@@ -315,7 +315,7 @@ def record_of(sweep: Sweep, kind: str, counts: Mapping[str, int]) -> dict[str, A
 def write_record(folder: Path, whole: Mapping[str, Any]) -> None:
     """Writes `result.json`."""
     with io.atomic_path(folder / RESULT) as temporary:
-        write_json(temporary, whole)
+        write_json(temporary, as_stored(whole))
 
 
 def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:
