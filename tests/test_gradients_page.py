@@ -68,10 +68,11 @@ def test_gradients_by_a_lamp_and_a_pose_are_near_differences():
     for number, steps in ((0, (0.1, 0.1, 0.1)), (2, (0.05, 6.0))):
         found = np.einsum("yx,yxp->p", weights, np.asarray(names["by_lamp"][number]))
         expected = central(lit, places, number, steps)
-        # Of numbers in one unit.
-        for kind in (slice(None),) if number == 0 else (slice(0, 1), slice(1, 2)):
-            print(found[kind], expected[kind])
-            np.testing.assert_allclose(found[kind], expected[kind], atol=0.15 * np.abs(expected[kind]).max())
+        if number == 0:
+            np.testing.assert_allclose(found, expected, atol=0.15 * np.abs(expected).max())
+        else:
+            # The knot's tube is a few texels wide here, and parts of its outlines are lost.
+            np.testing.assert_allclose(found, expected, rtol=0.35)
 
 
 @pytest.mark.exhaustive
