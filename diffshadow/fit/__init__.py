@@ -8,6 +8,8 @@ from ._fit import FitResult as FitResult
 from ._fit import fit as fit
 from ._front import FrontPoint as FrontPoint
 from ._history import Step as Step
+from ._how import Search as Search
+from ._how import Sureness as Sureness
 from ._loss import Loss as Loss
 from ._parameters import Parameter as Parameter
 from ._parameters import Parameters as Parameters

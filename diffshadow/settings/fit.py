@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, Literal
 
+from annotated_types import Len
+
 from ._settings import At, Form, Limits, Settings, Unit
 from .maps import SoftKernel, Width
 from .quantities import MAX_TEXELS, Factor
@@ -72,8 +74,8 @@ class Loss(Settings):
     false_light: Annotated[Factor, "factor of the squares where an image is too light"] = 1.0
 
 
-class Fit(Settings):
-    """How a fit searches, and what it reports."""
+class Search(Settings):
+    """How a fit searches."""
 
     blurs: Annotated[
         tuple[Blur, ...] | None,
@@ -89,9 +91,22 @@ class Fit(Settings):
         At("starts"),
         "number of starts: the initial values, and others within the bounds",
     ] = 1
+    # Each draws the map again.
+    evaluations: Annotated[
+        int,
+        Limits(1, 100_000),
+        "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
+    ] = 30
+
+
+class Sureness(Settings):
+    """What a fit finds out about the values near the best."""
+
     intervals: Annotated[
         tuple[Excess, ...],
-        Form("a list of fractions", "[0.01, 0.05]"),
+        # Each takes as long as the fit, for every parameter.
+        Len(0, 16),
+        Form("a list of at most 16 fractions", "[0.01, 0.05]"),
         At("within"),
         "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
         "others fitted again",
@@ -103,9 +118,7 @@ class Fit(Settings):
         Unit("points"),
         f"points of the front of false shadow against false light, {FEWEST_POINTS} or more; default: not found",
     ] = 0
-    # Each draws the map again.
-    evaluations: Annotated[
-        int,
-        Limits(1, 100_000),
-        "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
-    ] = 30
+
+
+class Fit(Search, Sureness):
+    """How a fit searches, and what it reports."""
