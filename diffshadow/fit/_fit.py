@@ -14,7 +14,7 @@ from ._front import FrontPoint, front_of
 from ._history import Step
 from ._how import Search, Sureness
 from ._loss import Loss
-from ._own_loss import LossFunction
+from ._own_loss import LossFunction, OwnLoss
 from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
@@ -189,6 +189,25 @@ def _check_parameters(parameters: Any) -> None:
         check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
 
 
+def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
+    """Checks a loss of one's own for images of this `shape`, (height, width), as `fit` does.
+
+    **Raises** `TypeError` unless it returns what a loss returns; `ValueError` if that is a number, and the solver needs
+    residuals.
+    """
+    own = OwnLoss.of(loss, [shape])
+    _check_solver(own.is_scalar, solver)
+
+
+def _check_solver(is_number: bool, solver: Solver) -> None:
+    if is_number and solver.is_least_squares:
+        raise ValueError(
+            f"the loss returns a number, and {solver.title} needs residuals; expected a minimiser, or an array: set "
+            'solver to fit.Solver("bfgs") (in YAML, fit.solver.type: bfgs) or optimistix.BFGS(1e-4, 1e-6), or let the '
+            "loss return residuals, whose squares are summed"
+        )
+
+
 def _solver_for(joint: Joint, solver: Any) -> Solver:
     """The solver for the loss of `joint`, whose default depends on it.
 
@@ -198,12 +217,7 @@ def _solver_for(joint: Joint, solver: Any) -> Solver:
     if solver is None and is_number:
         return Solver("bfgs")
     solver = Solver.of(solver)
-    if is_number and solver.is_least_squares:
-        raise ValueError(
-            f"the loss returns a number, and {solver.title} needs residuals; expected a minimiser, or an array: set "
-            'solver to fit.Solver("bfgs") or optimistix.BFGS(1e-4, 1e-6), or let the loss return residuals, whose '
-            "squares are summed"
-        )
+    _check_solver(is_number, solver)
     return solver
 
 

@@ -1,7 +1,7 @@
 """Settings of fits: solver, annealing, loss, and what is reported."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 
@@ -61,9 +61,16 @@ class Anneal(Settings):
     ascending = (("end", "start", True),)
 
 
-class Loss(Settings):
+class AnyLoss(Settings):
+    """What a fit minimises."""
+
+    type: Any
+
+
+class Loss(AnyLoss):
     """What a fit minimises: the mean square errors of its views as one number."""
 
+    type: Literal["squares"] = "squares"
     over: Annotated[Over, "the mean over all pixels, the worst view, or the mean of the worst views"] = "mean"
     fraction: Annotated[
         float,

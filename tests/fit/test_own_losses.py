@@ -182,7 +182,8 @@ def test_solvers_of_optimistix_find_known_values(solver, known):
     result = fit(known, [BIAS, RADIUS], solver=Solver(method=solver, max_steps=60), anneal=SHORT)
     assert result.fitted["filter.radius"] == pytest.approx(3.2, abs=0.15)
     assert result.fitted["bias.constant"] == pytest.approx(0.8, abs=0.5)
-    assert result.history[0].values == pytest.approx((1.6, 2.0), abs=1e-5)
+    # Nelder and Mead's method begins at several places.
+    assert any(step.values == pytest.approx((1.6, 2.0), abs=1e-5) for step in result.history[:3])
     assert result.precision is not None
 
 
