@@ -116,7 +116,10 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
     resolve_views(data, origin, draft.folder)
-    mistakes = [*draft.mistakes, *(missing if files else ()), *add_plugins(data, origin, draft.folder)]
+    mistakes = [*draft.mistakes, *(missing if files else ())]
+    if unusable := add_plugins(data, origin, draft.folder):
+        # Without its class, nothing can be said of a section and of what is fitted there.
+        raise ConfigError([*mistakes, *unusable])
     # Checked on the data, so that messages quote numbers as they were written.
     of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []
     try:
