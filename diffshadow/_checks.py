@@ -3,6 +3,7 @@
 import dataclasses
 import difflib
 import math
+from types import UnionType
 from typing import Any, ClassVar, get_args, get_origin
 
 import equinox as eqx
@@ -190,7 +191,7 @@ def _shown(value: Any) -> str:
     return str(known) if known.ndim == 0 else listed(known)
 
 
-def check_instance(name: str, value: Any, kind: type, example: str) -> None:
+def check_instance(name: str, value: Any, kind: type | UnionType, example: str) -> None:
     """**Raises** `TypeError` unless `value` is a `kind`, of which `example` names one."""
     if not isinstance(value, kind):
         given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"

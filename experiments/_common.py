@@ -182,7 +182,7 @@ def run_fit(settings: Config, problem: fit.TechniqueProblem | Sequence[fit.Techn
             plan.parameters,
             solver=plan.solver,
             anneal=plan.anneal,
-            evaluations=plan.evaluations,
+            search=fit.Search(evaluations=plan.evaluations),
             loss=plan.loss,
         )
     except ValueError as error:

@@ -141,4 +141,6 @@ for ax, (name, image) in zip(axes, pictures.items()):
 bar = figure.colorbar(shown, ax=axes, shrink=0.8, label="visibility")
 
 # %% [markdown]
-# To make it a technique that YAML knows too, see "How to add a technique" in `ARCHITECTURE.md`.
+# **From YAML.** With the class in a file `my_filters.py` beside a configuration, or in a package, the key
+# `filter: {type: my_filters:Gaussian, sigma: 2}` draws with it. Its fields are its keys, and `filter.sigma` is a number to
+# fit. See "Filters, techniques and losses of your own" in `docs/usage.md`.

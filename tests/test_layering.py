@@ -23,7 +23,7 @@ OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
 # before all of them.
 FOLDERS = {
     "fit": (
-        *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_front", "_bounds"),
+        *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_how", "_front", "_bounds"),
         *("_fit", "_train"),
     ),
     "config": ("sections", "whole", "reading", "building"),

@@ -5,9 +5,12 @@ from ._arrangement import Arrangement as Arrangement
 from ._arrangement import MeshPose as MeshPose
 from ._bounds import AtBound as AtBound
 from ._fit import FitResult as FitResult
+from ._fit import check_loss as check_loss
 from ._fit import fit as fit
 from ._front import FrontPoint as FrontPoint
 from ._history import Step as Step
+from ._how import Search as Search
+from ._how import Sureness as Sureness
 from ._loss import Loss as Loss
 from ._parameters import Parameter as Parameter
 from ._parameters import Parameters as Parameters

@@ -1,34 +1,31 @@
-"""Fitting to a reference by least squares."""
+"""Fitting to a reference."""
 
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._checks import check_arguments, check_instance
+from .._checks import check_instance
 from .._misc import as_float
 from .._pictures import as_html
-from ..settings.fit import FEWEST_POINTS
-from ..settings.fit import Fit as Settings
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement
 from ._bounds import AtBound, at_bounds
 from ._front import FrontPoint, front_of
 from ._history import Step
+from ._how import Search, Sureness
 from ._loss import Loss
+from ._own_loss import LossFunction, OwnLoss
 from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
-from ._profile import Bound, Profile, Profiler
-from ._run import Outcome, Run, Start
+from ._profile import Profile, Profiler
+from ._run import Outcome, Path, Run, Start, Values, root
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
-from .solvers import Solver
-
-PIXELS = 1 << 16
-"""The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
+from .solvers import OptimistixSolver, Solver
 
 
 class FitResult(NamedTuple):
@@ -42,14 +39,15 @@ class FitResult(NamedTuple):
     - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
-    - `precision`: how well the values are determined; none if the start was best.
+    - `precision`: how well the values are determined; none if the start was best, or under a loss of one's own.
     - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
     - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
     - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
     - `front`: of false shadow against false light, if it was asked for.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
-    - `errors`: the roots of the loss under the hard compare, at the start and at the best values.
+    - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
+        one's own is less.
     - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
@@ -97,18 +95,11 @@ def fit(
     problem: AbstractProblem | Sequence[AbstractProblem],
     parameters: Sequence[Parameter],
     *,
-    solver: Solver | None = None,
+    solver: Solver | OptimistixSolver | None = None,
     anneal: Anneal | None = None,
-    blurs: Sequence[float] | None = Settings.blurs,
-    starts: int = Settings.multistart,
-    seed: int = 0,
-    evaluations: int = Settings.evaluations,
-    loss: Loss | None = None,
-    pixels: int = PIXELS,
-    within: Sequence[float] = Settings.intervals,
-    prefer: Sequence[tuple[str, Bound]] = (),
-    tolerance: float = Settings.tolerance,
-    front: int = Settings.front,
+    loss: Loss | LossFunction | None = None,
+    search: Search | None = None,
+    sureness: Sureness | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
@@ -123,78 +114,55 @@ def fit(
 
     - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
     - `parameters`: what is fitted, and within which bounds.
-    - `solver`, `anneal`: defaults if left out. A fit of poses anneals in its last phases if it also fits a bias.
-    - `blurs`: for a fit of poses, the standard deviations in pixels of the Gaussian under which images are compared,
-        which fall. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
-        left out, from an eighth of the images' shorter side to 3, each about a third of the one before.
-    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
-        under the first blurs, by the hard compare, goes on.
-    - `seed`: of the starts.
-    - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
-        map.
-    - `loss`: of the errors of several problems; by default the mean over all pixels.
-    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
-        for a loss other than the mean, most of it from the worst problems, with errors that are corrected by those of
-        whole images at the start of each phase. The judge sees all.
-    - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
-        (1 + ε) times the best, while the others are fitted again.
-    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
-        Of all values whose error is at most (1 + `tolerance`) times the best, these are the result: the first parameter
-        goes as far as it can, then the second, and so on. For fits of a technique, as `within` is.
-    - `front`: how many weighted sums of false shadow and false light are made least, 3 or more; 0 for none. For fits
-        of a technique.
+    - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
+        1e-6)`. `Solver(method=...)` gives the latter another number of steps.
+    - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
+    - `loss`: of the errors of several problems; by default the mean over all pixels. Or a function of three images (h,
+        w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals, whose squares
+        are summed, or a number, 0 or more. It is called with one image after the other, and the loss is the mean over
+        all images. Where no pixel counts, the predicted image is the reference. Both are blurred in the phases of a fit
+        of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one
+        of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
+        compiled program.
+    - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
         repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
-    technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite at the
-    start, or the number of silhouettes never settles; and `TypeError` for objects of another kind.
+    technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
+    loss less than 0 at the start, the loss is a number and the solver needs residuals, or the number of silhouettes
+    never settles; and `TypeError` for objects of another kind.
     """
-    solver, anneal = solver or Solver(), anneal or Anneal()
-    check_instance("the solver", solver, Solver, 'a fit.Solver, such as Solver("adam")')
-    check_instance("the anneal", anneal, Anneal, "a fit.Anneal")
-    if not isinstance(parameters, Sequence):
-        raise TypeError(f"the parameters are of type {type(parameters).__name__}; expected a list of fit.Parameter")
-    for parameter in parameters:
-        check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
-    fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
-    check_arguments(
-        Settings,
-        blurs=None if blurs is None else tuple(blurs),
-        multistart=starts,
-        evaluations=evaluations,
-        intervals=tuple(within),
-        tolerance=tolerance,
-        front=front,
-    )
-    if pixels < 1:
-        raise ValueError(f"pixels is {pixels}; expected 1 or more")
-    _check_choice(joint, parameters, within, prefer)
-    if front and (front < FEWEST_POINTS or joint.moves):
-        raise ValueError(
-            f"a front of {front} points is asked for; expected {FEWEST_POINTS} or more, in a fit of a technique"
-        )
-    check_problem(joint, fitted)
-    solver = solver.for_problem(joint.moves)
-    offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
-    initial = as_float([p.initial for p in parameters])
-    spread = starts_within(fitted, initial, starts, seed)
     began = time.perf_counter()
+    anneal, search, sureness = anneal or Anneal(), search or Search(), sureness or Sureness()
+    check_instance("the anneal", anneal, Anneal, "a fit.Anneal")
+    check_instance("the search", search, Search, "a fit.Search")
+    check_instance("the sureness", sureness, Sureness, "a fit.Sureness")
+    _check_parameters(parameters)
+    fitted, joint = Parameters.of(parameters), Joint.of(problem, loss)
+    sureness.check(joint, [p.name for p in parameters])
+    check_problem(joint, fitted)
+    chosen = _solver_for(joint, solver).for_problem(joint.moves)
+    offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
+    spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
-    phases = phases_of(joint, fitted.paths, anneal, blurs, pixels)
-    run = Run(parameters, phases[-1].joint.hard(), phases, solver, evaluations, _from_offsets(on_step, offsets))
+    phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
+    watch = _from_offsets(on_step, offsets)
+    run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
     with run.reporter:
         path, tried = run.through(spread)
-    best = path.chosen(solver.noise or 0.0)
-    values, profiles, least = path.values[best], [], path.values[best]
-    if within or prefer:
-        profiler = Profiler(run, parameters, values)
-        profiles = profiler.profiles(within) if within else []
-        least = profiler.best.values
-        values = profiler.preferred(prefer, tolerance).values if prefer else least
-    points = front_of(run, least, front) if front else []
+    result = _result(run, path, tried, parameters, sureness)
+    result = result._replace(seconds_running=time.perf_counter() - began - run.seconds_compiling)
+    return _with_offsets(result, offsets) if any(offsets) else result
+
+
+def _result(run: Run, path: Path, tried: list[Start], parameters: Sequence[Parameter], sureness: Sureness) -> FitResult:
+    """What a run found along its best path, and what it finds out about the values near the best."""
+    best = path.chosen(run.solver.noise or 0.0)
+    values, least, profiles = _chosen(run, path.values[best], parameters, sureness)
+    points = front_of(run, least, sureness.front) if sureness.front else []
     end, precision = run.judged_at(as_float(values)), run.precision(path, best - 1)
-    result = FitResult(
+    return FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),
         fitted=dict(zip(run.names, values, strict=True)),
@@ -203,7 +171,7 @@ def fit(
         history=run.history,
         flat=run.flat(path),
         seconds_compiling=run.seconds_compiling,
-        seconds_running=time.perf_counter() - began - run.seconds_compiling,
+        seconds_running=0.0,
         arrangement=end.subject if end.moves else None,
         precision=precision,
         starts=tried,
@@ -213,9 +181,61 @@ def fit(
         best=dict(zip(run.names, least, strict=True)),
         front=points,
         at_bounds=at_bounds(run, parameters, values),
-        errors=(path.losses[0] ** 0.5, run.error(least)),
+        errors=(root(path.losses[0]), run.error(least)),
     )
-    return _with_offsets(result, offsets) if any(offsets) else result
+
+
+def _chosen(
+    run: Run, values: Values, parameters: Sequence[Parameter], sureness: Sureness
+) -> tuple[Values, Values, list[Profile]]:
+    """The values that are preferred, those of the least error, and the profiles about these."""
+    if not (sureness.within or sureness.prefer):
+        return values, values, []
+    profiler = Profiler(run, parameters, values)
+    profiles = profiler.profiles(sureness.within) if sureness.within else []
+    least = profiler.best.values
+    preferred = profiler.preferred(sureness.prefer, sureness.tolerance).values if sureness.prefer else least
+    return preferred, least, profiles
+
+
+def _check_parameters(parameters: Any) -> None:
+    """**Raises** `TypeError` unless `parameters` is a list of these."""
+    if not isinstance(parameters, Sequence):
+        raise TypeError(f"the parameters are of type {type(parameters).__name__}; expected a list of fit.Parameter")
+    for parameter in parameters:
+        check_instance("a parameter", parameter, Parameter, 'a fit.Parameter, such as Parameter("bias.constant", ...)')
+
+
+def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
+    """Checks a loss of one's own for images of this `shape`, (height, width), as `fit` does.
+
+    **Raises** `TypeError` unless it returns what a loss returns; `ValueError` if that is a number, and the solver needs
+    residuals.
+    """
+    own = OwnLoss.of(loss, [shape])
+    _check_solver(own.is_scalar, solver)
+
+
+def _check_solver(is_number: bool, solver: Solver) -> None:
+    if is_number and solver.is_least_squares:
+        raise ValueError(
+            f"the loss returns a number, and {solver.title} needs residuals; expected a minimiser, or an array: set "
+            'solver to fit.Solver("bfgs") (in YAML, fit.solver.type: bfgs) or optimistix.BFGS(1e-4, 1e-6), or let the '
+            "loss return residuals, whose squares are summed"
+        )
+
+
+def _solver_for(joint: Joint, solver: Any) -> Solver:
+    """The solver for the loss of `joint`, whose default depends on it.
+
+    **Raises** `ValueError` if it needs residuals, and the loss is a number.
+    """
+    is_number = joint.own is not None and joint.own.is_scalar
+    if solver is None and is_number:
+        return Solver("bfgs")
+    solver = Solver.of(solver)
+    _check_solver(is_number, solver)
+    return solver
 
 
 def _from_offsets(on_step: Callable[[Step], None] | None, offsets: Sequence[float]) -> Callable[[Step], None] | None:
@@ -243,18 +263,3 @@ def _with_offsets(result: FitResult, offsets: Sequence[float]) -> FitResult:
             for start in result.starts
         ],
     )
-
-
-def _check_choice(
-    joint: Joint,
-    parameters: Sequence[Parameter],
-    within: Sequence[float],
-    prefer: Sequence[tuple[str, Bound]],
-) -> None:
-    """**Raises** `ValueError` for intervals and preferences that cannot be found."""
-    if (within or prefer) and joint.moves:
-        raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
-    names = [p.name for p in parameters]
-    for name, _ in prefer:
-        if name not in names:
-            raise ValueError(f"{name} is preferred and not fitted; expected one of {', '.join(names)}")

@@ -18,7 +18,7 @@ class Step(NamedTuple):
     """One evaluation of the loss during a fit.
 
     - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels, 0 for the hard one.
-    - `loss`: the mean square error under that compare; `values`: of the parameters there.
+    - `loss`: the mean square error under that compare, or a user's loss; `values`: of the parameters there.
     - `start`: of several starts, the one that the fit is at, from 0.
     """
 
@@ -38,6 +38,15 @@ class Report(eqx.Module):
     def __call__(self, *, loss_this_step, y, **_):
         # Optimistix minimises half the sum of squares.
         jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=True)
+
+
+def report_loss(token: Array, loss: Array, y: Float[Array, " a"]) -> None:
+    """Reports an evaluation of the `loss` at `y`, when the program runs; `token` names the reporter.
+
+    For solvers that call no `Report`. A solver may evaluate several places at once, so there is no other order than
+    the program's own.
+    """
+    jax.debug.callback(_dispatch, token, loss, y)
 
 
 def report_overflow(token: Array, overflow: Overflow, y: Float[Array, " a"]) -> None:

@@ -1,5 +1,6 @@
 """The course of a fit: its starts, its phases, and the memory for silhouettes that they need."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
@@ -144,9 +145,9 @@ class Run:
 
     def precision(self, path: Path, chosen: int) -> Precision | None:
         """How well the chosen phase determines what it fitted; none if it was a search, or the start was better than
-        all phases."""
+        all phases, or under a user's loss."""
         phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
-        if phase is None or solution is None:
+        if phase is None or solution is None or phase.joint.own is not None:
             return None
         lower, upper = np.asarray(self.parameters.lower), np.asarray(self.parameters.upper)
         span = (upper - lower)[np.asarray(phase.active)]
@@ -167,6 +168,10 @@ class Run:
             raise ValueError(
                 "the visibility or the reference is not finite at the initial values; expected numbers: check "
                 "the mesh, the light and the reference"
+            )
+        if loss < -(_LEAST_LOSS**0.5):
+            raise ValueError(
+                f"the loss is {loss:.4g} at the initial values; expected 0 or more: add a constant, as in 1 - SSIM"
             )
         return Path([self.parameters.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
 
@@ -261,7 +266,7 @@ class Run:
     def error(self, values: Values) -> float:
         """The root of the judge's loss at `values`; infinite for a layout that does not suit the scene."""
         try:
-            return self._judged(as_float(values))[0] ** 0.5
+            return root(self._judged(as_float(values))[0])
         except ValueError:
             return np.inf
 
@@ -292,8 +297,10 @@ class Run:
         """The arguments of a phase's program from the `free` values of its active `parameters`."""
         joint = phase.joint.put(self.parameters, values)
         if not joint.moves:
-            whole = Joint(joint.subject, self.judged_at(values).problems, joint.loss)
-            joint = whole if whole.count <= phase.pixels else self._sample(whole, phase.pixels, values)
+            whole = dataclasses.replace(joint, problems=self.judged_at(values).problems)
+            # A user's loss may compare neighbours, so it sees whole images.
+            takes_all = whole.own is not None or whole.count <= phase.pixels
+            joint = whole if takes_all else self._sample(whole, phase.pixels, values)
         joint = joint.each(lambda p: p.padded()).stacked(self._atlases)
         stop = Stop(*map(as_float, phase.stop))
         return joint, parameters, as_float(free), self.solver, token, as_float(scale), stop
@@ -364,6 +371,11 @@ class Run:
             programs[shapes] = compiled(solve, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return programs[shapes]
+
+
+def root(loss: float) -> float:
+    """The root of a loss; a user's may be less than 0."""
+    return max(loss, 0.0) ** 0.5
 
 
 def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:

@@ -1,5 +1,6 @@
 """The compiled program of a phase: least squares from the free values of its parameters to their best."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from ..shadow import Overflow
-from ._history import Report, report_overflow
+from ._history import Report, report_loss, report_overflow
 from ._parameters import Parameters
 from .problems import Images, Joint, multiplied, products, squares
 from .solvers import Solver, Stop, optimistix_options, optimistix_solver
@@ -25,10 +26,12 @@ class Solution(NamedTuple):
     of the change of variables.
 
     - `value`: (a,), the free values of the active parameters.
-    - `gradient`: (a,), of the mean square of the compared differences.
+    - `gradient`: (a,), of the mean square of the compared differences, or of a user's loss.
     - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
     - `differences`, `slopes`: of each problem, (n, h, w) and (a, n, h, w), before the blur, with the loss's weights.
     - `roots`: (v,), of these weights.
+
+    The last three are empty under a user's loss.
     """
 
     value: Float[Array, " a"]
@@ -41,40 +44,55 @@ class Solution(NamedTuple):
     result: optx.RESULTS
 
 
+class _Own(NamedTuple):
+    """Of a user's loss, at one place: the residuals of compared images, (n,), or the loss, (1,); and their derivatives
+    by each parameter's fraction, (n, a)."""
+
+    rows: Float[Array, " n"]
+    columns: Float[Array, "n a"]
+
+
+_Found = tuple[Images, Stacks, Float[Array, " v"]] | _Own
+"""What is found at one place: differences, slopes and roots as in `Solution`, or those of a user's loss."""
+
+
 def _solve(
     joint: Joint, parameters: Parameters, y: Array, solver: Solver, token: Array, scale: Array, stop: Stop
 ) -> Solution:
-    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, tuple[Images, Stacks, Array]]:
+    is_scalar = joint.own is not None and joint.own.is_scalar
+
+    def evaluated(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Found, Overflow]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
         # once for each; here it is a matrix, found once together with the residuals.
         joint, parameters, scale = args
         fraction = parameters.fraction(y)
         fixed = jax.lax.stop_gradient(fraction)
-        differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
+        rows = _rows if joint.own is None else _rows_of_own
+        found, known, overflow = rows(joint, parameters, fixed, fraction - fixed)
+        # Optimistix minimises half the sum of squares.
+        return scale**2 * found[0] / 2 if is_scalar else scale * found, known, overflow
+
+    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Found]:
+        found, known, overflow = evaluated(y, args)
         if joint.moves:
             report_overflow(token, overflow, y)
-        compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
-        roots, curvature_rows = _weights(joint, compared, sloping)
-        weighted = lambda stacks: jax.vmap(lambda images: multiplied(images, roots))(stacks)
-        change = fraction - fixed
-        along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
-        rows = [_flat(multiplied(compared, roots)) + along]
-        if curvature_rows is not None:
-            rows.append(jnp.matmul(curvature_rows, change, precision="highest"))
-        return scale * jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes), roots)
+        if solver.method is not None:
+            report_loss(token, 2 * found if is_scalar else jnp.sum(found**2), y)
+        return found, known
 
-    solution = optx.least_squares(
-        residual,
-        optimistix_solver(solver, Report(token), stop),
-        y,
-        (joint, parameters, scale),
-        optimistix_options(solver),
-        has_aux=True,
-        max_steps=solver.max_steps,
-        throw=False,
-    )
-    differences, slopes, roots = solution.state.aux
-    end, jacobian = _flat(joint.compared(differences)), _columns(jax.vmap(joint.compared)(slopes))
+    args: Any = joint, parameters, scale
+    method: Any = optimistix_solver(solver, Report(token), stop)
+    options, until = optimistix_options(solver), {"max_steps": solver.max_steps, "throw": False}
+    run = optx.minimise if is_scalar else optx.least_squares
+    solution = run(residual, method, y, args, options, has_aux=True, **until)
+    # The solvers of this package keep what is found where they end. Others need not.
+    known = solution.state.aux if solver.method is None else evaluated(solution.value, args)[1]
+    if isinstance(known, _Own):
+        end, jacobian = jnp.full(1, 0.5) if is_scalar else known.rows, known.columns
+        differences, slopes, roots = (), (), jnp.zeros(0)
+    else:
+        differences, slopes, roots = known
+        end, jacobian = _flat(joint.compared(differences)), _columns(jax.vmap(joint.compared)(slopes))
     return Solution(
         value=solution.value,
         gradient=2 * jnp.matmul(end, jacobian, precision="highest"),
@@ -85,6 +103,37 @@ def _solve(
         steps=solution.stats["num_steps"],
         result=solution.result,
     )
+
+
+def _rows(
+    joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
+) -> tuple[Float[Array, " n"], _Found, Overflow]:
+    """The residuals at the fractions `fixed` + `change`, to first order in the latter, and what is found at `fixed`."""
+    differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
+    compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
+    roots, curvature_rows = _weights(joint, compared, sloping)
+    weighted = lambda stacks: jax.vmap(lambda images: multiplied(images, roots))(stacks)
+    along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
+    rows = [_flat(multiplied(compared, roots)) + along]
+    if curvature_rows is not None:
+        rows.append(jnp.matmul(curvature_rows, change, precision="highest"))
+    return jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes), roots), overflow
+
+
+def _rows_of_own(
+    joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
+) -> tuple[Float[Array, " n"], _Found, Overflow]:
+    """As `_rows`, of a user's loss; or instead of residuals its value, (1,)."""
+
+    def rows(fraction: Array) -> tuple[Array, Overflow]:
+        images, overflow = joint.rows(parameters.put(joint.subject, parameters.at(fraction)))
+        if joint.own is not None and joint.own.is_scalar:
+            return jnp.mean(jnp.concatenate(images), axis=0), overflow
+        count = sum(len(each) for each in images)
+        return jnp.concatenate([each.ravel() for each in images]) / count**0.5, overflow
+
+    found, slopes, overflow = _pushed(rows, fixed)
+    return found + jnp.matmul(slopes.T, change, precision="highest"), _Own(found, slopes.T), overflow
 
 
 def _weights(joint: Joint, compared: Images, slopes: Stacks) -> tuple[Float[Array, " v"], Float[Array, "v p"] | None]:
@@ -105,8 +154,13 @@ def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " 
     def differences(fraction: Array) -> tuple[Images, Overflow]:
         return joint.differences(parameters.put(joint.subject, parameters.at(fraction)))
 
+    return _pushed(differences, fraction)
+
+
+def _pushed(function: Callable[[Array], tuple[Any, Overflow]], fraction: Float[Array, " p"]) -> tuple[Any, Any, Any]:
+    """What `function` returns at `fraction` (p,), its derivatives by each along a first axis, and its second result."""
     # Few parameters, many pixels: forward.
-    pushed = jax.vmap(lambda way: jax.jvp(differences, (fraction,), (way,), has_aux=True), out_axes=(None, 0, None))
+    pushed = jax.vmap(lambda way: jax.jvp(function, (fraction,), (way,), has_aux=True), out_axes=(None, 0, None))
     return pushed(jnp.eye(fraction.shape[0], dtype=fraction.dtype))
 
 

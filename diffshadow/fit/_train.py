@@ -21,7 +21,7 @@ from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
 from ._anneal import Anneal
 from .problems import TechniqueProblem, of_one_structure, together
-from .solvers import Solver, Stop, optimistix_options, optimistix_solver
+from .solvers import OptimistixSolver, Solver, Stop, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
 # A number with a lower bound starts at least this far above it.
@@ -61,7 +61,7 @@ def train(
     where: Where,
     *,
     lower: Any = -np.inf,
-    solver: Solver | None = None,
+    solver: Solver | OptimistixSolver | None = None,
     anneal: Anneal | None = None,
     on_phase: Callable[[TrainingPhase], None] | None = None,
 ) -> Training:
@@ -85,7 +85,7 @@ def train(
     **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, or a number starts below
     its least value.
     """
-    solver, anneal = (solver or Solver()).for_problem(False), anneal or Anneal()
+    solver, anneal = Solver.of(solver).for_problem(False), anneal or Anneal()
     if not problems:
         raise ValueError("got no view to train on; expected one or more problems")
     technique = _with_compare(problems[0].technique, HardCompare())

@@ -183,7 +183,7 @@ class Setting:
         if self.form is not None:
             return f"{self.form.words}{unit}"
         if self.choices:
-            return f"{', '.join(map(str, self.choices[:-1]))} or {self.choices[-1]}"
+            return " or ".join(filter(None, (", ".join(map(str, self.choices[:-1])), str(self.choices[-1]))))
         words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
         return " ".join(filter(None, (words.get(self.kind, "a section"), self.limits.words))) + unit
 
@@ -196,6 +196,8 @@ class Settings:
     """
 
     ascending: ClassVar[tuple[tuple[str, str] | tuple[str, str, bool], ...]] = ()
+    plugin: ClassVar[Any] = None
+    """What it describes, if that is a user's."""
 
     @classmethod
     @functools.cache

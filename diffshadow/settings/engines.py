@@ -41,6 +41,7 @@ class Engine(Technique):
     """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
     engine's own."""
 
+    is_whole = True
     subpixels: Annotated[
         int,
         Limits(1, 1 << 16),

@@ -1,7 +1,9 @@
 """Settings of fits: solver, annealing, loss, and what is reported."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
 
 from ._settings import At, Form, Limits, Settings, Unit
 from .maps import SoftKernel, Width
@@ -59,9 +61,16 @@ class Anneal(Settings):
     ascending = (("end", "start", True),)
 
 
-class Loss(Settings):
+class AnyLoss(Settings):
+    """What a fit minimises."""
+
+    type: Any
+
+
+class Loss(AnyLoss):
     """What a fit minimises: the mean square errors of its views as one number."""
 
+    type: Literal["squares"] = "squares"
     over: Annotated[Over, "the mean over all pixels, the worst view, or the mean of the worst views"] = "mean"
     fraction: Annotated[
         float,
@@ -72,8 +81,8 @@ class Loss(Settings):
     false_light: Annotated[Factor, "factor of the squares where an image is too light"] = 1.0
 
 
-class Fit(Settings):
-    """How a fit searches, and what it reports."""
+class Search(Settings):
+    """How a fit searches."""
 
     blurs: Annotated[
         tuple[Blur, ...] | None,
@@ -89,9 +98,22 @@ class Fit(Settings):
         At("starts"),
         "number of starts: the initial values, and others within the bounds",
     ] = 1
+    # Each draws the map again.
+    evaluations: Annotated[
+        int,
+        Limits(1, 100_000),
+        "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
+    ] = 30
+
+
+class Sureness(Settings):
+    """What a fit finds out about the values near the best."""
+
     intervals: Annotated[
         tuple[Excess, ...],
-        Form("a list of fractions", "[0.01, 0.05]"),
+        # Each takes as long as the fit, for every parameter.
+        Len(0, 16),
+        Form("a list of at most 16 fractions", "[0.01, 0.05]"),
         At("within"),
         "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
         "others fitted again",
@@ -103,9 +125,7 @@ class Fit(Settings):
         Unit("points"),
         f"points of the front of false shadow against false light, {FEWEST_POINTS} or more; default: not found",
     ] = 0
-    # Each draws the map again.
-    evaluations: Annotated[
-        int,
-        Limits(1, 100_000),
-        "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
-    ] = 30
+
+
+class Fit(Search, Sureness):
+    """How a fit searches, and what it reports."""

@@ -1,6 +1,6 @@
 """Settings of techniques, and of how they lay out maps. A class has the name of its module in `shadow`."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Len
 
@@ -36,6 +36,14 @@ class Technique(Settings):
     """How shadows are drawn."""
 
     type: Any
+    is_whole: ClassVar[bool] = False
+    """Whether all of its numbers are its own, and the sections bias and filter change nothing."""
+
+
+class OwnTechnique(Technique):
+    """A technique of a user's."""
+
+    is_whole = True
 
 
 class Mapped(Technique):

@@ -14,6 +14,7 @@ from diffshadow.fit import (
     Anneal,
     Parameter,
     Parameters,
+    Search,
     Solver,
     TechniqueProblem,
     fit,
@@ -121,7 +122,7 @@ def test_history_is_in_order_and_true(solver, known, results):
 def test_values_that_are_counted_from_an_offset_are_reported_with_it(known):
     seen, far = [], 3.0 * 2**20
     counted = dataclasses.replace(BIAS, initial=far + 1.6, lower=far, upper=far + 6.0, offset=far)
-    how = {"solver": patient(SOLVERS[0]), "anneal": SHORT, "starts": 2}
+    how = {"solver": patient(SOLVERS[0]), "anneal": SHORT, "search": Search(starts=2)}
     near, result = fit(known, [BIAS, RADIUS], **how), fit(known, [counted, RADIUS], **how, on_step=seen.append)
     # Their own numbers have the digits of single precision, far from 0 too.
     plus = lambda values: (values[0] + far, values[1])

@@ -20,6 +20,7 @@ from diffshadow.fit import (
     Parameter,
     Parameters,
     PoseProblem,
+    Search,
     Solver,
     cone_fraction,
     fit,
@@ -58,6 +59,7 @@ LIGHTS = {
     "point": PointLight.around(jnp.asarray(LAMP), POINTS, radius=0.2),
     "rectangle": RectangleLight.around(jnp.asarray(LAMP), POINTS, (0.3, 0.2)),
 }
+NARROW = Search(blurs=(3.0,))
 TECHNIQUE = ShadowMapping(Bilinear(), Bias(0.5, 0.5, 0.0))
 AZIMUTH, ELEVATION = "lights.0.azimuth", "lights.0.elevation"
 SHIFT = tuple(f"meshes.1.translate.{axis}" for axis in "xyz")
@@ -558,7 +560,7 @@ def recovered():
     tight = lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
-        result = fit(one, parameters, blurs=[3.0])
+        result = fit(one, parameters, search=NARROW)
     assert result.enlargements >= 1
     return truth, one, result
 
@@ -602,7 +604,7 @@ def test_height_of_a_card_along_the_light_is_not_determined():
     parameters = [
         Parameter(path, off, -0.4, 0.4, "world units") for path, off in zip(SHIFT, (0.1, 0.0, 0.1), strict=True)
     ]
-    result = fit(one, parameters, blurs=[3.0], solver=Solver(max_steps=15))
+    result = fit(one, parameters, search=NARROW, solver=Solver(max_steps=15))
     # One combination, in which the height takes part; what is left of the start is the way along the light.
     (names,) = result.precision.undetermined
     assert SHIFT[1] in names
@@ -629,7 +631,7 @@ def minimal_plane(silhouettes=True):
 
 def pull(one):
     parameters = [Parameter(path, 0.375, 0.0, 0.5, "world units") for path in VERTEX]
-    return fit(one, parameters, solver=Solver("levenberg_marquardt", 60, 1e-6, 1e-7), blurs=[3.0])
+    return fit(one, parameters, solver=Solver("levenberg_marquardt", 60, 1e-6, 1e-7), search=NARROW)
 
 
 @pytest.mark.exhaustive

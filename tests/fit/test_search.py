@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import Waves, drawn, floor_and_card, quad, side_camera, sun
 
-from diffshadow.fit import Anneal, Parameter, Solver, TechniqueProblem, fit
+from diffshadow.fit import Anneal, Parameter, Search, Solver, TechniqueProblem, fit
 from diffshadow.fit._search import search
 from diffshadow.geometry import PinholeCamera, Scene, merge
 from diffshadow.raster import draw_surface
@@ -82,7 +82,7 @@ def test_the_spacing_of_cascades_is_found(seen):
     at = lambda spacing: dataclasses.replace(made.technique, layout=Cascades(3, spacing, margin=2.0))
     error = lambda technique: float(made.laid_out(technique).mean_square_error(technique))
     grid = [error(at(float(spacing))) for spacing in np.linspace(0, 1, 17)]
-    result = fit(made, [SPACING], evaluations=40)
+    result = fit(made, [SPACING], search=Search(evaluations=40))
     found = error(result.technique)
     assert found == pytest.approx(result.phases[-1].hard_loss)
     assert found <= 1.02 * min(grid)
@@ -133,7 +133,7 @@ def found():
     start, truth = bands(0.2, 0.5, 1.0), bands(0.35, 0.8, 2.0)
     seen = truth.visibility(truth.prepare(scene), surface)
     made = TechniqueProblem(start, start.prepare(scene), surface, seen, surface.mask, scene)
-    return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver("lbfgs", 10), evaluations=12)
+    return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver("lbfgs", 10), search=Search(evaluations=12))
 
 
 def test_a_bias_is_fitted_by_gradient_between_the_searches(found):
@@ -166,7 +166,7 @@ def test_the_ends_of_slices_stay_in_order(seen):
     made = problem(seen, SLICES)
     # These bounds allow a first slice that ends after the second.
     ends = [Parameter("layout.distances.0", 1.0, 0.5, 40.0), Parameter("layout.distances.1", 2.5, 2.0, 45.0)]
-    result = fit(made, ends, evaluations=20)
+    result = fit(made, ends, search=Search(evaluations=20))
     first, second = result.fitted.values()
     assert first < second
     assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
@@ -177,7 +177,7 @@ def test_the_ends_of_slices_stay_in_order(seen):
 def test_a_fitted_layout_is_better_than_the_bias_alone(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     alone = fit(made, [BIAS], anneal=SHORT, solver=Solver(max_steps=10))
-    both = fit(made, [BIAS, SPACING], anneal=SHORT, solver=Solver(max_steps=10), evaluations=20)
+    both = fit(made, [BIAS, SPACING], anneal=SHORT, solver=Solver(max_steps=10), search=Search(evaluations=20))
     assert min(p.hard_loss for p in both.phases) < min(p.hard_loss for p in alone.phases)
 
 
@@ -189,7 +189,7 @@ def test_shares_of_cascades_are_found(seen):
         made.laid_out(technique := dataclasses.replace(made.technique, layout=layout)).mean_square_error(technique)
     )
     shares = [Parameter(f"layout.shares.{i}", 0.5, 0.25, 2.0) for i in range(2)]
-    result = fit(made, shares, evaluations=15)
+    result = fit(made, shares, search=Search(evaluations=15))
     layout = result.technique.layout
     assert isinstance(layout, Cascades)
     assert error(layout) == pytest.approx(result.phases[-1].hard_loss)
@@ -201,7 +201,7 @@ def test_shares_of_cascades_are_found(seen):
 @pytest.mark.exhaustive
 def test_the_strength_of_a_warp_is_found(seen):
     made = problem(seen, PerspectiveWarp(strength=0.0, margin=2.0))
-    result = fit(made, [Parameter("layout.strength", 0.0, 0.0, 8.0)], evaluations=20)
+    result = fit(made, [Parameter("layout.strength", 0.0, 0.0, 8.0)], search=Search(evaluations=20))
     assert result.fitted["layout.strength"] > 0.5
     assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
 
@@ -213,7 +213,7 @@ def test_mistakes_are_named(found):
     with pytest.raises(ValueError, match=r"further than the map's layout allows: .*out of order"):
         fit(made, [Parameter("first", 0.2, 0.0, 0.6)])
     with pytest.raises(ValueError, match="evaluations is 0; expected a whole number at least 1"):
-        fit(made, [Parameter("first", 0.2, 0.0, 0.4)], evaluations=0)
+        fit(made, [Parameter("first", 0.2, 0.0, 0.4)], search=Search(evaluations=0))
 
 
 @pytest.mark.exhaustive

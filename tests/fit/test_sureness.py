@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import problem, technique
 
-from diffshadow.fit import Anneal, AtBound, Loss, Parameter, Parameters, Solver, fit
+from diffshadow.fit import Anneal, AtBound, Loss, Parameter, Parameters, Search, Solver, Sureness, fit
 from diffshadow.fit._bounds import at_bounds
 from diffshadow.fit._front import front_of
 from diffshadow.fit._profile import Profiler
@@ -231,7 +231,7 @@ def found():
     parameters = [Parameter("bias.constant", 1.6, 0.0, 6.0), Parameter("filter.radius", 2.0, 0.0, 8.0)]
     settings = {"solver": Solver("levenberg_marquardt", 60, 1e-4, 1e-7), "anneal": Anneal(1.0, 0.1, 3)}
     prefer = [("bias.constant", "lower"), ("filter.radius", "lower")]
-    return known, fit(known, parameters, **settings, within=[0.1], prefer=prefer, tolerance=0.1, front=3)
+    return known, fit(known, parameters, **settings, sureness=Sureness([0.1], prefer, 0.1, front=3))
 
 
 def test_a_fit_reports_what_is_preferred_and_how_sure_it_is(found):
@@ -271,20 +271,28 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("made", "message"),
     [
-        ({"within": [0.0]}, r"within\[0\] is 0.0; expected a number greater than 0"),
-        ({"prefer": [("bias.slope", "lower")]}, "bias.slope is preferred and not fitted"),
-        ({"front": 2}, "a front of 2 points"),
-        ({"starts": 0}, "starts is 0; expected a whole number at least 1"),
-        ({"tolerance": 11.0}, "tolerance is 11.0; expected a number"),
-        ({"blurs": [1.0, -1.0]}, r"blurs\[1\] is -1.0; expected a number"),
-        ({"pixels": 0}, "pixels is 0; expected 1 or more"),
+        (lambda: Sureness(within=(0.0,)), r"within\[0\] is 0.0; expected a number greater than 0"),
+        (lambda: Sureness(front=2), "front is 2; expected 0, or 3 or more"),
+        (lambda: Search(starts=0), "starts is 0; expected a whole number at least 1"),
+        (lambda: Sureness(tolerance=11.0), "tolerance is 11.0; expected a number"),
+        (lambda: Search(blurs=(1.0, -1.0)), r"blurs\[1\] is -1.0; expected a number"),
+        (lambda: Search(pixels=0), "pixels is 0; expected 1 or more"),
     ],
 )
-def test_impossible_choices_are_refused(settings, message, found):
+def test_impossible_choices_are_refused(made, message):
     with pytest.raises(ValueError, match=message):
-        fit(found[0], [Parameter("bias.constant", 1.6, 0.0, 6.0)], **settings)
+        made()
+
+
+def test_a_preference_for_what_is_not_fitted_is_refused(found):
+    with pytest.raises(ValueError, match=r"bias\.slope is preferred and not fitted"):
+        fit(
+            found[0],
+            [Parameter("bias.constant", 1.6, 0.0, 6.0)],
+            sureness=Sureness(prefer=(("bias.slope", "lower"),)),
+        )
 
 
 def test_tilted_losses_keep_the_product_of_their_factors():

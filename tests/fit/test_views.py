@@ -9,7 +9,18 @@ from scenes import Programs, Waves, covered, floor_and_card, lamp, problem, shad
 from scipy.optimize import minimize_scalar
 
 from diffshadow._misc import in_float64
-from diffshadow.fit import Anneal, Loss, Parameter, Parameters, Solver, TechniqueProblem, fit, with_values
+from diffshadow.fit import (
+    Anneal,
+    Loss,
+    Parameter,
+    Parameters,
+    Search,
+    Solver,
+    Sureness,
+    TechniqueProblem,
+    fit,
+    with_values,
+)
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
 from diffshadow.fit.problems._stack import Stack, of_one_structure
@@ -31,6 +42,7 @@ LOSSES = {
 
 # Of the pixels of two views; many tests share the programs of these samples.
 SOME = 1600
+FEW = Search(pixels=SOME)
 
 # Five images of 20 pixels in all.
 COUNTS = np.array([3, 7, 5, 2, 3])
@@ -307,7 +319,7 @@ def test_factors_of_signs_move_the_bias_to_their_side(views):
         lambda p: p.reference, view, shadows(disk(2.0, bias), view.shadow_map, view.surface)
     )
     views = [wanting(views[0], 0.4), wanting(views[1], 2.5)]
-    bias = lambda **factors: fitted(views, pixels=SOME, loss=Loss(**factors)).fitted["bias.constant"]
+    bias = lambda **factors: fitted(views, search=FEW, loss=Loss(**factors)).fitted["bias.constant"]
     # A larger bias leaves fewer pixels too dark, and more too light.
     assert bias(false_light=20.0) + 0.05 < bias() < bias(false_shadow=20.0) - 0.05
 
@@ -366,7 +378,7 @@ def test_views_are_sampled_only_where_more_pixels_count(views, programs, monkeyp
     sample = lambda joint, count, *more: counts.append(count) or of_joint(joint, count, *more)
     monkeypatch.setattr(Joint, "sampled", sample)
     for most in (pixels, pixels - 1):
-        fitted(views, pixels=most)
+        fitted(views, search=Search(pixels=most))
     assert counts == [pixels - 1] * SHORT.phases
     assert len(programs.made) == 2
     monkeypatch.undo()
@@ -390,7 +402,7 @@ def test_fits_to_samples_for_the_worst_views_do_so_too(views, monkeypatch):
 def check_samples_for_the_worst(over, views, parameters, monkeypatch):
     starts, corrected = [], Joint.corrected
     monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
-    fitted(views, *parameters, pixels=SOME, loss=Loss(over, fraction=0.5, false_light=3.0), front=3)
+    fitted(views, *parameters, search=FEW, loss=Loss(over, fraction=0.5, false_light=3.0), sureness=Sureness(front=3))
     assert len(starts) >= 4  # two phases, and other points of the front
     assert len({float(sample.loss.false_light) for sample, *_ in starts}) > 1
     hard_errors = lambda joint: np.asarray(joint.hard().losses(joint.hard().subject).errors)
@@ -423,7 +435,7 @@ def test_the_worst_views_may_have_maps_of_any_size(waved, small, programs, monke
 
     monkeypatch.setattr(Joint, "sampled", in_turns)
     monkeypatch.setattr(Joint, "corrected", lambda sample, *_: sample)
-    found = fitted([waved[0], waving(small, 1.1)], FIRST, SECOND, pixels=SOME, loss=Loss("worst"))
+    found = fitted([waved[0], waving(small, 1.1)], FIRST, SECOND, search=FEW, loss=Loss("worst"))
     assert len(calls) == len(found.phases) == len(programs.made) == 2
     assert programs.made[0] != programs.made[1]
     assert found.phases[1].values > found.phases[0].values
@@ -437,7 +449,7 @@ def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(waved):
 
 
 def test_a_fit_to_a_sample_ends_near_that_to_all(views):
-    whole, part = fitted(views[:1]), fitted(twice(views[0]), pixels=SOME)
+    whole, part = fitted(views[:1]), fitted(twice(views[0]), search=FEW)
     assert part.fitted["filter.radius"] == pytest.approx(whole.fitted["filter.radius"], abs=0.3)
     # The judge sees all pixels.
     at = with_values(disk(), NAMES, jnp.array([part.fitted[name] for name in NAMES]))

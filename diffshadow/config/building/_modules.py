@@ -1,5 +1,7 @@
 """Builds the scene, the technique, the shading and the fit of a configuration."""
 
+import dataclasses
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -10,7 +12,7 @@ from ... import fit, geometry, shading, shadow
 from ..._checks import text_within
 from ...settings.engines import Engine
 from ...settings.shading import INTENSITY, ModulatedShadow
-from ...settings.techniques import Mapped
+from ...settings.techniques import Mapped, OwnTechnique
 from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
@@ -30,7 +32,7 @@ _MOST_TRIANGLES = 1 << 25
 class FitPlan(NamedTuple):
     """The parameters to fit, the solver, and the annealing of the compare's width.
 
-    - `loss`: of the errors of all views and lights.
+    - `loss`: of the errors of all views and lights, a `fit.Loss` or a user's.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `blurs`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
@@ -41,7 +43,7 @@ class FitPlan(NamedTuple):
     parameters: list[fit.Parameter]
     solver: fit.Solver
     anneal: fit.Anneal
-    loss: fit.Loss
+    loss: Any
     arrangement: fit.Arrangement | None
     blurs: tuple[float, ...] | None
     starts: int
@@ -134,12 +136,15 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
         return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
 
 
-def build_fittable(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping | shadow.AbstractEngineShadows:
-    """The technique of `config` that a fit changes: an engine's, or shadow mapping; otherwise as `build_technique`."""
+def build_fittable(config: Config, *, fitting: bool = True) -> Any:
+    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping; otherwise as
+    `build_technique`."""
     section = config.technique
-    if not isinstance(section, Engine):
+    if not section.is_whole:
         return build_shadow_mapping(config, fitting=fitting)
     with _blame(config, ("technique",)):
+        if not isinstance(section, Engine):
+            return module_of(section)(**_values(section))
         return module_of(section)(resolution=config.shadow_map.resolution, **_values(section))
 
 
@@ -172,7 +177,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
     """
-    if not isinstance(config.technique, Mapped | Engine):
+    if not _can_be_fitted(config):
         raise ConfigError([Mistake(*_at(config, ("technique", "type")), _no_gradient(config.technique.type))])
     if mistakes := mistakes_at(config.fit_faults(), config.origin):
         raise ConfigError(mistakes)
@@ -199,7 +204,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         parameters,
         built_solver,
         built_anneal,
-        fit.Loss(**_values(config.fit.loss)),
+        _loss(config, built_solver),
         arrangement,
         config.fit.blurs,
         config.fit.multistart,
@@ -230,6 +235,34 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
         home = tuple(x - _offset(x, at) for x, at in zip(section.translate, origin, strict=True))
         poses.append(fit.MeshPose.of(mesh, tuple(vertices), home))
     return fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
+
+
+def _can_be_fitted(config: Config) -> bool:
+    section = config.technique
+    if isinstance(section, OwnTechnique):
+        return issubclass(section.plugin, shadow.AbstractTechnique) and _is_fittable(section.plugin)
+    return isinstance(section, Mapped | Engine)
+
+
+def _is_fittable(kind: type[shadow.AbstractTechnique]) -> bool:
+    """Whether a class of techniques has a compare, which may be a field, and says what it lays out."""
+    fields = {field.name for field in dataclasses.fields(kind)}
+    return hasattr(kind, "lays_out") and ("compare" in fields or hasattr(kind, "compare"))
+
+
+def _loss(config: Config, solver: fit.Solver) -> Any:
+    """The loss of a fit, which may be a user's."""
+    section = config.fit.loss
+    if section.plugin is None:
+        return fit.Loss(**_values(section))
+    with _blame(config, ("fit", "loss")):
+        kind = type(section).plugin
+        loss = module_of(section)(**_values(section)) if inspect.isclass(kind) else kind
+        try:
+            fit.check_loss(loss, solver, config.scene.camera.resolution)
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+    return loss
 
 
 def _values(section: Any) -> dict[str, Any]:
@@ -328,7 +361,7 @@ def _no_gradient(kind: str) -> str:
         "shadow_volumes": "whose visibility has no gradient",
         "irregular_z_buffer": "whose visibility has no gradient",
         "projective_texture": "which has neither a bias nor a filter to fit",
-    }[kind]
+    }.get(kind, "which has no compare and lays_out, as shadow.FittableTechnique has")
     return (
         f"is {kind}, {why}; expected a technique that can be fitted, such as shadow_map: change it, or render instead"
     )

@@ -82,7 +82,23 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
 
 def module_of(section: Any) -> Any:
     """The module that a section of several variants describes."""
-    return _MODULES[settings_of(type(section))]
+    settings = settings_of(type(section))
+    return _MODULES[settings] if settings.plugin is None else _guarded(settings)
+
+
+def _guarded(settings: type[Settings]) -> Any:
+    """Makes what a user's class describes. Whatever that raises is a mistake of the configuration."""
+
+    def make(**arguments: Any) -> Any:
+        try:
+            return settings.plugin(**arguments)
+        except Exception as error:
+            raise ValueError(
+                f"cannot be made: {vars(settings)['type']} raises {type(error).__name__}: {error}; expected an object: "
+                "change its keys, or mend the class"
+            ) from error
+
+    return make
 
 
 def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:

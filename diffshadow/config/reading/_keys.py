@@ -28,17 +28,24 @@ class Slot(Setting):
     @property
     def variants(self) -> tuple[type[Section], ...]:
         """The sections that are allowed here; empty if the value is not a section."""
-        for mark in self.marks:
-            if isinstance(mark, Variants):
-                return tuple(mark.sections.values())
+        if self._named is not None:
+            return tuple(self._named.sections.values())
         return (self.kind,) if isinstance(self.kind, type) and issubclass(self.kind, Section) else ()
+
+    def variant(self, word: str | int) -> type[Section] | None:
+        """The variant that is called `word`, where a type selects one."""
+        return None if self._named is None else self._named.named(word)
+
+    @property
+    def _named(self) -> Variants | None:
+        return next((mark for mark in self.marks if isinstance(mark, Variants)), None)
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        return tuple(map(type_of, self.variants)) if len(self.variants) > 1 else super().choices
+        return super().choices if self._named is None else tuple(map(type_of, self.variants))
 
     def expected(self, unit: str | None = None) -> str:
-        is_section = len(self.variants) == 1 and self.form is None
+        is_section = len(self.variants) == 1 and self._named is None and self.form is None
         return f"a section with {_with_keys(self.variants[0])}" if is_section else super().expected(unit)
 
 
@@ -67,7 +74,7 @@ def follow(location: Sequence[str | int]) -> Found:
     variants: tuple[type[Section], ...] = ()
     for step in location:
         among = slot.variants if slot is not None else ()
-        chosen = next((variant for variant in among if len(among) > 1 and type_of(variant) == step), None)
+        chosen = None if slot is None else slot.variant(step)
         if slot is not None and chosen is not None:
             slot = Slot(chosen, field=slot.field, siblings=among)
             continue

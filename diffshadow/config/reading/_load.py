@@ -18,6 +18,7 @@ from ..whole._schema import Config
 from ._draft import Draft
 from ._mistakes import mistakes_at, mistakes_of
 from ._overrides import apply_overrides
+from ._plugins import add_plugins
 from ._views import resolve_views, views_of
 from ._yaml import read_yaml
 
@@ -116,6 +117,9 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     missing = _resolve_files(data, origin, draft.folder)
     resolve_views(data, origin, draft.folder)
     mistakes = [*draft.mistakes, *(missing if files else ())]
+    if unusable := add_plugins(data, origin, draft.folder):
+        # Without its class, nothing can be said of a section and of what is fitted there.
+        raise ConfigError([*mistakes, *unusable])
     # Checked on the data, so that messages quote numbers as they were written.
     of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []
     try:

@@ -50,7 +50,7 @@ def _unknown_key(found: Found, origin: Origin) -> str:
     key, section = str(found.path[-1]), dotted(found.path[:-1])
     holder = found.section or ROOT.variants[0]
     keys = keys_of(holder)
-    has_variants = len(found.variants) > 1
+    has_variants = len(found.variants) > 1 or holder.plugin is not None
     kind = f" (type: {type_of(holder)})" if has_variants else ""
     message = f"is not a key of {section or 'the top level'}{kind}; expected {listing(keys)}"
     owners = [type_of(variant) for variant in found.variants if key in variant.model_fields]

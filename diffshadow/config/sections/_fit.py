@@ -10,7 +10,7 @@ from ...settings import Form, fit
 from ._fitted import outside
 from ._poses import is_pose
 from ._section import Conflict, Section, fault, is_number
-from ._views import LossConfig, ValidationConfig, ViewsConfig
+from ._views import LOSSES, AnyLossConfig, ValidationConfig, ViewsConfig
 
 
 class FitParameterConfig(Section):
@@ -67,7 +67,7 @@ class FitConfig(Section, fit.Fit):
         Form("least_bias, or a list of parameters"),
         "parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, then radii",
     ] = ()
-    loss: LossConfig = Field(default_factory=LossConfig, description="what the fit minimises")
+    loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="what the fit minimises")
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:

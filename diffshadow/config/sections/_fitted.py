@@ -7,7 +7,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from ...settings import Fitted, Limits, Setting, bare
-from ...settings.engines import Engine
+from ...settings.techniques import Technique
 from .._errors import did_you_mean, listing
 from ._biases import PLANES, BiasConfig, TermsConfig
 from ._filters import FILTERS
@@ -78,7 +78,8 @@ def is_limit(data: Any, name: str, bound: float) -> bool:
 
 def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
     """Faults of the entries of `parameters`, the section `fit.parameters`, whose names exist in no configuration."""
-    everywhere = {f"{h}.{key}" for h, sections in _HOLDERS.items() for s in sections for key in _fitted_keys(s)}
+    holders = [(h, section) for h, sections in _HOLDERS.items() for section in sections]
+    everywhere = {f"{h}.{key}" for h, s in (*holders, *_holders(data).items()) for key in _fitted_keys(s)}
     for name in parameters:
         path = ("fit", "parameters", name)
         if is_pose(name) and not could_be_pose(name):
@@ -142,7 +143,12 @@ _FIELDS = {"bias.terms": "bias.terms.weights", "technique": "layout"}
 
 def _field(holder: str, section: type[Section]) -> str:
     """What precedes the names of a section's numbers in the technique that it builds."""
-    return "" if issubclass(section, Engine) else f"{_FIELDS.get(holder, holder)}."
+    return "" if _is_whole(section) else f"{_FIELDS.get(holder, holder)}."
+
+
+def _is_whole(section: type[Section]) -> bool:
+    """Whether it is a technique whose numbers are all its own."""
+    return issubclass(section, Technique) and section.is_whole
 
 
 def _path(section: type[Section], key: str) -> str:
@@ -160,7 +166,7 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 def _holders(data: Any) -> dict[str, type[Section]]:
     """The sections of `data` with numbers that can be fitted, by their keys."""
     technique = TECHNIQUES.of(value_at(data, "technique"))
-    if issubclass(technique, Engine):
+    if _is_whole(technique):
         return {"technique": technique}
     return {
         "bias": BiasConfig,
@@ -178,7 +184,7 @@ def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
         # A parameter of another filter is not a misspelling.
         mend = did_you_mean(name, known, mend)
     holders = _holders(data)
-    kind = "technique" if issubclass(holders["technique"], Engine) else "filter"
+    kind = "technique" if _is_whole(holders["technique"]) else "filter"
     of = f"{kind} type {type_of(holders[kind])!r}"
     return fault(f"cannot be fitted with {of}", listing(known), mend)
 

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from ...settings import Form, LongerThan, Settings, bare, is_union
 from .._errors import show
@@ -167,12 +167,15 @@ class Variants:
     """The variants of a section, selected by the key `type`: one for each class of settings below `base` with a `type`.
 
     A section that is written by hand adds rules between keys. The others are made here, in the namespace of `module`.
+    Sections of users' classes are added as configurations name them, and are no choices of others.
     """
 
     def __init__(self, base: type[Settings], default: str, module: str):
         self.default = default
         self.sections: dict[str, type[Section]] = {}
         """Each variant by its `type`."""
+        self.plugins: dict[str, type[Section]] = {}
+        """The sections of users' classes, by `module:name`."""
         for settings in _below(base):
             if "type" in vars(settings) and not issubclass(settings, Section):
                 self.sections[vars(settings)["type"]] = _section_of(settings, module)
@@ -181,15 +184,38 @@ class Variants:
         """The default section."""
         return self.sections[self.default]()
 
+    def add(self, settings: type[Settings]) -> None:
+        """Adds the section of a user's class."""
+        self.plugins[vars(settings)["type"]] = _made(settings, settings.__module__)
+
+    def named(self, word: Any) -> type[Section] | None:
+        """The variant whose `type` is `word`, if there is one."""
+        return self.sections.get(word) or self.plugins.get(word)
+
     def of(self, data: Any) -> type[Section]:
         """The variant that `data` names, and the default one if that does not exist, which is reported elsewhere."""
-        return self.sections.get(str(value_at(data, "type", default=self.default)), self.sections[self.default])
+        return self.named(str(value_at(data, "type", default=self.default))) or self.sections[self.default]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """What pydantic validates with."""
         kind = lambda value: str(value_at(value, "type", default=self.default))
         tagged = [Annotated[section, Tag(word)] for word, section in self.sections.items()]
-        return handler.generate_schema(Annotated[functools.reduce(operator.or_, tagged), Discriminator(kind)])
+        own = handler.generate_schema(Annotated[functools.reduce(operator.or_, tagged), Discriminator(kind)])
+        return core_schema.no_info_wrap_validator_function(self._validated, own)
+
+    def _validated(self, data: Any, handler: Callable[[Any], Any]) -> Any:
+        """The section of `data`, which a user's class may describe."""
+        word = str(value_at(data, "type", default=self.default))
+        section = self.plugins.get(word)
+        if section is None or isinstance(data, section):
+            return data if section is not None else handler(data)
+        try:
+            return section.model_validate(data)
+        except ValidationError as error:
+            # As in a union, the location begins with the variant.
+            faults = [_again(details) for details in error.errors(include_url=False)]
+            faults = [{**each, "loc": (word, *each.get("loc", ()))} for each in faults]
+            raise ValidationError.from_exception_data(section.__name__, faults) from None
 
 
 def _below(base: type[Settings]) -> Iterator[type[Settings]]:
@@ -202,11 +228,15 @@ def _section_of(settings: type[Settings], module: str) -> type[Section]:
     for inner in _below(settings):
         if issubclass(inner, Section):
             return inner
-    name = f"{settings.__name__}Config"
-    bases: Any = (Section, settings)
-    made: Any = create_model(name, __base__=bases, __module__=module, __doc__=settings.__doc__)
+    made = _made(settings, module)
     # Pickles look it up there.
-    setattr(sys.modules[module], name, made)
+    setattr(sys.modules[module], made.__name__, made)
+    return made
+
+
+def _made(settings: type[Settings], module: str) -> type[Section]:
+    bases: Any = (Section, settings)
+    made: Any = create_model(f"{settings.__name__}Config", __base__=bases, __module__=module, __doc__=settings.__doc__)
     return made
 
 

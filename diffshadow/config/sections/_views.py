@@ -1,12 +1,12 @@
 """Sections of a fit over several views: the views, and the loss over them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from ...settings.fit import Loss
+from ...settings.fit import AnyLoss, Loss
 from .._errors import KeyPath
 from ._axes import AxesConfig, settings_of
-from ._section import Conflict, Section, fault, is_number
+from ._section import Conflict, Section, Variants, fault, is_number
 
 _OF_A_VIEW = ("scene", "reference", "shadow_map.resolution")
 
@@ -45,3 +45,7 @@ class LossConfig(Section, Loss):
         factors = [data.get(key, 1.0) for key in ("false_shadow", "false_light")]
         if all(is_number(factor) and factor == 0 for factor in factors):
             yield ("false_light",), fault("is 0, and so is false_shadow", "one greater than 0", "raise one of them")
+
+
+LOSSES = Variants(AnyLoss, "squares", __name__)
+AnyLossConfig = Annotated[AnyLoss, LOSSES]

@@ -127,7 +127,7 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
     yield from preference_faults(config)
     if not config.moves:
         return
-    if isinstance(config.technique, Engine):
+    if config.technique.is_whole:
         message = f"is {config.technique.type} in a fit of lights or meshes"
         yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
     for name in config.fit.parameters:

@@ -3,6 +3,7 @@
 from ._abstract import AbstractProblem as AbstractProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
 from ._blur import blurs_of as blurs_of
+from ._blur import check_falling as check_falling
 from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import Samples as Samples

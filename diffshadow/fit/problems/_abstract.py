@@ -6,8 +6,9 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from ..._types import Scalar
+from ..._types import Resolution, Scalar
 from ...shadow import FittableTechnique, Overflow
+from .._own_loss import Seen
 
 
 class AbstractProblem(eqx.Module):
@@ -37,6 +38,11 @@ class AbstractProblem(eqx.Module):
     def blur_in_pixels(self) -> float:
         """Standard deviation of the Gaussian under which images are compared, in pixels; 0 for none."""
 
+    @property
+    @abc.abstractmethod
+    def shape(self) -> Resolution:
+        """Height and width of its images, in pixels."""
+
     @abc.abstractmethod
     def technique_of(self, subject: Any) -> FittableTechnique:
         """The technique of a subject."""
@@ -49,6 +55,10 @@ class AbstractProblem(eqx.Module):
         """The difference, and instead of an error whether silhouettes are missing, so that it is wrong; none if nothing
         is drawn that could overflow."""
         return self.difference(subject), None
+
+    @abc.abstractmethod
+    def seen(self, subject: Any) -> tuple[Seen, Overflow | None]:
+        """What a user's loss compares, and whether silhouettes are missing, as for `difference_and_overflow`."""
 
     @abc.abstractmethod
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:

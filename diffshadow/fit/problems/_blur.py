@@ -34,15 +34,19 @@ def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
     if blurs is None:
         count = 1 + round(math.log(most / BLUR, _STEP))
         return tuple(np.geomspace(most, BLUR, count).tolist()) if count > 1 else (BLUR,)
-    blurs = tuple(blurs)
-    if not blurs or any(a <= b for a, b in itertools.pairwise(blurs)):
-        raise ValueError(f"the blurs are {list(blurs)}; expected numbers that fall, such as [24, 3]")
+    check_falling(blurs)
     if blurs[0] > most:
         raise ValueError(
             f"a blur of {blurs[0]:g} pixels is too wide for an image with a side of {min(sides)}; expected {most:g} or "
             "less, an eighth of it: make the blur narrower, or the image larger"
         )
-    return blurs
+    return tuple(blurs)
+
+
+def check_falling(blurs: Sequence[float]) -> None:
+    """**Raises** `ValueError` unless the `blurs` of a fit fall."""
+    if not len(blurs) or any(a <= b for a, b in itertools.pairwise(blurs)):
+        raise ValueError(f"the blurs are {list(blurs)}; expected numbers that fall, such as [24, 3]")
 
 
 @eqx.filter_jit

@@ -14,6 +14,7 @@ from ..._misc import array_module, as_array
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
+from .._own_loss import LossFunction, OwnLoss, Seen
 from .._parameters import Parameters, parameter_names, resolve
 from ._abstract import AbstractProblem
 from ._stack import Atlases, stacked, stacked_order
@@ -49,18 +50,23 @@ class Joint(eqx.Module):
 
     - `subject`: what is fitted.
     - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
-    - `loss`: of their errors.
+    - `loss`: of their errors; `own`: a user's in its place, if there is one.
     """
 
     subject: Any
     problems: tuple[Any, ...]
     loss: Loss
+    own: OwnLoss | None = None
 
     @classmethod
-    def of(cls, problems: AbstractProblem | Sequence[AbstractProblem], loss: Loss | None = None) -> "Joint":
+    def of(
+        cls,
+        problems: AbstractProblem | Sequence[AbstractProblem],
+        loss: Loss | LossFunction | None = None,
+    ) -> "Joint":
         """One problem or several, with the subject of the first.
 
-        **Raises** `ValueError` if there is none, or they are of several kinds.
+        **Raises** `ValueError` if there is none, or they are of several kinds; and `TypeError` if `loss` is no loss.
         """
         each = tuple(problems) if isinstance(problems, Sequence) else (problems,)
         if not each:
@@ -70,7 +76,9 @@ class Joint(eqx.Module):
         kinds = sorted({type(problem).__name__ for problem in each})
         if len(kinds) > 1:
             raise ValueError(f"got a {' and a '.join(kinds)} to fit jointly; expected all of one kind")
-        return cls(each[0].subject, each, Loss() if loss is None else loss)
+        if loss is None or isinstance(loss, Loss):
+            return cls(each[0].subject, each, loss or Loss())
+        return cls(each[0].subject, each, Loss(), OwnLoss.of(loss, (problem.shape for problem in each)))
 
     def differences(self, subject: Any) -> tuple[Images, Overflow]:
         """Those of all problems, scaled so that the sum of the squares of each is its mean square error.
@@ -88,6 +96,20 @@ class Joint(eqx.Module):
         """The part of all differences that the fit makes small."""
         return tuple(each.compared(images) for each, images in zip(self.problems, differences, strict=True))
 
+    def rows(self, subject: Any, *, compared: bool = True) -> tuple[list[Float[Array, "n m"]], Overflow]:
+        """The residuals that a user's loss makes of the images, or its values, (n, 1), for each stack and problem.
+
+        **Arguments:** `compared`: whether of the compared part of the images.
+
+        **Returns:** also whether silhouettes are missing from a map, so that an image is wrong.
+        """
+        found = [each.seen(subject) for each in self.problems]
+        images = [seen for seen, _ in found]
+        if compared:
+            images = [_compared(each, seen) for each, seen in zip(self.problems, images, strict=True)]
+        assert self.own is not None
+        return [_rows(self.own, seen) for seen in images], _any_of([each for _, each in found if each is not None])
+
     @property
     def shares(self) -> Errors:
         """The share of each problem in all pixels that count, (v,)."""
@@ -95,10 +117,20 @@ class Joint(eqx.Module):
 
     def losses(self, subject: Any) -> Losses:
         """The loss, and the errors that it is made of."""
+        if self.own is not None:
+            return self._losses_by(self.own, subject)
         differences, overflow = self.differences(subject)
         compared, errors = squares(self.compared(differences)), squares(differences)
         of_compared, whole = _weighed(self.loss, [compared, errors], self.shares)
         return Losses(of_compared, whole, errors, overflow)
+
+    def _losses_by(self, own: OwnLoss, subject: Any) -> Losses:
+        rows, overflow = self.rows(subject)
+        errors = of_compared = _of_rows(own, rows)
+        if self.moves:
+            errors = _of_rows(own, self.rows(subject, compared=False)[0])
+        mean = lambda each: as_array(np.mean(np.asarray(each)))
+        return Losses(mean(of_compared), mean(errors), errors, overflow)
 
     def sides(self, subject: Any) -> tuple[Scalar, Scalar]:
         """The losses of what is too dark alone, and of what is too light alone."""
@@ -114,11 +146,11 @@ class Joint(eqx.Module):
 
     def put(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With `values` (p,) in the subject."""
-        return Joint(parameters.put(self.subject, values), self.problems, self.loss)
+        return dataclasses.replace(self, subject=parameters.put(self.subject, values))
 
     def with_loss(self, loss: Loss) -> "Joint":
         """With another loss."""
-        return Joint(self.subject, self.problems, loss)
+        return dataclasses.replace(self, loss=loss)
 
     @property
     def count(self) -> int:
@@ -143,7 +175,7 @@ class Joint(eqx.Module):
                 # With the problem, so that its id stays its own.
                 samples[key] = problem, problem.sampled(key[1], seed)
             taken.append(samples[key][1])
-        return Joint(self.subject, tuple(taken), self.loss)
+        return dataclasses.replace(self, problems=tuple(taken))
 
     def corrected(self, errors: Errors, atlases: Atlases | None = None) -> "Joint":
         """A sample whose errors at its subject, under the hard compare, are the `errors` (v,) of whole images there.
@@ -158,14 +190,14 @@ class Joint(eqx.Module):
         ratios = np.asarray(errors) / np.maximum(own, _LEAST_ERROR)
         factors = np.clip(ratios, 1 / _MOST_FACTOR, _MOST_FACTOR)
         corrected = [dataclasses.replace(p, factor=c) for p, c in zip(self.problems, factors, strict=True)]
-        return Joint(self.subject, tuple(corrected), self.loss)
+        return dataclasses.replace(self, problems=tuple(corrected))
 
     def stacked(self, atlases: Atlases | None = None) -> "Joint":
         """With fits of a technique that are of one structure as stacks.
 
         **Arguments:** `atlases`: those made so far, which are used again.
         """
-        return Joint(self.subject, stacked(self.problems, {} if atlases is None else atlases), self.loss)
+        return dataclasses.replace(self, problems=stacked(self.problems, {} if atlases is None else atlases))
 
     @property
     def technique(self) -> FittableTechnique:
@@ -181,7 +213,7 @@ class Joint(eqx.Module):
         """With `compare` as the technique's."""
         # Of the subject alone, which is much smaller than the problems.
         where = lambda subject: self.problems[0].technique_of(subject).compare
-        return Joint(eqx.tree_at(where, self.subject, compare), self.problems, self.loss)
+        return dataclasses.replace(self, subject=eqx.tree_at(where, self.subject, compare))
 
     def hard(self) -> "Joint":
         """With the hard compare, and the loss itself."""
@@ -202,7 +234,7 @@ class Joint(eqx.Module):
 
     def each(self, function: Callable[[Any], AbstractProblem]) -> "Joint":
         """With `function` of each problem."""
-        return Joint(self.subject, tuple(map(function, self.problems)), self.loss)
+        return dataclasses.replace(self, problems=tuple(map(function, self.problems)))
 
 
 @eqx.filter_jit
@@ -234,6 +266,21 @@ def _by_sign(images: Images) -> tuple[Images, Images]:
 def _errors(joint: Joint) -> Errors:
     differences, _ = joint.differences(joint.subject)
     return squares(differences)
+
+
+def _compared(problem: Any, seen: Seen) -> Seen:
+    blurred = lambda image: problem.compared(image.reshape(-1, *image.shape[-2:])).reshape(image.shape)
+    return seen._replace(predicted=blurred(seen.predicted), reference=blurred(seen.reference))
+
+
+@eqx.filter_jit
+def _rows(loss: OwnLoss, seen: Seen) -> Float[Array, "n m"]:
+    return loss.rows(seen)
+
+
+@eqx.filter_jit
+def _of_rows(loss: OwnLoss, rows: list[Float[Array, "n m"]]) -> Errors:
+    return jnp.concatenate([loss.of_rows(each) for each in rows])
 
 
 def squares(images: Images) -> Errors:

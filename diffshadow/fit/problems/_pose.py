@@ -17,6 +17,7 @@ from ...reference import Reference
 from ...settings.fit import BLUR
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
+from .._own_loss import Seen
 from ._abstract import AbstractProblem
 from ._blur import blurred
 
@@ -110,6 +111,12 @@ class PoseProblem(AbstractProblem):
         return subject.technique
 
     @property
+    def shape(self) -> Resolution:
+        """Height and width of its images, in pixels."""
+        height, width = self.reference.shape
+        return height, width
+
+    @property
     def count(self) -> Scalar:
         """How many pixels count."""
         return jnp.sum(self.weight)
@@ -131,6 +138,12 @@ class PoseProblem(AbstractProblem):
         """The difference, and instead of an error whether silhouettes are missing from its map."""
         shadow_map, surface = self.draw(subject, raises=False)
         return self._difference(subject, shadow_map, surface), shadow_map.overflow
+
+    def seen(self, subject: Arrangement) -> tuple[Seen, Overflow | None]:
+        """What a user's loss compares, and instead of an error whether silhouettes are missing from its map."""
+        shadow_map, surface = self.draw(subject, raises=False)
+        image = self.image(shadow_map, surface, subject.technique)
+        return _seen(image, self.reference, self.weight), shadow_map.overflow
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """The blur of each difference."""
@@ -212,6 +225,11 @@ def _arranged(scene: Scene, arrangement: Arrangement, index: int) -> tuple[Mesh,
     meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
     light = scene.light.at(arrangement.lights[index]).refitted(_points(meshes))
     return dataclasses.replace(scene, meshes=meshes).casters, light, merge(meshes)
+
+
+@eqx.filter_jit
+def _seen(image: Visibility, reference: Visibility, weight: Float[Array, "h w"]) -> Seen:
+    return Seen.of(image, reference, weight > 0)
 
 
 @eqx.filter_jit

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._misc import as_array, as_int, chunk_size
 from ...shadow import Atlas, ShadowMap
+from .._own_loss import Seen
 from ._abstract import AbstractProblem
 from ._technique import TechniqueProblem
 
@@ -47,19 +48,27 @@ class Stack(eqx.Module):
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "n h w"], None]:
         """The differences of all problems. Nothing is drawn that could overflow."""
+        return self._of_each(lambda problem: problem.difference(subject)), None
+
+    def seen(self, subject: Any) -> tuple[Seen, None]:
+        """What a user's loss compares. Nothing is drawn that could overflow."""
+        return self._of_each(lambda problem: problem.seen(subject)[0]), None
+
+    def _of_each(self, function: Callable[[TechniqueProblem], Any]) -> Any:
+        """What `function` makes of each problem with its map, along a first axis."""
         images, *sides = self.problems.reference.shape
         # Several small ones keep all cores busy, and none is left over, which would be a second program.
         most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
         at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
 
-        def difference(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Float[Array, "h w"]:
+        def of_one(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Any:
             problem, number = given
             if self.atlas is not None and number is not None:
                 shadow_map: Any = problem.shadow_map
                 problem = dataclasses.replace(problem, shadow_map=self.atlas.reading(shadow_map, number))
-            return problem.difference(subject)
+            return function(problem)
 
-        return jax.lax.map(difference, (self.problems, self.numbers), batch_size=at_once), None
+        return jax.lax.map(of_one, (self.problems, self.numbers), batch_size=at_once)
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """All of them."""

@@ -10,11 +10,12 @@ from jaxtyping import Array, Float
 
 from ..._checks import check_instance
 from ..._misc import as_array, as_float
-from ..._types import Mask, Scalar, Visibility
+from ..._types import Mask, Resolution, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
 from ...reference import Reference
 from ...shadow import EngineMap, FittableTechnique, ShadowMap
+from .._own_loss import Seen
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
@@ -82,6 +83,10 @@ class TechniqueProblem(AbstractProblem):
         """Visibility less reference at the pixels that count, 0 elsewhere, times the root of its weight and factor."""
         visibility = subject.visibility(self.shadow_map, self.surface)
         return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
+
+    def seen(self, subject: FittableTechnique) -> tuple[Seen, None]:
+        """What a user's loss compares. Nothing is drawn that could overflow."""
+        return _seen(subject.visibility(self.shadow_map, self.surface), self.reference, self.mask), None
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """All of them."""
@@ -160,6 +165,12 @@ class TechniqueProblem(AbstractProblem):
         return self.technique
 
     @property
+    def shape(self) -> Resolution:
+        """Height and width of its images, in pixels."""
+        height, width = self.reference.shape
+        return height, width
+
+    @property
     def count(self) -> Scalar:
         """How many pixels count."""
         return _counted(self.mask, self.weight)
@@ -179,6 +190,11 @@ def _runs(about: float) -> int:
 @eqx.filter_jit
 def _counted(mask: Mask, weight: Array) -> Scalar:
     return jnp.sum(jnp.where(mask, weight, 0))
+
+
+@eqx.filter_jit
+def _seen(image: Visibility, reference: Visibility, mask: Mask) -> Seen:
+    return Seen.of(image, reference, mask)
 
 
 @eqx.filter_jit

@@ -17,7 +17,9 @@ _LEAST_SINGULAR = 1e-6
 def optimistix_solver(
     solver: Solver, report: Callable[..., None], stop: Stop
 ) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
-    """The solver of optimistix that calls `report` at every step."""
+    """The solver of optimistix, which calls `report` at every step unless it is a user's."""
+    if solver.method is not None:
+        return solver.method
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}
     match solver.name:
         case "levenberg_marquardt":

@@ -1,21 +1,27 @@
 """Which solver runs, and when it ends."""
 
 import dataclasses
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
+import optimistix as optx
 from jaxtyping import Array
 
-from ..._checks import check_settings
+from ..._checks import CheckedModule, check_instance
 from ...settings.fit import Solver as Settings
 from ...settings.fit import SolverName
+
+OptimistixSolver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
+"""Any solver of least squares or minimiser of optimistix, or one of a user's own."""
 
 # Fraction of the loss.
 _NOISE_OF_POSES = 0.25
 _LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
+_OF_OPTIMISTIX = "a least-squares solver or minimiser of optimistix, such as optimistix.BFGS(1e-4, 1e-6)"
+_EXPECTED = f'a fit.Solver, such as Solver("adam"), or {_OF_OPTIMISTIX}'
 
 
-@dataclasses.dataclass(frozen=True)
-class Solver:
+class Solver(CheckedModule):
     """Which optimistix solver runs, and when a phase ends.
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
@@ -26,26 +32,49 @@ class Solver:
     - `noise`: fraction of the loss by which it jumps as parameters change a little. Levenberg-Marquardt accepts steps
         within it, and of phases whose ends differ by less, the last is the result. Left out, it is 0 for a technique
         and 0.25 where lights or meshes move, since pixels then jump from lit to shadowed and back.
-
-    **Raises** `ValueError` for a value that is not allowed.
+    - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. It has its own
+        tolerances; of the other fields, `max_steps` and `noise` hold for it, and the latter only for the choice between
+        phases.
     """
 
     settings: ClassVar = Settings
 
-    name: SolverName = Settings.type
-    max_steps: int = Settings.max_steps
-    rtol: float = Settings.rtol
-    atol: float = Settings.atol
-    learning_rate: float = Settings.learning_rate
-    noise: float | None = Settings.noise
+    name: SolverName = eqx.field(static=True, default=Settings.type)
+    max_steps: int = eqx.field(static=True, default=Settings.max_steps)
+    rtol: float = eqx.field(static=True, default=Settings.rtol)
+    atol: float = eqx.field(static=True, default=Settings.atol)
+    learning_rate: float = eqx.field(static=True, default=Settings.learning_rate)
+    noise: float | None = eqx.field(static=True, default=Settings.noise)
+    method: OptimistixSolver | None = None
 
-    def __post_init__(self):
-        check_settings(self)
+    @classmethod
+    def of(cls, solver: Any) -> "Solver":
+        """A solver as it is, one of optimistix with the default number of steps, and the default for none.
+
+        **Raises** `TypeError` for any other object.
+        """
+        if solver is None:
+            return cls()
+        if isinstance(solver, OptimistixSolver):
+            return cls(method=solver)
+        check_instance("the solver", solver, cls, _EXPECTED)
+        return solver
+
+    def _check_rules(self) -> None:
+        if self.method is not None:
+            check_instance("the method of the solver", self.method, OptimistixSolver, _OF_OPTIMISTIX)
 
     @property
     def is_least_squares(self) -> bool:
         """Whether it uses the residuals' Jacobian, rather than the loss' gradient."""
+        if self.method is not None:
+            return isinstance(self.method, optx.AbstractLeastSquaresSolver)
         return self.name in _LEAST_SQUARES
+
+    @property
+    def title(self) -> str:
+        """What to call it in messages."""
+        return self.name if self.method is None else f"optimistix' {type(self.method).__name__}"
 
     def for_problem(self, moves: bool) -> "Solver":
         """With the noise of a problem in which lights or meshes move, or do not."""

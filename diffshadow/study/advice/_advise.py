@@ -10,6 +10,7 @@ from rich.table import Table
 from ... import io
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
+from ...settings.fit import Loss
 from ..files._run_folder import folder_of
 from ..files._schema import are_measurements, read_json, write_json
 from ..files._stored import ADVISE
@@ -94,7 +95,7 @@ def print_advise_plan(console: Console, advice: Advice) -> None:
 def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
     """`one`, or what it is at the values of a special case that was fitted better: a fit may end in a local minimum."""
     loss = one.config.fit.loss
-    if loss.over != "mean" or loss.false_shadow != loss.false_light:
+    if not isinstance(loss, Loss) or loss.over != "mean" or loss.false_shadow != loss.false_light:
         # Fits were not made for the least RMSE.
         return one
     error, best = "after.rmse", one

@@ -139,7 +139,8 @@ class _Phase(_Part):
     steps: Count
     result: str
     gradient_norm: Annotated[float, Field(ge=0)] | None
-    hard_loss: Annotated[float, Field(ge=0, le=1 + SLACK)] | None
+    # A user's loss may be greater than 1.
+    hard_loss: Annotated[float, Field(ge=0)] | None
     values: Numbers
     blur: float = Field(default=0.0, ge=0)
     searched: float = Field(default=0.0, ge=0, le=1)

@@ -57,7 +57,7 @@ def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
     if run.shaded:
         yield "shaded", shaded(run.shaded)
     if run.kind == "fit":
-        yield "loss", loss(run.result, run.arrays)
+        yield "loss", loss(run)
         yield "parameters", parameters(run.result, run.arrays)
         if run.result.get("front"):
             yield "front", front(run.result)
@@ -222,10 +222,12 @@ def write_map(
     style.save(figure, path)
 
 
-def loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
+def loss(run: StoredRun) -> Figure:
     """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
+    result, arrays = run.result, run.arrays
     figure, (axes,) = style.figure(5.2, 3.1)
-    style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
+    own = run.config.fit.loss.plugin is not None
+    style.chart(axes, "evaluations of the loss", "root of the loss" if own else "RMSE [visibility]")
     recorded = history(arrays)
     ends = _mark_phases(axes, result, recorded)
     for steps in _by_phase(recorded):

@@ -229,7 +229,7 @@ def _curves(run: StoredRun) -> list[tuple[str, str]]:
 
     return [
         (
-            style.inline_svg(figures.loss(run.result, run.arrays), "loss"),
+            style.inline_svg(figures.loss(run), "loss"),
             "The error over the fit. The label of each phase is the width of its soft compare in texels, the blur of "
             "its images in pixels, hard, or search. The result is chosen by the hard compare.",
         ),

@@ -164,15 +164,9 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         plan.parameters,
         solver=plan.solver,
         anneal=plan.anneal,
-        blurs=plan.blurs,
-        starts=plan.starts,
-        seed=config.seed,
-        evaluations=plan.evaluations,
         loss=plan.loss,
-        within=plan.within,
-        prefer=plan.prefer,
-        tolerance=plan.tolerance,
-        front=plan.front,
+        search=fit.Search(plan.starts, config.seed, plan.blurs, plan.evaluations),
+        sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
         on_step=_watch(stages, plan),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
