@@ -851,12 +851,14 @@ def readme():
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, traced, far, trimeshes, training) = {}, readme
+    names, (technique, sun, own, traced, far, trimeshes, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
     found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
     assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
+    exec(own, names)
+    assert "bias.constant" in capsys.readouterr().out
     exec(traced, names)
     assert re.search(r"\[.*\d.*\]", capsys.readouterr().out)
     exec(far, names)

@@ -226,7 +226,7 @@ def loss(run: StoredRun) -> Figure:
     """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
     result, arrays = run.result, run.arrays
     figure, (axes,) = style.figure(5.2, 3.1)
-    own = run.config.fit.loss.plugin is not None
+    own = any(row.key == "fit.loss.type" and ":" in row.value for row in run.settings)
     style.chart(axes, "evaluations of the loss", "root of the loss" if own else "RMSE [visibility]")
     recorded = history(arrays)
     ends = _mark_phases(axes, result, recorded)
