@@ -211,6 +211,7 @@ class _FrontPoint(_Part):
     false_shadow: Annotated[float, Field(ge=0)]
     false_light: Annotated[float, Field(ge=0)]
     rmse: Fraction | None = None
+    ratio: Annotated[float, Field(gt=0)] | None = None
     is_knee: bool
 
 
@@ -429,7 +430,9 @@ def as_stored(result: Mapping[str, Any]) -> dict[str, Any]:
     **Raises** `ValidationError` for a key or a value that readers would not take.
     """
     kind = _KINDS.get(result.get("kind", ""), _Outcome)
-    return kind.model_validate(_plain(result), extra="forbid").model_dump(mode="json", exclude_unset=True)
+    stored = kind.model_validate(_plain(result), extra="forbid").model_dump(mode="json", exclude_unset=True)
+    # In the order that they were given in, so that a fit's verdict comes first.
+    return {key: stored[key] for key in result}
 
 
 def checked_result(result: Mapping[str, Any], file: Path) -> dict[str, Any]:
