@@ -58,7 +58,7 @@ class Phase(NamedTuple):
 
     @property
     def program(self) -> tuple[object, ...]:
-        """What identifies its compiled program among those of the fit."""
+        """What identifies its compiled program among all programs of the fit."""
         return self.active, self.width > 0, self.pixels
 
     @property
