@@ -88,7 +88,7 @@ class Reporter:
 
         **Arguments:**
 
-        - `free`: (p,), the free values of all parameters; `active`: the indices of the parameters that the phase changes.
+        - `free`: (p,), the free values of all parameters; `active`: the indices of parameters that the phase changes.
         - `scale`: of the residuals that the solver sees.
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale

@@ -1,7 +1,7 @@
 """Counting fragments in front of or behind a depth buffer, as a two-sided stencil buffer does.
 
-Instead of keeping the nearest of all fragments, every pixel adds up the weights of all fragments that pass, or
-of all that fail, the depth test against a buffer that does not change. Triangles are clipped, binned, covered and written as the
+Instead of keeping the nearest of all fragments, every pixel adds up the weights of all fragments that pass, or of all
+that fail, the depth test against a buffer that does not change. Triangles are clipped, binned, covered and written as the
 depth pass does it, with a scatter that adds in place of one that keeps the least; so a triangle that both draw has
 bit-equal depths in both.
 
@@ -39,7 +39,7 @@ def count_fragments(
     depth: DepthMap,
     when: When,
 ) -> Int[Array, "h w"]:
-    """For each pixel, the sum of the front faces' weights over their fragments, less the back faces' sum.
+    """For each pixel, the sum of the weights of front faces' fragments, less the sum for back faces.
 
     **Arguments:**
 
@@ -47,7 +47,8 @@ def count_fragments(
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `weights`: (f,), how often each face counts; a face of weight 0 costs next to nothing.
     - `depth`: (h, w), window depth, from `rasterize`. The sum is for its resolution.
-    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others. What lies before the near plane is clipped away in either case.
+    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others.
+        What lies before the near plane is clipped away in either case.
 
     **Raises** `ValueError` if `when` is neither.
     """

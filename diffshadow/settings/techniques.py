@@ -9,7 +9,7 @@ from .filters import Shape
 from .quantities import MAX_FACTOR, MAX_LAYERS, MAX_VIRTUAL, Distance, Fraction, Size, Texels
 
 DepthRange = Literal["camera", "surface"]
-"""Whether a layout fits maps to all depths between the camera's near and far, or to the depths of the surface it sees."""
+"""Whether a layout fits maps to all depths from the camera's near to far, or to the depths of the surface it sees."""
 CascadeFit = Literal["cascade", "scene"]
 CascadeSelection = Literal["interval", "map"]
 """Which cascade a point falls in: by its depth, or the first whose map contains it."""

@@ -17,7 +17,7 @@ from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """Where receivers sample the map, and the depth they compare with. Shapes are those of an image; any other works.
+    """Where receivers sample the map, and the depth they compare with. Shapes are an image's; any other works.
 
     - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes both as one array
         `texel` (h, w, 2).

@@ -327,7 +327,7 @@ def _with_corners(
 
 @eqx.filter_jit
 def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
-    """Clip coordinates of all layers of a map, and then of those of an image of its texels' corners."""
+    """Clip coordinates of all layers of a map, and then of all layers of an image of its texels' corners."""
     layers = clip.reshape(-1, *clip.shape[-2:])
     return jnp.concatenate([layers, _about_corners(layers, resolution)])
 

@@ -59,7 +59,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 
     **Arguments:**
 
-    - `layer`: (h, w), which of the light's maps each point falls in; the one that the light's `layer` says if left out.
+    - `layer`: (h, w), which of the light's maps each point falls in; from the light's `layer` if left out.
     """
     layer = shadow_map.light.layer(surface.position) if layer is None else layer
     view = shadow_map.view.facing(layer)

@@ -137,7 +137,7 @@ def test_parts_of_a_result_that_disagree_are_told(runs, told, tmp_path):
         (
             ("initial",),
             {"bias.constant": 1.0},
-            "initial: has the keys bias.constant; expected those of fitted, bias.constant, filter.radius",
+            "initial: has the keys bias.constant; expected the keys of fitted, bias.constant, filter.radius",
         ),
         (
             ("bounds", "filter.radius", "upper"),

@@ -584,7 +584,7 @@ def test_plan_is_printed_and_nothing_written(finished):
     out = text_io.StringIO()
     study.print_plan(Console(file=out, width=120), load_sweep(Path("s.yaml")), 2)
     assert "filter.pattern = uniform, filter.radius = 1, seed = 1" in out.getvalue()
-    assert "8 runs, of which 0 are done; 2 would be done now" in out.getvalue()
+    assert "8 runs; 0 are done; 2 would be done now" in out.getvalue()
     assert not Path("runs").exists()
 
 

@@ -57,7 +57,7 @@ class SweepRun(NamedTuple):
 class SweepRuns(Sequence[SweepRun]):
     """The runs of a sweep, in the order of its axes. The last axis varies fastest.
 
-    Runs are made when they are needed, since a million of them would fill the memory. Only the runs of a small sweep are
+    Runs are made when they are needed, since a million of them would fill the memory. Only a small sweep's runs are
     kept. Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
     """
 

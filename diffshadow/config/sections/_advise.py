@@ -15,7 +15,7 @@ from ._section import Conflict, Section, fault
 PARAMETERS = "parameters"
 """The key in an entry that holds the numbers to fit; all others but the label are set."""
 LISTS = ("biases", "filters")
-"""The keys of the lists whose every combination is a technique."""
+"""The keys of the lists; every combination of their entries is a technique."""
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 

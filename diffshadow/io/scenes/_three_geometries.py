@@ -404,7 +404,7 @@ def _numbered(rows: int, columns: int) -> Int[HostArray, "r c"]:
 
 
 def _corners(number: Int[HostArray, "r c"]) -> tuple[Int[HostArray, " q"], ...]:
-    """The corners of each quad, around it: (row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)."""
+    """Each quad's corners, around it: (row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)."""
     parts = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     return tuple(part.reshape(-1) for part in parts)
 

@@ -74,7 +74,7 @@ class Corrections(AbstractTerms):
             lookup, place = lax.optimization_barrier((lookup, jnp.unravel_index(lookup, shape)))
 
             def own(table: Array) -> Array:
-                """A column of the table for each look-up. Its last axes are those of the look-ups, or have length 1."""
+                """A column of the table for each look-up. Its last axes equal the look-ups' axes, or have length 1."""
                 count, *sizes = table.shape
                 if not sizes:
                     return table
@@ -97,7 +97,7 @@ def _sums(
     most: int,
     at_once: int,
 ) -> Any:
-    """Sums (size,) of the values at set bits, of which there are `most` at most, a number `at_once`.
+    """Sums (size,) of the values at set bits, `most` at most; each iteration adds `at_once`.
 
     Given rows and columns of set bits, `values_at` returns places in the sums, and the values that are added there.
     """

@@ -146,7 +146,7 @@ def _title(config: Config, lit: _Lit) -> str:
 def _convert_by_fits(
     config: Config, technique: ShadowMapping, lit: list[_Lit], engines: list[str], console: Console
 ) -> None:
-    """Fits the shadows of those of `engines` that can be drawn, and prints their errors and their code."""
+    """Fits the shadows of all `engines` that can be drawn, and prints their errors and their code."""
     fits = {name: overrides for name, overrides in _fits(config, lit).items() if name in engines}
     runs: dict[str, FittedRun] = {}
     with Stages(console) as stages:
