@@ -1,7 +1,7 @@
 """Counting fragments in front of or behind a depth buffer, as a two-sided stencil buffer does.
 
 Instead of keeping the nearest of all fragments, every pixel adds up the weights of all fragments that pass, or of all
-that fail, the depth test against a buffer that does not change. Triangles are clipped, binned, covered and written as the
+that fail, the depth test against a fixed buffer. Triangles are clipped, binned, covered and written as the
 depth pass does it, with a scatter that adds in place of one that keeps the least; so a triangle that both draw has
 bit-equal depths in both.
 

@@ -134,7 +134,7 @@ class ShadowVolumes(AbstractTechnique):
         return surface.mask
 
     def _count(self, state: VolumeScene) -> "_Found":
-        # The view is bitwise the view that surfaces are drawn with. All else is in double precision: a volume's side may
+        # The view is bitwise the view that draws surfaces. All else is in double precision: a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
         view = state.camera.view()
         with jax.enable_x64(True):

@@ -500,7 +500,7 @@ def test_degenerate_faces_do_not_shift_normals(tmp_path):
     np.testing.assert_allclose(np.asarray(mesh.corner_normals), np.eye(3)[None])
 
 
-def test_a_file_without_normals_is_told(tmp_path):
+def test_a_file_without_normals_is_reported(tmp_path):
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(FileError, match="has no normals of vertices"):
         load_mesh(tmp_path / "mesh.obj", None)

@@ -53,7 +53,7 @@ class BabylonJs(AbstractEngineShadows):
     engine's `light.shadowMinZ` and `light.shadowMaxZ`.
 
     - `bias`: added to the depth of casters as the map is drawn: positive values push them away from the light. In
-        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, which is twice the window depth. For
+        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, and half as much in window depth. For
         the blocker search of `PCSS` both are added.
     - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
         light, in world units. It changes the map, so it has no derivative. The engine moves no mesh without normals.
@@ -84,7 +84,7 @@ class BabylonJs(AbstractEngineShadows):
     Half floats have the derivative of what they round. The radius of `POISSONSAMPLING` has one through its bilinear
     taps. In the blocker search of `PCSS` a soft compare weighs blockers; that there is none is decided by less than 1.
 
-    The rotation of `PCSS` depends on the sine of the device: pixels differ from another device's pixels, and means agree.
+    The rotation of `PCSS` depends on the sine of the device: pixels differ between devices, and means agree.
 
     **Raises** `ValueError` for a map that is not square.
     """

@@ -93,7 +93,7 @@ def print_advise_plan(console: Console, advice: Advice) -> None:
 
 
 def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
-    """`one`, or its technique at the values of a special case that was fitted better: a fit may end in a local minimum."""
+    """`one`, or its technique at a special case's values that were fitted better: a fit may end in a local minimum."""
     loss = one.config.fit.loss
     if not isinstance(loss, Loss) or loss.over != "mean" or loss.false_shadow != loss.false_light:
         # Fits were not made for the least RMSE.

@@ -46,7 +46,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
 
     **Arguments:**
 
-    - `origin`: what the values of `config` are, as a part of a sentence.
+    - `origin`: where the values of `config` come from, as a part of a sentence.
 
     **Raises** `ConfigError` for a technique or a light that has none of these.
     """
@@ -62,7 +62,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
             surface = draw_surface(scene.mesh, scene.camera)
             lit = [_lit(config, technique, scene, surface, i) for i in range(len(scene.lights))]
     if origin:
-        table.print_lines(console, [f"the values are {origin}"])
+        table.print_lines(console, [f"the values come from {origin}"])
     lacking, excluded = list(_lacking(config)), {}
     for each in lit:
         settings = [] if lacking else _settings(config, each)
