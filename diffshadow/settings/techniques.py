@@ -100,9 +100,9 @@ class Cascades(FittedLayout):
     depths: Annotated[DepthRange, "what is sliced: the camera's near to its far, or the depths that it sees"] = "camera"
     fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its end"] = "cascade"
     stabilize: Annotated[bool, "whether texels stay where they are on surfaces as the camera moves and turns"] = True
-    select: Annotated[
-        CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"
-    ] = "interval"
+    select: Annotated[CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"] = (
+        "interval"
+    )
     blend: Annotated[Fraction, Fitted(), "part of each slice over which its cascade fades into the next"] = 0.1
     max_blend: Annotated[
         Fraction | None, "greatest blend, which maps are drawn for; default: blend, in a fit its upper bound"

@@ -121,7 +121,7 @@ def _is_moved(entry: _Placed) -> bool:
 
 
 def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> list[SceneMesh]:
-    """The meshes that are drawn. Those that cannot be read are left out.
+    """The meshes that are drawn. Unreadable ones are left out.
 
     **Raises** `MeshError` if all that there are cannot be read.
     """

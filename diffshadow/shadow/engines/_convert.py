@@ -1,7 +1,7 @@
 """One bias in the units of several engines.
 
-The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The
-formulas of Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The formulas of
+Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
 """
 
 import math

@@ -1,5 +1,10 @@
 """Corrections by silhouettes to a sum of compares over texels.
 
+A texel with a silhouette has two parts with different depths. Its correction is the kernel's weight times the change
+of the compare: its mean over the covered part of the texel, less the compare with the stored depth. Each pair of a
+look-up (*n,) and a texel that it reads has a correction. The sums of a look-up's corrections are (*n,), as the
+kernel's sums are.
+
 Few of the texels that are read have a silhouette, and such a texel costs many times a plain one. So the sum over stored
 depths is evaluated everywhere, and then corrected for each texel with a silhouette. Under a hard compare only if the
 receiver lies between the depths of its parts: beyond both, or before both, they compare alike.

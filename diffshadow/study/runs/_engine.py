@@ -49,7 +49,7 @@ def _distances(drawn: Drawn) -> tuple[float, float]:
 
 
 def along(light: AbstractLight, points: VectorMap) -> Float32[HostArray, "h w"]:
-    """The distance of `points` (h, w, 3) along the light's axis, or the axis of its face of a point light's map."""
+    """The distance of `points` (h, w, 3) along the axis of the light, or of its face of a point light's map."""
     if isinstance(light, PointLight):
         return np.asarray(abs(points - light.position).max(axis=-1))
     return np.asarray(light.view().distance(points))
