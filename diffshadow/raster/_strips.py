@@ -3,8 +3,8 @@
 It finds the points in a rectangle of the view. The n points, with x and y from 0 to 1, are sorted by y and cut into
 `s` horizontal strips of equally many points. Each strip is sorted by x and cut into `b` blocks of 16 points; b is about
 √n / 16, and filling and points that are not valid come last. Each strip stores its range of y, (s,), and each block its
-range of x, (s·b,). However unevenly points are spread, all blocks but the last ones are full. A grid would have empty and
-overfull cells.
+range of x, (s·b,). However unevenly points are spread, all blocks but the last ones are full. A grid would have
+empty and overfull cells.
 """
 
 import math

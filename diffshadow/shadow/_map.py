@@ -1,8 +1,8 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it.
 
 A map holds, for each texel of the light's image, a window depth at the texel's centre, by default the nearest caster's:
-(h, w), from 0 at the near plane to 1 at the far plane, and 1 where the light sees nothing. Row 0 is the bottom row. A light
-with several views, such as a point light or cascades, has a layer for each: (l, h, w).
+(h, w), from 0 at the near plane to 1 at the far plane, and 1 where the light sees nothing. Row 0 is the bottom row.
+A light with several views, such as a point light or cascades, has a layer for each: (l, h, w).
 
 Where outlines are needed, a map also holds the casters' silhouettes within its texels. They give shadows derivatives
 with respect to lights and meshes.
