@@ -192,7 +192,7 @@ def _shown(value: Any) -> str:
 
 
 def check_instance(name: str, value: Any, kind: type | UnionType, example: str) -> None:
-    """**Raises** `TypeError` unless `value` is a `kind`, of which `example` names one."""
+    """**Raises** `TypeError` unless `value` is a `kind`; `example` names one in the message."""
     if not isinstance(value, kind):
         given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
         raise TypeError(f"{name} is {given}; expected {example}")

@@ -115,10 +115,10 @@ _RUN = 32
 
 
 def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`take` for indices that are not negative, and of which many neighbours are equal.
+    """`take` for non-negative indices with many equal neighbours; its transpose sums each run first.
 
-    In its transpose, each run of 32 indices first adds up the gradients of those that equal the first. That saves
-    additions to one place, for which a GPU waits.
+    In each run of 32 indices, the transpose first adds up the gradients of all indices that equal the first one. That
+    saves additions to one place, for which a GPU waits.
     """
     runs = jnp.pad(index.reshape(-1), (0, -index.size % _RUN)).reshape(-1, _RUN)
     first = runs[:, :1]
@@ -147,7 +147,7 @@ _SMALL_SIZES = (256, 4096, 16384)
 
 def shared_size(n: int) -> int:
     """A size of at least `n`, so that arrays of like size share compiled programs: a few sizes for small ones, and four
-    to each octave for large ones, of which less than a fifth is padding."""
+    to each octave for large ones, with less than a fifth of padding."""
     if n <= _SMALL_SIZES[-1]:
         return next(size for size in _SMALL_SIZES if n <= size)
     step = round_up_to_power_of_two(n) // 8

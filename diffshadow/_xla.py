@@ -16,8 +16,8 @@ def use_all_cores() -> None:
 
     XLA would make one program, for one core, of every loop that it takes for small, and takes loops over whole images
     for such. With the option only loops whose steps read and write less than 5 kB are small. XLA keeps the body of
-    others as many programs, each of which runs on all cores. It reads its flags as JAX starts its backend, with the
-    first array: call this before. Extra options that `XLA_FLAGS` already has are left as they are. The command
+    other loops as many programs, and each program runs on all cores. It reads its flags as JAX starts its backend,
+    with the first array: call this before. Extra options that `XLA_FLAGS` already has are left as they are. The command
     `diffshadow` calls this itself.
 
     **Warns** with a `RuntimeWarning` if JAX's backend already runs: the option then has no effect in this process.

@@ -229,7 +229,7 @@ def advise(
 ) -> None:
     """Fits several techniques to the views of CONFIG, times them, and recommends one.
 
-    The techniques are those of the section `advise`, by default five biases with three filters and two sizes of maps.
+    The section `advise` lists the techniques, by default five biases with three filters and two sizes of maps.
     Prints a ranking and a verdict, and writes a page and `recommended.yaml`. If started again, it does the fits that
     are missing or have failed. The path of the folder is the last line printed.
 
@@ -386,7 +386,7 @@ def cache(*, clear: bool = False) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Runs the command with `arguments`, by default those of the process, and exits.
+    """Runs the command with `arguments`, by default the process's own, and exits.
 
     The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
     after an interrupt. Any other error is a bug, and keeps its traceback.

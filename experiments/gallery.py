@@ -7,7 +7,7 @@ Each row of the page is the configuration with a few values replaced. To draw it
 
     diffshadow render configs/gallery.yaml KEY=VALUE ...
 
-Errors are those of visibility against the traced reference. Times are medians of runs after compilation: one of drawing
+Errors are of visibility against the traced reference. Times are medians of runs after compilation: one of drawing
 from the light, and one of computing visibility.
 """
 
@@ -359,7 +359,7 @@ def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Ro
         "![Reference](images/gallery/reference.png) ![Shaded with the reference](images/gallery/shaded.png)",
         "",
         f"The reference, traced with {truth.samples} rays per pixel (its own noise is {truth.noise_floor:.4f} RMSE), "
-        "and the scene shaded with it. Errors are those of visibility, under the light's true size: a technique that "
+        "and the scene shaded with it. Errors are of visibility, under the light's true size: a technique that "
         "draws hard shadows cannot reach it. False shadow is light that is missing outside of shadows (acne), false "
         "light is light inside of them (leaks, Peter-panning).",
         "",

@@ -58,7 +58,7 @@ def test_command_runs_the_config_with_its_overrides(command, runner, capsys):
     assert err == ""
 
 
-def test_render_is_told_to_write_debug_views(runner):
+def test_render_writes_debug_views_on_request(runner):
     assert run("render", QUICKSTART, "seed=1", "--debug") == 0
     assert runner == [load_config(QUICKSTART, ["seed=1"]), "debug"]
 
@@ -78,7 +78,7 @@ def test_the_cache_is_measured_and_cleared(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("command", ["fit", "render", "validate"])
-def test_mistakes_are_told_on_stderr_before_any_work(command, runner, capsys):
+def test_mistakes_are_reported_on_stderr_before_any_work(command, runner, capsys):
     assert run(command, QUICKSTART, "filter.sampels=64") == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -109,7 +109,7 @@ def test_every_problem_of_a_file_is_in_the_one_message(tmp_path, capsys):
         (["fit", "."], "cannot be read"),
     ],
 )
-def test_wrong_arguments_are_told_on_one_line(arguments, said, runner, capsys):
+def test_wrong_arguments_are_reported_on_one_line(arguments, said, runner, capsys):
     assert run(*arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -131,7 +131,7 @@ def test_wrong_arguments_are_told_on_one_line(arguments, said, runner, capsys):
         (["sweep", QUICKSTART, "--limit", "0"], "--limit is 0; expected a whole number at least 1"),
     ],
 )
-def test_options_beyond_their_limits_are_told_by_name(arguments, said, capsys, tmp_path, monkeypatch):
+def test_options_beyond_their_limits_are_reported_by_name(arguments, said, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(*arguments) == 2
     out, err = capsys.readouterr()
@@ -194,7 +194,7 @@ def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeyp
     assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles" in out.splitlines()[-1]
 
 
-def test_disk_trouble_is_told_without_a_traceback(monkeypatch, capsys):
+def test_disk_trouble_is_reported_without_a_traceback(monkeypatch, capsys):
     def full(config, *, console):
         raise OSError(28, "No space left on device", "runs/x")
 
@@ -204,7 +204,7 @@ def test_disk_trouble_is_told_without_a_traceback(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes")])
-def test_lack_of_memory_is_told_without_a_traceback(error, monkeypatch, capsys):
+def test_lack_of_memory_is_reported_without_a_traceback(error, monkeypatch, capsys):
     def large(config, *, console):
         raise error
 
@@ -225,7 +225,7 @@ def test_interrupt_exits_with_130_and_without_a_traceback(error, monkeypatch, ca
     assert capsys.readouterr().err == "error: interrupted\n"
 
 
-def test_platforms_without_a_plugin_are_told_without_a_traceback():
+def test_platforms_without_a_plugin_are_reported_without_a_traceback():
     root = Path(diffshadow.__file__).parents[1]
     environment = {**os.environ, "PYTHONPATH": str(root), "JAX_PLATFORMS": "nonesuch"}
     command = [sys.executable, "-m", "diffshadow", "render", str(QUICKSTART)]
@@ -286,7 +286,7 @@ def test_convert_speaks_the_units_of_engines(capsys):
     bias = "bias={constant: 0.01, unit: depth, slope: 0}"
     assert run("convert", QUICKSTART, bias, *small) == 0
     out = capsys.readouterr().out
-    assert out.startswith(f"the values are those of {QUICKSTART}, with {bias} ")
+    assert out.startswith(f"the values come from {QUICKSTART}, with {bias} ")
     assert re.search(r"three\.js +light\.shadow\.bias +-0\.01 ", out)
     assert re.search(r"Babylon\.js +generator\.bias \(PCF\) +0\.02 ", out)
     assert re.search(r"Bevy .*not verified against the engine", out)

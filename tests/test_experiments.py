@@ -204,7 +204,7 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
 )
-def test_mistakes_are_told_in_one_message_and_leave_nothing(experiment, arguments, said, monkeypatch, capsys):
+def test_mistakes_are_reported_in_one_message_and_leave_nothing(experiment, arguments, said, monkeypatch, capsys):
     script = importlib.import_module(experiment)
     monkeypatch.setattr(sys, "argv", [f"{experiment}.py", *arguments])
     with pytest.raises(SystemExit) as exit:

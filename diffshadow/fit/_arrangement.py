@@ -36,7 +36,7 @@ class MeshPose(eqx.Module):
 
         **Arguments:**
 
-        - `vertices`: indices of those that can be moved one by one.
+        - `vertices`: indices of the vertices that can be moved one by one.
         - `home`: the value of `translate` for the mesh as it stands.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.

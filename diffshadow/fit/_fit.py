@@ -40,7 +40,7 @@ class FitResult(NamedTuple):
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
     - `precision`: how well the values are determined; none if the start was best, or under a loss of one's own.
-    - `starts`: how each of several starts went; `phases` and `initial` are those of the best.
+    - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
     - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
     - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
@@ -48,7 +48,7 @@ class FitResult(NamedTuple):
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
     - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
         one's own is less.
-    - `problems`: those that were fitted, with the memory for silhouettes that it needed, and maps laid out as fitted.
+    - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
     """
 
     technique: FittableTechnique
@@ -125,8 +125,8 @@ def fit(
         of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
-    - `on_step`: called with every evaluation of the loss, while the fit runs; also with those of a phase that is then
-        repeated with memory for more silhouettes.
+    - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
+        then repeated with memory for more silhouettes.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -188,7 +188,7 @@ def _result(run: Run, path: Path, tried: list[Start], parameters: Sequence[Param
 def _chosen(
     run: Run, values: Values, parameters: Sequence[Parameter], sureness: Sureness
 ) -> tuple[Values, Values, list[Profile]]:
-    """The values that are preferred, those of the least error, and the profiles about these."""
+    """The preferred values, the values of the least error, and the profiles about the latter."""
     if not (sureness.within or sureness.prefer):
         return values, values, []
     profiler = Profiler(run, parameters, values)

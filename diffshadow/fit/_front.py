@@ -76,7 +76,7 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
 class _Found:
     """The settings that were found, and their errors.
 
-    - `settled`: those that a fit has ended at, or began at in vain.
+    - `settled`: the settings where a fit has ended, or began in vain.
     """
 
     def __init__(self, run: Run):
@@ -153,7 +153,7 @@ class _Found:
         points: list[FrontPoint] = []
         for values in dict.fromkeys((first, *sorted(inside, key=self.sides.__getitem__), last)):
             point = FrontPoint(values, *self.sides[values], 1.0, 0.0)
-            # Without those that lie on or above the line between their neighbours.
+            # Without points that lie on or above the line between their neighbours.
             while len(points) > 1 and _equal(points[-2], points[-1]) <= _equal(points[-1], point):
                 points.pop()
             points.append(point)

@@ -19,7 +19,7 @@ class Step(NamedTuple):
 
     - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels, 0 for the hard one.
     - `loss`: the mean square error under that compare, or a user's loss; `values`: of the parameters there.
-    - `start`: of several starts, the one that the fit is at, from 0.
+    - `start`: the number of the start that the fit is at, from 0.
     """
 
     phase: int
@@ -88,7 +88,7 @@ class Reporter:
 
         **Arguments:**
 
-        - `free`: (p,), the free values of all parameters; `active`: the indices of those that the phase changes.
+        - `free`: (p,), the free values of all parameters; `active`: the indices of parameters that the phase changes.
         - `scale`: of the residuals that the solver sees.
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale

@@ -20,7 +20,7 @@ _INSET = 0.01
 class Parameter(eqx.Module):
     """A number to fit.
 
-    - `name`: what it is called.
+    - `name`: for results and messages.
     - `initial`, `lower`, `upper`: where it starts, and the bounds it keeps.
     - `unit`: of all three, for reports.
     - `path`: dotted path to it, such as `"filter.radius"`; its name if left out. A path may stop at a module that holds

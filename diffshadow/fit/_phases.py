@@ -1,4 +1,8 @@
-"""The phases of a fit.
+"""The phases of a fit: a sequence of solves and searches; each starts where the last one ended.
+
+All values are an array (p,), one for each parameter. A phase changes only its active parameters, and minimises the loss
+of a joint problem. It has one width of the soft compare, in texels (0 for the hard compare), and one blur for each
+problem's images, in pixels.
 
 The hard compare has no gradient with respect to bias, so the fit of a technique runs under a soft compare whose width
 shrinks geometrically from phase to phase. Where lights or meshes move, phases run under the hard compare, since
@@ -58,7 +62,7 @@ class Phase(NamedTuple):
 
     @property
     def program(self) -> tuple[object, ...]:
-        """What identifies its compiled program among those of the fit."""
+        """What identifies its compiled program among all programs of the fit."""
         return self.active, self.width > 0, self.pixels
 
     @property

@@ -36,7 +36,7 @@ _UNHEARD = -1
 _UNSUITABLE = 1.0
 
 Values = tuple[float, ...]
-"""Those of all parameters, (p,)."""
+"""The values of all parameters, (p,)."""
 
 
 class Outcome(NamedTuple):
@@ -241,7 +241,7 @@ class Run:
         )
 
     def refitted(self, values: Values, kept: Collection[int], *, ratio: float = 1.0, least_gain: float = 0.0) -> Values:
-        """The end of the last phase if it starts at `values`, of which those at the indices `kept` stay.
+        """The end of the last phase if it starts at `values`; the values at the indices `kept` stay.
 
         **Arguments:** `ratio` as for `Loss.reweighted`, `least_gain` as for `Stop`.
         """
@@ -307,7 +307,7 @@ class Run:
 
     def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
         """A sample of about so many `pixels` of `whole` at `values` (p,)."""
-        # A mean of a part of the pixels is close to that of all. The worst of several is not: few images decide.
+        # A mean of a part of the pixels is close to the mean of all. The worst of several is not: few images decide.
         errors = None if whole.loss.over == "mean" else self._errors(values, whole.loss)
         order = [] if errors is None else np.argsort(-np.asarray(errors), kind="stable").tolist()
         worst = order[: -(-len(order) // 4)]
@@ -320,7 +320,7 @@ class Run:
         return self.judge.put(self.parameters, values)
 
     def _errors(self, values: Float[Array, " p"], loss: Loss) -> Errors:
-        """Those of whole images under the hard compare at `values` (p,), with the factors of `loss`."""
+        """The errors of whole images under the hard compare at `values` (p,), with the factors of `loss`."""
         key = _key(values, loss)
         if key not in self._judged_errors:
             judge = self.judged_at(values).with_loss(loss.exact())

@@ -53,7 +53,7 @@ class _Own(NamedTuple):
 
 
 _Found = tuple[Images, Stacks, Float[Array, " v"]] | _Own
-"""What is found at one place: differences, slopes and roots as in `Solution`, or those of a user's loss."""
+"""What is found at one place: differences, slopes and roots as in `Solution`, or rows and columns of a user's loss."""
 
 
 def _solve(

@@ -107,13 +107,13 @@ class MatrixCamera(AbstractCamera):
     """A camera given by its matrices, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), a projection like those of `perspective` and `orthographic`, which may be off-centre. Depth
+    - `eye_to_clip`: (4, 4), a projection as `perspective` and `orthographic` make, which may be off-centre. Depth
         in clip space is from -1 to 1, as in OpenGL.
     - `resolution`: (height, width) in pixels.
     - `is_perspective`: whether sizes shrink with distance. By default it is read from `eye_to_clip`; required under a
         trace.
 
-    Near and far are those of the projection, and `target` is a point on the view axis.
+    Near and far come from the projection, and `target` is a point on the view axis.
 
     **Raises** `ValueError` for matrices that are not finite or not (4, 4), a view that is not rigid, a projection of
     another form, or unless near < far (0 < near < far for a perspective projection).

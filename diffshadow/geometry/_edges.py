@@ -101,7 +101,7 @@ class Edges(eqx.Module):
 
 
 def share_vertices(mesh: Mesh) -> Int[HostArray, "f 3"]:
-    """The mesh's faces, each index replaced by that of the first vertex at the same place; for concrete meshes.
+    """The mesh's faces, each index replaced by the first vertex at the same place; for concrete meshes.
 
     Unlike `weld`, it keeps all faces, their order and the vertices, so that the result indexes `mesh.vertices`.
     """

@@ -437,7 +437,7 @@ def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20
     """All triples of mutual neighbours, anticlockwise seen from outside."""
     near = vertices @ vertices.T > 0.4
     i, j, k = (index.reshape(-1) for index in np.meshgrid(*[np.arange(12)] * 3, indexing="ij"))
-    # One of each triangle's three rotations: the one that starts with its lowest vertex.
+    # One of each triangle's three rotations: it starts with its lowest vertex.
     outside = np.linalg.det(np.stack([vertices[i], vertices[j], vertices[k]], axis=1)) > 0
     return np.stack([i, j, k], axis=-1)[near[i, j] & near[j, k] & near[k, i] & outside & (i < j) & (i < k)]
 

@@ -28,8 +28,8 @@ def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: 
 
     - `is_perspective`: by default it is read from the projection's last row.
 
-    **Raises** `ValueError` unless both are finite (4, 4) matrices, the view is rigid, and the projection is like that
-    of `perspective` or `orthographic`; and for a traced projection without `is_perspective`.
+    **Raises** `ValueError` unless both are finite (4, 4) matrices, the view is rigid, and the projection has the
+    form of `perspective` or `orthographic`; and for a traced projection without `is_perspective`.
     """
     world_to_eye, eye_to_clip = as_float(world_to_eye), as_float(eye_to_clip)
     for what, matrix in (("world_to_eye", world_to_eye), ("eye_to_clip", eye_to_clip)):
@@ -101,7 +101,7 @@ def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool
         )
     if np.abs(matrix[:3][~_ENTRIES[kind]]).max() > _EXACT or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise ValueError(
-            f"{name}'s eye_to_clip is {matrix.tolist()}; expected a matrix like that of glFrustum or glOrtho, with "
+            f"{name}'s eye_to_clip is {matrix.tolist()}; expected a matrix as glFrustum or glOrtho makes, with "
             "positive width and height: flip y if it points down, and do not use oblique near planes"
         )
     return kind

@@ -1,4 +1,4 @@
-"""Virtual shadow maps: a map of which only some parts, its pages, are kept."""
+"""Virtual shadow maps: only some parts of the map, its pages, are kept."""
 
 from typing import NamedTuple
 
@@ -77,7 +77,7 @@ class Pages(eqx.Module):
 
     @staticmethod
     def number(levels: int, level: Broadcast, row: Broadcast, column: Broadcast) -> Int[Array, "..."]:
-        """A page's number, of those of all levels, given its row and column in its level."""
+        """A page's number among the pages of all levels, given its row and column in its level."""
         return take(jnp.asarray(_starts(levels)), level) + row * _across(levels, level) + column
 
     @property

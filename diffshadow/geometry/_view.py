@@ -27,8 +27,8 @@ class View(eqx.Module):
         whole steps then sees the same triangles to the bit. None if vertices are drawn where they are. Of several
         views, (l, 2).
     - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
-        while depths stay those of the parallel view. None for no warp.
-    - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection is that of the whole
+        while depths stay as in the parallel view. None for no warp.
+    - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
         virtual map. None if a map shows all of the window. A virtual map that is smaller than its layer ends within it.
     - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. None for a map without pages.
     """

@@ -135,7 +135,7 @@ class Buffers:
         return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
 
     def _buffer(self, index: int, extensions: Iterable[str]) -> bytes:
-        """The buffer's bytes. `extensions` are those of its view; a message names them if the buffer has no data."""
+        """The buffer's bytes. `extensions` are its view's; a message names them if the buffer has no data."""
         if index not in self._loaded:
             buffer = item(self._document.buffers, index, "buffer")
             if buffer.uri is None:

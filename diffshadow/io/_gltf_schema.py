@@ -213,7 +213,7 @@ def parse(text: bytes) -> Document:
 
 
 def unknown(extensions: Iterable[str]) -> list[str]:
-    """Those of `extensions` that may affect geometry and are not supported."""
+    """The `extensions` that may affect geometry and are not supported."""
     return [name for name in extensions if not name.startswith(_WITHOUT_TRIANGLES) and name not in _READ]
 
 

@@ -93,7 +93,7 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
-    # Before the weld, which merges those that were rounded to one place.
+    # Before the weld, which merges vertices that were rounded to one place.
     if coarse := coarse_steps(polygons.vertices[np.unique(polygons.corners)]):
         warnings.warn(MeshWarning(f"the mesh file {file} {coarse}"), stacklevel=2)
     if crease_angle is not None:
@@ -146,7 +146,7 @@ def _own_normals(polygons: Polygons) -> Float[HostArray, "v 3"]:
     """
     normals = polygons.normals
     if normals is None:
-        raise MeshError("has no normals of vertices, or a format of which they are not read; set normals to creases")
+        raise MeshError("has no normals of vertices, or a format whose normals are not read; set normals to creases")
     if not np.isfinite(normals[polygons.corners]).all():
         raise damaged("some of its normals are NaN or infinite")
     length = np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -175,7 +175,7 @@ def _remarks(chunks: Mapping[bytes, bytes]) -> Iterator[str]:
 
 
 def _encoding(chunks: Mapping[bytes, bytes]) -> str | None:
-    """The chunk that says that values are not proportional to light: of several, the one that the format prefers."""
+    """The chunk that says that values are not proportional to light: of several, the format's preferred one."""
     if b"cICP" in chunks:
         transfer = chunks[b"cICP"][1]
         return None if transfer == _LINEAR_TRANSFER else f"cICP, of the transfer function {transfer}"

@@ -27,8 +27,8 @@ class Polygons(NamedTuple):
     - `corners`: (c,), indices into `vertices`; the corners of a face run anticlockwise seen from outside.
     - `sizes`: (f,), the number of corners of each face.
     - `left_out`: how many elements of other kinds the file holds, by their singular names, such as "line".
-    - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format of which
-      they are not read.
+    - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format whose
+      normals are not read.
     - `are_fans`: whether the faces may be concave polygons that a library has cut as fans.
     """
 

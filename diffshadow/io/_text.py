@@ -26,7 +26,7 @@ _LIST = 160
 def decode(data: bytes) -> str:
     """Decodes text of unknown encoding that begins with an ASCII character.
 
-    The encoding is that of the byte order mark if there is one; UTF-16 if the first or second byte is zero; UTF-8 if
+    The encoding is the byte order mark's if there is one; UTF-16 if the first or second byte is zero; UTF-8 if
     the bytes are valid; otherwise Latin-1, in which any bytes are valid. Only comments and names have characters other
     than ASCII.
     """

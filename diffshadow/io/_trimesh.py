@@ -52,7 +52,7 @@ def read_others(data: bytes, suffix: str, name: str) -> Polygons:
         package = next(filter(None, found.groups())) if found else str(error)
         raise MeshError(
             f"is in the format {suffix}, which needs a package that is not installed: {package}; install it "
-            "(pip install 'diffshadow[meshes]' has those of 3MF and COLLADA), or convert the file to OBJ, PLY or glTF"
+            "(pip install 'diffshadow[meshes]' adds 3MF and COLLADA), or convert the file to OBJ, PLY or glTF"
         ) from error
     except Exception as error:  # trimesh's readers raise many types
         raise damaged(f"trimesh cannot read it ({error or type(error).__name__})") from error

@@ -28,7 +28,7 @@ class AliasingFigures:
 def measure_aliasing(extent: ArrayLike, mask: ArrayLike) -> AliasingFigures:
     """Figures of the extents of texels on the screen, (h, w), in pixels, over `mask` (h, w).
 
-    `extent` may be that of `shadow.Aliasing`, or its `perspective_extent` for the part due to perspective.
+    `extent` may be `shadow.Aliasing.extent`, or `perspective_extent` for the part due to perspective.
 
     **Raises** `ValueError` if shapes differ, the mask is empty, or an extent in it is negative or not finite.
     """

@@ -23,7 +23,7 @@ def mae(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = No
 
 
 def rmse(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Root mean square difference over the mask, in [0, 1]. Arguments and errors are those of `mae`."""
+    """Root mean square difference over the mask, in [0, 1]. Arguments and errors are as for `mae`."""
     image, truth, inside = as_images(visibility, reference, mask)
     return float(np.sqrt(np.mean((image - truth)[inside] ** 2)))
 
@@ -31,7 +31,7 @@ def rmse(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = N
 def psnr(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Peak signal-to-noise ratio in decibels, `-20 log10(rmse)` for a peak of 1; infinite for equal images.
 
-    Arguments and errors are those of `mae`.
+    Arguments and errors are as for `mae`.
     """
     error = rmse(visibility, reference, mask)
     return math.inf if error == 0 else -20 * math.log10(error)

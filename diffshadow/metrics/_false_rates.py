@@ -44,7 +44,7 @@ def false_light_rate(
 ) -> float:
     """Fraction of the mask that is dark in the reference but lit in the image (leaks, Peter-panning).
 
-    Arguments, result and errors are those of `false_shadow_rate`, with dark in place of lit.
+    Arguments, result and errors are as for `false_shadow_rate`, with dark in place of lit.
     """
     image, truth, inside = as_images(visibility, reference, mask)
     dark = _interior(inside & (truth <= _NEARLY), inside, band)

@@ -17,7 +17,7 @@ _MOST_CLASSES = 6
 
 
 class Ranks(NamedTuple):
-    """`rank` (n,) is each element's index among those of its class; `counts` (c,) is the size of each class."""
+    """`rank` (n,) is each element's index within its class; `counts` (c,) is the size of each class."""
 
     rank: Int[Array, " n"]
     counts: Int[Array, " c"]
@@ -43,7 +43,7 @@ class Groups(NamedTuple):
 def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
     """The rank of each element within its class, for classes 0 to `number - 1`, at most six.
 
-    The order within a class is fixed, but differs from that of the elements. The rank of an element without a class is
+    The order within a class is fixed, but differs from the elements' order. The rank of an element without a class is
     meaningless.
 
     A prefix sum over all elements for each class would take most of a frame. Here one prefix sum over short runs serves
@@ -66,7 +66,7 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
 
 
 def group(classes: Int[Array, " n"], number: int) -> Groups:
-    """The elements of each class, for classes 0 to `number - 1`; those of class -1 are left out."""
+    """The elements of each class, for classes 0 to `number - 1`; class -1 is left out."""
     ranks = rank_in_class(classes, number)
     starts = sums_up_to(ranks.counts) - ranks.counts
     place = sum(jnp.where(classes == k, starts[k] + ranks.rank, 0) for k in range(number))

@@ -1,7 +1,7 @@
 """Counting fragments in front of or behind a depth buffer, as a two-sided stencil buffer does.
 
-Instead of keeping the nearest of all fragments, every pixel adds up the weights of those that pass, or of those that
-fail, the depth test against a buffer that does not change. Triangles are clipped, binned, covered and written as the
+Instead of keeping the nearest of all fragments, every pixel adds up the weights of all fragments that pass, or of all
+that fail, the depth test against a fixed buffer. Triangles are clipped, binned, covered and written as the
 depth pass does it, with a scatter that adds in place of one that keeps the least; so a triangle that both draw has
 bit-equal depths in both.
 
@@ -39,7 +39,7 @@ def count_fragments(
     depth: DepthMap,
     when: When,
 ) -> Int[Array, "h w"]:
-    """For each pixel, the sum of the weights of the front faces' fragments, less that of the back faces'.
+    """For each pixel, the sum of the weights of front faces' fragments, less the sum for back faces.
 
     **Arguments:**
 
@@ -47,8 +47,8 @@ def count_fragments(
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `weights`: (f,), how often each face counts; a face of weight 0 costs next to nothing.
     - `depth`: (h, w), window depth, from `rasterize`. The sum is for its resolution.
-    - `when`: which fragments count, those that `"pass"`, which are nearer than `depth`, or those that `"fail"`, which
-        are not. What lies before the near plane is clipped away in either case.
+    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others.
+        What lies before the near plane is clipped away in either case.
 
     **Raises** `ValueError` if `when` is neither.
     """
@@ -79,14 +79,14 @@ def _count_fragments(clip, faces, weights, depth, nearer) -> Int[Array, "h w"]:
 
 
 def _flattened(clip: ClipVertices, faces: Faces, weights: Int[Array, " f"]) -> tuple[Float[Array, "w 4"], Faces]:
-    """The triangles with those beyond the far plane moved into it, and those that do not count out of sight."""
+    """The triangles, moved into the far plane if beyond it, and out of sight if they do not count."""
     vertices = clip.shape[0]
     # Triangles wholly beyond the far plane are moved into it, by second copies of their vertices.
     beyond = clip[:, 2] > clip[:, 3]
     all_beyond = beyond[faces[:, 0]] & beyond[faces[:, 1]] & beyond[faces[:, 2]]
     flattened = clip.at[:, 2].set(clip[:, 3])
     faces = jnp.where(all_beyond[:, None], faces + vertices, faces)
-    # Those that do not count become this vertex, which the frustum rejects.
+    # Triangles that do not count become this vertex, which the frustum rejects.
     outside = jnp.array([[0, 0, 2, 1]], clip.dtype)
     faces = jnp.where(weights[:, None] == 0, 2 * vertices, faces)
     return jnp.concatenate([clip, flattened, outside]), faces

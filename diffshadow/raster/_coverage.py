@@ -29,7 +29,7 @@ class EdgeForm(eqx.Module):
     """Triangles as three edge functions about a pixel (`x`, `y`) of each one's own, and a depth plane.
 
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
-    where the centre is inside. Depth at the centre of a pixel is that of `plane`, kept between `least` and `greatest`;
+    where the centre is inside. Depth at the centre of a pixel comes from `plane`, kept between `least` and `greatest`;
     `offset` is added by polygon offset, if there is one. `turn` is 1 for front faces, which are anticlockwise, and -1
     for others. The pixel's own place in the buffer is (`row`, `column`).
     """
@@ -89,7 +89,7 @@ def plane_of_corners(window: WindowCoordinates, corners: Corners) -> DepthPlane:
     """The planes of triangles, either winding.
 
     From corners that are not snapped, with the order of operations of Mesa's rasterizer, so that two surfaces that
-    nearly touch are told apart as it tells them.
+    nearly touch are ordered as Mesa orders them.
     """
     clockwise = signed_area(corners.x, corners.y) < 0
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = (

@@ -27,7 +27,7 @@ OfCorners = Sequence[Int[Array, " n"]] | Int[Array, "3 n"]
 
 SUBPIXEL_BITS = 8
 SUBPIXELS = 1 << SUBPIXEL_BITS
-"""Steps to a pixel, at whole numbers of which vertices are drawn."""
+"""Steps to a pixel; vertices are drawn at whole steps."""
 
 # Vertices further than this from the viewport's centre, in pixels, are clipped first. This keeps edge coefficients
 # within 2²¹.

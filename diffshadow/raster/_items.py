@@ -25,7 +25,7 @@ class Items(NamedTuple):
 
     @classmethod
     def of(cls, lengths: Int[Array, " n"], dtype: DTypeLike = jnp.int32) -> "Items":
-        """Items of owners that have so many each; `dtype` is that of their numbers."""
+        """Items of owners that have so many each; `dtype` is the type of items' numbers."""
         return cls(lengths, jnp.cumsum(lengths, dtype=dtype))
 
     @property
@@ -36,8 +36,8 @@ class Items(NamedTuple):
     def chunk(
         self, first: Int[Array, ""] | int, length: int
     ) -> tuple[Int[Array, " length"], Int[Array, " length"], Bool[Array, " length"]]:
-        """Of the `length` items from number `first`: each one's owner, its place among those of its owner, and whether
-        there is such an item. For one that there is not, owner and place mean nothing; the owner exists."""
+        """Of the `length` items from number `first`: each one's owner, its place among its owner's items, and whether
+        there is such an item. If not, owner and place mean nothing; the owner exists."""
         item = first + jnp.arange(length, dtype=self.ends.dtype)
         exists = item < self.total
         if is_on_gpu():

@@ -2,8 +2,8 @@
 
 All faces are binned once for each level that has pages. A face is drawn once into every page that its pixel box
 touches: these pairs are numbered as the blocks of large triangles are, and a pair's page is looked up in a table.
-Corners, edge functions and depth planes are those of the level's whole map, so that a page's pixels are those of that
-map to the bit.
+Corners, edge functions and depth planes come from the level's whole map, so that a page's pixels equal that map's to
+the bit.
 """
 
 from typing import NamedTuple

@@ -85,7 +85,7 @@ def rasterize(
     - `behind`: (h, w), a face map: at each pixel its face is passed over. Given the result of a first call, the
         second-nearest layer is drawn.
     - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are
-        (l, h, w). `clip` is one view, that of the virtual map, and `resolution` that of a layer.
+        (l, h, w). `clip` is one view, of the virtual map, and `resolution` is a layer's.
     - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
         drawn into. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
@@ -120,7 +120,7 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
             "each"
         )
     if pages is not None and resolution != (pages.side, pages.side):
-        raise ValueError(f"the resolution is {resolution}; expected that of the pages' layers, {pages.side} pixels")
+        raise ValueError(f"the resolution is {resolution}; expected the side of the pages' layers, {pages.side} pixels")
     if isinstance(clip, Tracer):
         # Outside of `jit`, this gives the values of what is traced for its derivative, as by `jax.jvp`.
         clip = lax.stop_gradient(clip)

@@ -19,7 +19,7 @@ _SLACK = SUBPIXELS // 8
 def extent(
     x: Sequence[Float[Array, " n"]], y: Sequence[Float[Array, " n"]], low: Float[Array, " n"], high: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """The least and the greatest x of triangles where y is from `low` to `high`: that of their edges there.
+    """The least and the greatest x of triangles where y is from `low` to `high`; both lie on edges.
 
     Infinity and minus infinity where there are none.
 

@@ -1,7 +1,10 @@
-"""Points of a light's view, sorted so that those in a part of it are found.
+"""Search structure for the points of a light's view.
 
-The points are cut into horizontal strips of equally many, and each strip is sorted from left to right and cut into
-blocks. However unevenly points are spread, no strip and no block is empty or overfull, which a grid's cells would be.
+It finds the points in a rectangle of the view. The n points, with x and y from 0 to 1, are sorted by y and cut into
+`s` horizontal strips of equally many points. Each strip is sorted by x and cut into `b` blocks of 16 points; b is about
+√n / 16, and filling and points that are not valid come last. Each strip stores its range of y, (s,), and each block its
+range of x, (s·b,). However unevenly points are spread, all blocks but the last ones are full. A grid would have
+empty and overfull cells.
 """
 
 import math
@@ -23,7 +26,7 @@ _KEY_BITS = 31
 class Strips(NamedTuple):
     """Points in strips of blocks: `s` strips of `b` blocks of `p` points.
 
-    - `order`: (s·b, p), the index of each point among all; those that are filling have the number of points.
+    - `order`: (s·b, p), the index of each point among all n; n for filling.
     - `low`, `high`: (s,), the least and greatest y in each strip; infinity in strips without points.
     - `left`, `right`: (s·b,), the least and greatest x in each block; infinity in blocks without points.
     """

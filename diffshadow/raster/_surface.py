@@ -77,7 +77,7 @@ def draw_surface(
     **Arguments:**
 
     - `cull`, `buffer`: as for `rasterize`.
-    - `subpixels`: steps to a pixel, at whole numbers of which an engine's rasterizer places vertices before it
+    - `subpixels`: steps to a pixel; an engine's rasterizer places vertices at whole steps before it
         interpolates: 16 in Chromium without graphics hardware. If left out, surfaces are interpolated between the
         vertices themselves.
 

@@ -294,7 +294,7 @@ def least_depth_and_face(drawing: Drawing, behind: Int[Array, "rows columns"] | 
     Faces in `behind`, a buffer of the drawing, are passed over. Of several faces at the same depth it is the first, or
     the last where the depth test lets equal depths pass.
     """
-    # The least complement is that of the greatest face.
+    # The greatest face has the least complement.
     order = lambda face: ~face if drawing.test.compare == "less_equal" else face
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
@@ -313,7 +313,7 @@ def least_depth_and_face(drawing: Drawing, behind: Int[Array, "rows columns"] | 
     def depth_and_face(key: Array, first: Array | int) -> Any:
         depth = lax.bitcast_convert_type((key >> _FACE_BITS).astype(jnp.int32), jnp.float32)
         face = order(key.astype(jnp.int32))
-        # The bits of an infinite depth, and of none at all, are those of no number below infinity.
+        # The bits of an infinite depth, and of no depth at all, encode no number below infinity.
         seen = depth < jnp.inf
         return finish(jnp.where(seen, depth, jnp.inf), jnp.where(seen, face, -1), first)
 

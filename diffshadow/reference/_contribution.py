@@ -65,7 +65,7 @@ def _job(scene: Scene, blockers: Blockers) -> Job:
 
 
 def _batches(job: Job) -> Iterator[tuple[Any, Any, Any]]:
-    """For each batch of pixels, the indices of those that hit a surface, the hits, and points of the light."""
+    """For each batch of pixels, the indices of pixels whose ray hits a surface, the hits, and points of the light."""
     assert job.sampling is not None
     step = max(1, BATCH // job.sampling.samples)
     for first in range(0, job.size, step):

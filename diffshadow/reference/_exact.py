@@ -95,7 +95,7 @@ def trace_visibility_exact(
     """`trace_visibility` with every ray in float64 and tested against every triangle.
 
     Meant for scenes of a few hundred triangles and images of a few thousand pixels: the time grows with the product of
-    pixels, samples and triangles. Arguments, result, errors and sample points are those of `trace_visibility`, so the
+    pixels, samples and triangles. Arguments, result, errors and sample points are as in `trace_visibility`, so the
     two results differ by rounding only.
     """
     return trace_with(ExactTracer, scene, samples, sampler, seed, progress, supersampling, blockers)

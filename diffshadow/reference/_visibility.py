@@ -69,7 +69,7 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
 
     **Arguments:**
 
-    - `visibility`: (h, w), in [0, 1], row 0 at the bottom; h and w are those of the scene's camera.
+    - `visibility`: (h, w), in [0, 1], row 0 at the bottom; h and w are the camera's resolution.
 
     **Returns:** a `Reference` with `samples` 0 and `standard_error` 0.
 

@@ -191,7 +191,7 @@ class Setting:
 class Settings:
     """What can be set of one thing. Each annotation is a type with marks, and each value a default.
 
-    `ascending` names pairs of keys, the first of which must be less than the second, or at most equal to it if the pair
+    `ascending` names pairs of keys. The first must be less than the second, or at most equal to it if the pair
     ends in `True`.
     """
 

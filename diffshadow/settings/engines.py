@@ -92,7 +92,7 @@ class BabylonJs(Engine):
         Limits(0, 1024, above_low=True),
         Unit("texels"),
         Fitted(),
-        "blurScale: radius of POISSONSAMPLING, or size of a map over that of its blur",
+        "blurScale: radius of POISSONSAMPLING, or size of a map over its blur's size",
     ] = 2.0
     depth_scale: Annotated[
         float,

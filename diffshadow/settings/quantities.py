@@ -7,7 +7,7 @@ from ._settings import Form, Limits, LongerThan, Unit
 MAX_TEXELS = 8192
 """The most texels or pixels along a side of a map or an image. No filter or bias needs to reach farther."""
 MAX_VIRTUAL = 65536
-"""The most texels along a side of a map of which only pages are drawn. The rasterizer's coordinates go no farther."""
+"""The most texels along a side of a map that is drawn in pages only. The rasterizer's coordinates go no farther."""
 FARTHEST = 1e9
 """The greatest coordinate and length, in world units. Normals are cross products of edges, and their lengths are
 squared, so the fourth power of a length must be representable in float32, which ends at 3e38."""

@@ -27,7 +27,7 @@ class TracedReference(Reference):
     # More gain nothing in float32.
     samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel"] = 64
     sampler: Annotated[Sampler, "how points of the light are chosen"] = "sobol"
-    blockers: Annotated[Blockers, "meshes that block rays: those that cast, or all, also with casts: false"] = "casters"
+    blockers: Annotated[Blockers, "meshes that block rays: casters, or all, also with casts: false"] = "casters"
     # More are not worth their memory.
     supersampling: Annotated[
         int,

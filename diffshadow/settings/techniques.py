@@ -9,10 +9,10 @@ from .filters import Shape
 from .quantities import MAX_FACTOR, MAX_LAYERS, MAX_VIRTUAL, Distance, Fraction, Size, Texels
 
 DepthRange = Literal["camera", "surface"]
-"""Whether a layout fits maps to all depths between the camera's near and far, or to those of the surface it sees."""
+"""Whether a layout fits maps to all depths from the camera's near to far, or to the depths of the surface it sees."""
 CascadeFit = Literal["cascade", "scene"]
 CascadeSelection = Literal["interval", "map"]
-"""Which cascade a point falls in: that of its depth, or the first whose map contains it."""
+"""Which cascade a point falls in: by its depth, or the first whose map contains it."""
 WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 LevelNorm = Literal["area", "worst"]
 """Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
@@ -100,9 +100,9 @@ class Cascades(FittedLayout):
     depths: Annotated[DepthRange, "what is sliced: the camera's near to its far, or the depths that it sees"] = "camera"
     fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its end"] = "cascade"
     stabilize: Annotated[bool, "whether texels stay where they are on surfaces as the camera moves and turns"] = True
-    select: Annotated[
-        CascadeSelection, "a receiver's cascade: that of its depth, or the first whose map contains it"
-    ] = "interval"
+    select: Annotated[CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"] = (
+        "interval"
+    )
     blend: Annotated[Fraction, Fitted(), "part of each slice over which its cascade fades into the next"] = 0.1
     max_blend: Annotated[
         Fraction | None, "greatest blend, which maps are drawn for; default: blend, in a fit its upper bound"
@@ -134,14 +134,14 @@ class PerspectiveWarp(FittedLayout):
     ] = 0.3
     depths: Annotated[
         DepthRange | None,
-        "what the map shows: all depths of the camera, or those that it sees; default: camera, or surface for "
+        "what the map shows: all depths of the camera, or the depths that it sees; default: camera, or surface for "
         "perspective",
     ] = None
 
 
 class ResolutionMatched(FittedLayout):
-    """A virtual map under each directional light, of which the pages that the camera needs are drawn, at the resolution
-    of the screen."""
+    """A virtual map under each directional light. Only the pages that the camera needs are drawn, at the resolution of
+    the screen."""
 
     type: Literal["resolution_matched"] = "resolution_matched"
     page: Annotated[

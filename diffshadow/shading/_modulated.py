@@ -38,7 +38,7 @@ class ModulatedShadow(AbstractShading):
     factor: Scalar = eqx.field(converter=as_number, default=Settings.factor)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
-        """The image of `surface`; arguments, result and errors are those of `AbstractShading`. Pixels without a surface
+        """The image of `surface`; arguments, result and errors are as for `AbstractShading`. Pixels without a surface
         keep their colour."""
         pairs = each_light(visibility, light)
         image = self.lit(surface, [jnp.ones_like(seen) for seen, _ in pairs], [light for _, light in pairs], camera)

@@ -71,7 +71,7 @@ class Phong(AbstractShading):
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
-        """The image of `surface`; arguments, result and errors are those of `AbstractShading`."""
+        """The image of `surface`; arguments, result and errors are as for `AbstractShading`."""
         to_camera = _towards_camera(surface, camera)
         image = surface.albedo * self.ambient
         for seen, each in each_light(visibility, light):

@@ -63,7 +63,7 @@ def to_glsl(part: AbstractBias | AbstractFilter) -> str:
     if offsets:
         text += [
             "// How far the receiver moves along its normal before it is projected, in widths of a texel at the\n"
-            "// receiver. The arguments of shadow_bias are those of the receiver where it was.",
+            "// receiver. The arguments of shadow_bias belong to the receiver where it was.",
             "float shadow_normal_offset(float cosine) {",
             f"    return {' + '.join(map(_offset, offsets))};",
             "}",
@@ -72,7 +72,7 @@ def to_glsl(part: AbstractBias | AbstractFilter) -> str:
 
 
 def _parts(bias: AbstractBias) -> list[AbstractBias]:
-    """The biases that `bias` adds up, without those that are 0."""
+    """The biases that `bias` adds up, without zeros."""
     if not isinstance(bias, Bias):
         return [bias]
     if bias.plane is not None or bias.factors is not None:

@@ -1,4 +1,10 @@
-"""Look-ups: where biased receivers sample the map, and the depth they compare with."""
+"""Look-ups: where biased receivers sample the map, and the depth they compare with.
+
+A look-up is a receiver after its bias: a place x and y in texels and a window depth, each (h, w). A kernel reads texels
+around the place, its taps, and compares their stored depths with this depth. With a receiver plane, the depth changes
+from tap to tap by a slope, in window depth per texel, along x and along y, (h, w) each. Everything is elementwise, so
+any shape (*n,) serves in place of (h, w): a chunk of pixels, or a list of gathered ones.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +23,7 @@ from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """Where receivers sample the map, and the depth they compare with. Shapes are those of an image; any other works.
+    """Where receivers sample the map, and the depth they compare with. Shapes are an image's; any other works.
 
     - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes both as one array
         `texel` (h, w, 2).

@@ -1,4 +1,12 @@
-"""Shadow maps (Williams 1978): the scene's depth as the light sees it."""
+"""Shadow maps (Williams 1978): the scene's depth as the light sees it.
+
+A map holds, for each texel of the light's image, a window depth at the texel's centre, by default the nearest caster's:
+(h, w), from 0 at the near plane to 1 at the far plane, and 1 where the light sees nothing. Row 0 is the bottom row.
+A light with several views, such as a point light or cascades, has a layer for each: (l, h, w).
+
+Where outlines are needed, a map also holds the casters' silhouettes within its texels. They give shadows derivatives
+with respect to lights and meshes.
+"""
 
 import dataclasses
 from typing import Any, ClassVar
@@ -327,7 +335,7 @@ def _with_corners(
 
 @eqx.filter_jit
 def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
-    """Clip coordinates of all layers of a map, and then of those of an image of its texels' corners."""
+    """Clip coordinates of all layers of a map, and then of all layers of an image of its texels' corners."""
     layers = clip.reshape(-1, *clip.shape[-2:])
     return jnp.concatenate([layers, _about_corners(layers, resolution)])
 

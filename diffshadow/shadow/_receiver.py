@@ -1,4 +1,11 @@
-"""Receivers: the surface points that are shaded, as the light sees them."""
+"""Receivers: the surface points that are shaded, as the light sees them.
+
+A camera's image of points (h, w, 3), in world units, is projected into the light's view. Each point gets a place in the
+map (h, w, 2), in texels, with the centre of the first texel at (0.5, 0.5), a window depth (h, w), in [0, 1] within the
+light's depth range, and a layer (h, w) if the map has several. It also gets the inputs of a bias: the cosine to the
+light, the width of a texel in world units, and the receiver plane's depth slope in the map, (h, w, 2). Pixels without
+a surface hold finite dummy values.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -59,7 +66,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 
     **Arguments:**
 
-    - `layer`: (h, w), which of the light's maps each point falls in; the one that the light's `layer` says if left out.
+    - `layer`: (h, w), which of the light's maps each point falls in; from the light's `layer` if left out.
     """
     layer = shadow_map.light.layer(surface.position) if layer is None else layer
     view = shadow_map.view.facing(layer)

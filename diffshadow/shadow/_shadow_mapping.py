@@ -131,7 +131,7 @@ class ShadowMapping(AbstractTechnique):
         return _visibility(self.layout, self.filter, self.bias, self.compare, state, surface)
 
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): those that the map covers."""
+        """Pixels whose surface lies within the light's frustum, (h, w): the map covers them."""
         return _covered(self.layout, self.bias, state, surface)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:

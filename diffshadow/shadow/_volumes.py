@@ -44,7 +44,7 @@ from ..settings.techniques import VolumeMethod
 from ._technique import AbstractTechnique
 
 # Surfaces are moved this much nearer, in window depth, so that coplanar caps lie behind them despite rounding. It is
-# thousands of times the rounding error of float64, and 1/65,000 of that of float32.
+# thousands of times the rounding error of float64, and 1/65,000 of float32's.
 _BEFORE = 2.0**-40
 # A parallel projection cannot show points at infinity, so volumes end this many far distances away.
 _NEARLY_INFINITE = 2.0**20
@@ -134,7 +134,7 @@ class ShadowVolumes(AbstractTechnique):
         return surface.mask
 
     def _count(self, state: VolumeScene) -> "_Found":
-        # The view is bitwise the one that surfaces are drawn with. All else is in double precision: a volume's side may
+        # The view is bitwise the view that draws surfaces. All else is in double precision: a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
         view = state.camera.view()
         with jax.enable_x64(True):

@@ -202,7 +202,7 @@ def inline_svg(figure: Figure, name: str) -> str:
 def themed(svg: str) -> str:
     """The text of Matplotlib's SVG file as an `<svg>` for a page, with colours that follow the page's theme."""
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    # Matplotlib numbers ids from 1 in each figure; keep only those that are referred to.
+    # Matplotlib numbers ids from 1 in each figure; keep only the ids that are referred to.
     svg = re.sub(r' id="([^"]*)"', lambda found: found[0] if f"#{found[1]}" in svg else "", svg)
     for name, (colour, _) in THEME.items():
         svg = svg.replace(colour, f"var(--{name})")

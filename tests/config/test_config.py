@@ -545,7 +545,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_fault_is_told_with_line_key_and_remedy(name):
+def test_fault_is_reported_with_line_key_and_remedy(name):
     text, expected = BROKEN[name]
     assert fault(TINY + text) == f"file.yaml:{expected}"
 
@@ -657,7 +657,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_fault_of_a_scene_is_told_with_line_key_and_remedy(name):
+def test_fault_of_a_scene_is_reported_with_line_key_and_remedy(name):
     text, expected = SCENES[name]
     assert fault("scene:\n" + text) == f"file.yaml:{expected}"
 
@@ -693,7 +693,7 @@ def test_forgotten_builtin_is_suggested():
     assert "did you mean 'builtin:torus_knot'?" in fault("scene: {meshes: [path: torus_knot]}")
 
 
-def test_every_problem_is_told_at_once_in_the_order_of_the_file():
+def test_every_problem_is_reported_at_once_in_the_order_of_the_file():
     text = """\
 seed: -1
 scene:
@@ -748,7 +748,7 @@ seed: 3
         ("a: &x [*x]\n", "1: a.0: contains itself; expected plain data"),
     ],
 )
-def test_what_is_no_configuration_is_told_with_its_line(text, expected):
+def test_what_is_no_configuration_is_reported_with_its_line(text, expected):
     assert faults(text)[0].startswith(f"file.yaml:{expected}")
 
 
@@ -763,7 +763,7 @@ def test_aliases_stand_for_what_they_repeat():
     assert first == second
 
 
-def test_unreadable_files_are_told(tmp_path):
+def test_unreadable_files_are_reported(tmp_path):
     (tmp_path / "quick.yaml").write_bytes(b"name: x\nseed: \xff\n")
     for name, expected in {
         "quick.yaml": "quick.yaml:2: holds the byte 0xff; expected UTF-8 text; save the file as UTF-8",
@@ -821,7 +821,7 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
         ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights; give it a value"),
     ],
 )
-def test_fault_of_an_override_is_told_with_the_override(override, expected):
+def test_fault_of_an_override_is_reported_with_the_override(override, expected):
     with pytest.raises(ConfigError) as caught:
         load_config(QUICKSTART, [override])
     assert any(line.startswith(f"override {override!r}: {expected}") for line in str(caught.value).splitlines())
@@ -897,7 +897,7 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
         ("filter: {type: pcss, max_radius: 47}\n", "2: filter.max_radius: lets the filter read 47.5 texels away"),
     ],
 )
-def test_filter_wider_than_a_point_light_s_guard_is_told(text, expected):
+def test_filter_wider_than_a_point_light_s_guard_is_reported(text, expected):
     assert fault(POINT + text).startswith(f"file.yaml:{expected}")
 
 
@@ -962,7 +962,7 @@ def test_fault_of_a_fit_keeps_no_render_from_its_work(text):
     assert describe(config)
 
 
-def test_name_that_no_scene_has_is_told_in_a_render_too():
+def test_name_that_no_scene_has_is_reported_in_a_render_too():
     for name in ("bias.slop", "scene.lihgt.azimuth", "scene.meshes.0.vertices.99999999999999999999.x"):
         with pytest.raises(ConfigError, match="cannot be fitted"):
             parse_config(TINY + f"fit: {{parameters: {{{name}: {{lower: 0, upper: 1}}}}}}\n")
@@ -1058,7 +1058,7 @@ def test_parameters_that_are_no_section_are_reported_beside_blurs(parameters):
     assert any(p.key == "fit.parameters" and "expected a section" in p.message for p in problems)
 
 
-def test_half_a_character_is_told():
+def test_half_a_character_is_reported():
     assert "file.yaml:2: output: is '\\ud800', with an invalid character" in str(caught(f'{TINY}output: "\\ud800"\n'))
 
 
@@ -1068,7 +1068,7 @@ def test_half_a_character_in_the_key_of_an_override_is_reported(override):
     assert "has an invalid character in its key; expected UTF-8 text" in str(problem)
 
 
-def test_folder_whose_name_is_no_text_is_told(tmp_path):
+def test_folder_whose_name_is_no_text_is_reported(tmp_path):
     folder = tmp_path / "\udcff"
     folder.mkdir()
     (folder / "a.obj").touch()
@@ -1082,7 +1082,7 @@ def test_empty_key_has_a_name():
 
 
 @pytest.mark.parametrize("name", ["a" * 201, "é" * 101])
-def test_name_too_long_for_a_folder_is_told(name):
+def test_name_too_long_for_a_folder_is_reported(name):
     size = len(name.encode())
     assert fault(f"name: {name}\n{TINY}").startswith(f"file.yaml:1: name: has {size} bytes; expected at most 200")
     assert parse_config(f"name: {'é' * 100}\n{TINY}").name == "é" * 100
@@ -1105,7 +1105,7 @@ def test_home_is_the_present_user_s_alone(tmp_path, monkeypatch):
         assert "which begins with the home folder of another user; expected a path, in which ~/ is the current" in said
 
 
-def test_path_that_cannot_be_looked_up_is_told():
+def test_path_that_cannot_be_looked_up_is_reported():
     assert "scene.meshes.0.path: cannot be read (File name too long)" in fault(
         f"scene: {{meshes: [path: {'x' * 300}.obj]}}\n"
     )

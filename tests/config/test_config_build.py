@@ -221,7 +221,7 @@ scene:
         ("scene.light={type: spot, position: [0, 0.3, 0]}", "scene.light: the spot light at"),
     ],
 )
-def test_poses_that_cannot_be_are_told_with_their_key(override, said):
+def test_poses_that_cannot_be_are_reported_with_their_key(override, said):
     with pytest.raises(ConfigError) as caught:
         build(override)
     assert str(caught.value).startswith(f"override {override!r}: {said}")
@@ -236,20 +236,20 @@ def test_poses_that_cannot_be_are_told_with_their_key(override, said):
         ("{path: builtin:torus, options: {segments: 4294967296}}", "scene.meshes.0.options.segments: is 4294967296"),
     ],
 )
-def test_mesh_beyond_single_precision_or_memory_is_told_with_its_key(mesh, said, tmp_path):
+def test_mesh_beyond_single_precision_or_memory_is_reported_with_its_key(mesh, said, tmp_path):
     (tmp_path / "big.obj").write_text("v 1e30 0 0\nv 0 0 0\nv 0 1e30 0\nf 1 2 3\n")
     with pytest.raises(ConfigError) as caught:
         build_scene(parse_config(f"scene: {{meshes: [{mesh}]}}", folder=tmp_path, source="file.yaml"))
     assert str(caught.value).startswith(f"file.yaml:1: {said}")
 
 
-def test_scene_of_too_many_triangles_is_told(monkeypatch):
+def test_scene_of_too_many_triangles_is_reported(monkeypatch):
     monkeypatch.setattr("diffshadow.config.building._modules._MOST_TRIANGLES", 20)
     with pytest.raises(ConfigError, match=r"scene\.meshes\.1: brings the scene to 24 triangles; expected at most 20"):
         build(text="scene: {meshes: [{path: builtin:box}, {path: builtin:box}, {path: builtin:box}]}")
 
 
-def test_damaged_mesh_file_is_told_with_line_and_key(tmp_path):
+def test_damaged_mesh_file_is_reported_with_line_and_key(tmp_path):
     (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     file = tmp_path / "c.yaml"
     file.write_text("scene:\n  meshes:\n    - path: nan.obj\n")
@@ -304,7 +304,7 @@ def test_render_takes_no_number_from_the_section_fit():
 
 
 @pytest.mark.parametrize("initial", ["", "initial: 5, "])
-def test_truth_that_no_fit_can_find_is_told(initial):
+def test_truth_that_no_fit_can_find_is_reported(initial):
     parameter = f"scene.meshes.0.translate.x: {{{initial}lower: 4, upper: 9}}"
     config = parse_config(f"{TINY}fit: {{parameters: {{{parameter}}}}}\n", source="file.yaml")
     with pytest.raises(ConfigError) as caught:
@@ -464,7 +464,7 @@ def test_position_of_a_rectangle_light_is_fitted_and_its_angles_are_not():
         build_fit(parse_config(TINY, [light, bounds("azimuth")]))
 
 
-def test_a_directional_light_frames_what_casts_where_it_is_told_to():
+def test_a_directional_light_frames_what_casts_if_set_to():
     ground = "scene.meshes=[{path: builtin:box}, {path: builtin:plane, options: {size: 9}, casts: false}]"
     wide = build(ground, "scene.light={}").light
     narrow = build(ground, "scene.light={frame: casters}").light
@@ -503,7 +503,7 @@ def test_a_shadow_camera_looks_along_the_light_from_its_position(direction):
         ("position: [0.2, 4, -30]", "bottom and top are -0.5 and 1.5"),
     ],
 )
-def test_a_shadow_camera_that_sees_nothing_is_told(change, words):
+def test_a_shadow_camera_that_sees_nothing_is_reported(change, words):
     camera = f"{change}{WINDOW.removeprefix('position: [1, 4, 2]')}"
     with pytest.raises(ConfigError, match=r"scene\.light: shadow_camera sees nothing of the scene") as caught:
         build(f"scene.light={{direction: [0, -1, 0], shadow_camera: {{{camera}}}}}")
@@ -542,7 +542,7 @@ def test_open_caster_is_refused_where_back_faces_cast_for_it():
     assert build_scene(volumes).receivers is None
 
 
-def test_casters_and_receivers_are_told_apart():
+def test_casters_and_receivers_are_distinguished():
     scene = build_scene(parse_config(CASTING.format(box="false"), ["shadow_map.cull=none"]))
     assert scene.casters.faces.shape == (2, 3)
     assert scene.receivers is not None

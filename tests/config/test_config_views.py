@@ -97,7 +97,7 @@ def test_what_is_written_out_has_the_same_views():
     assert (again.views, again.validation) == (config.views, config.validation)
 
 
-def test_runs_of_a_sweep_are_told_apart_by_their_views_and_the_content_of_their_meshes():
+def test_runs_of_a_sweep_are_distinguished_by_their_views_and_the_content_of_their_meshes():
     sweep = "\nsweep: {run: fit, grid: {seed: [1, 2]}}\n"
 
     def ids(axes):

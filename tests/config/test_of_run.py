@@ -30,11 +30,11 @@ def run_of(result: object, *files: str) -> Path:
 @pytest.mark.parametrize(
     ("result", "file", "origin"),
     [
-        ({"kind": "fit", "fitted": {"bias.constant": 2.0}}, "fitted.yaml", "those that the fit found"),
-        (SWEPT, "fitted.yaml", "those that the fit found"),
-        ({"kind": "advise"}, "recommended.yaml", "those of the recommended technique"),
-        ({"kind": "render"}, "config.yaml", "those of the run"),
-        ({"id": "a", "status": "ok", "metrics": {"rmse": 0.1}}, "config.yaml", "those of the run"),
+        ({"kind": "fit", "fitted": {"bias.constant": 2.0}}, "fitted.yaml", "the fit"),
+        (SWEPT, "fitted.yaml", "the fit"),
+        ({"kind": "advise"}, "recommended.yaml", "the recommended technique"),
+        ({"kind": "render"}, "config.yaml", "the run"),
+        ({"id": "a", "status": "ok", "metrics": {"rmse": 0.1}}, "config.yaml", "the run"),
     ],
 )
 def test_a_folder_and_its_config_name_what_the_run_found(result, file, origin):
@@ -47,7 +47,7 @@ def test_any_other_file_is_taken_as_it_is():
     folder = run_of({"kind": "fit"}, "fitted.yaml", "mine.yaml")
     Path("config.yaml").write_text("")
     for given in (folder / "mine.yaml", folder / "fitted.yaml", Path("config.yaml"), Path("missing.yaml"), Path("\0")):
-        assert settings_file(given) == (given, f"those of {given}")
+        assert settings_file(given) == (given, str(given))
 
 
 @pytest.mark.parametrize(

@@ -220,7 +220,7 @@ def changed(matrix, row, column, value):
         (RIGID, FRUSTUM, {"is_perspective": False}, "has is_perspective = False, but .*; expected them to agree"),
         (RIGID, changed(FRUSTUM, 1, 1, -1.0), {}, "flip y if it points down"),
         (RIGID, changed(FRUSTUM, 2, 0, 0.3), {}, "do not use oblique near planes"),
-        (RIGID, changed(BOX, 0, 1, 0.3), {}, "expected a matrix like that of glFrustum or glOrtho"),
+        (RIGID, changed(BOX, 0, 1, 0.3), {}, "expected a matrix as glFrustum or glOrtho makes"),
         (RIGID, np.asarray(perspective(SIDES, SIDES, FAR, NEAR)), {}, "has near = 9.0.* expected 0 < near < far"),
         (RIGID, np.asarray(orthographic(SIDES, SIDES, FAR, NEAR)), {}, "expected near < far"),
         (RIGID, changed(changed(FRUSTUM, 2, 2, -1.0), 2, 3, -1.0), {}, "and far = .*inf; expected 0 < near < far"),

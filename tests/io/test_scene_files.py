@@ -180,7 +180,7 @@ def test_what_is_hidden_is_left_out_and_named(tmp_path):
     scene = read_scene(stored(tmp_path, MESH, {**MESH, "name": "twin", "visible": False}, group))
     assert [mesh.name for mesh in scene.meshes] == ["box"]
     assert scene.lights == []
-    assert "twin, ghost, moon: visible = false, or that of a group around; left out" in scene.remarks
+    assert "twin, ghost, moon: visible = false, here or in a group around; left out" in scene.remarks
 
 
 def test_only_the_finest_level_of_detail_is_drawn(tmp_path):
@@ -247,7 +247,7 @@ def test_a_file_that_is_no_scene_gets_one_message(tmp_path, name):
 GEOMETRY_FAULTS = {
     "an unknown shape": (
         {"uuid": "g", "type": "TubeGeometry"},
-        "has a TubeGeometry, of which it stores parameters alone",
+        "has a TubeGeometry, stored as parameters alone",
     ),
     "no segments": ({**BOX, "widthSegments": 0}, "BoxGeometry has widthSegments = 0"),
     "no number": ({**BOX, "width": "wide"}, "BoxGeometry has width = 'wide'"),
@@ -500,7 +500,7 @@ def test_degenerate_faces_do_not_shift_normals(tmp_path):
     np.testing.assert_allclose(np.asarray(mesh.corner_normals), np.eye(3)[None])
 
 
-def test_a_file_without_normals_is_told(tmp_path):
+def test_a_file_without_normals_is_reported(tmp_path):
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(FileError, match="has no normals of vertices"):
         load_mesh(tmp_path / "mesh.obj", None)

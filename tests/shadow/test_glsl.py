@@ -173,6 +173,6 @@ def test_exported_bias_is_a_few_lines_with_all_digits():
         (Tent(2.0), r"the filter is of type Tent, which has no GLSL; expected Separable or Castano"),
     ],
 )
-def test_what_has_no_glsl_is_told(part, message):
+def test_what_has_no_glsl_is_reported(part, message):
     with pytest.raises(ValueError, match=message):
         to_glsl(part)

@@ -400,5 +400,5 @@ def test_bad_settings_are_refused():
         ResolutionMatched(shadow_distance=50.0).light(scene.light, scene.camera, (256, 256), surface)
     with pytest.raises(ValueError, match="edges were given for a map with pages"):
         draw_shadow_map(mesh, paged(scene.light, scene.camera, SOME), (SIDE, SIDE), edges=Edges.of(mesh), crossings=8)
-    with pytest.raises(ValueError, match=r"expected that of the pages' layers, 28"):
+    with pytest.raises(ValueError, match=r"expected the side of the pages' layers, 28"):
         rasterize(jnp.zeros((3, 4)), jnp.zeros((1, 3), jnp.int32), (32, 32), pages=pages_of(SOME))

@@ -195,7 +195,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_told_with_their_place_before_anything_runs(fault):
+def test_faults_are_reported_with_their_place_before_anything_runs(fault):
     section, place, remedy = FAULTS[fault]
     with pytest.raises(ConfigError) as caught:
         advice_of(section)
@@ -473,7 +473,7 @@ def test_page_is_written_again_from_the_files_alone(finished):
     assert (folder / "front.svg").is_file()
 
 
-def test_damaged_and_incomplete_folders_are_told(finished, tmp_path):
+def test_damaged_and_incomplete_folders_are_reported(finished, tmp_path):
     from diffshadow.io import FileError
 
     _, folder, _ = finished
@@ -616,7 +616,7 @@ def test_validation_of_a_fit_is_in_the_table_of_its_sweep():
     assert result_of(folder)["advice"]["candidates"][0]["rmse"] == min(table["validation.after.rmse"])
 
 
-def test_failed_fit_is_left_out_and_told(quick, monkeypatch):
+def test_failed_fit_is_left_out_and_reported(quick, monkeypatch):
     from diffshadow.study.sweeps import _work as work
 
     def ill(config, batch, stages):

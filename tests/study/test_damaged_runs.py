@@ -129,7 +129,7 @@ def test_message_names_file_key_and_what_was_expected(path, runs, told, tmp_path
     assert f'result.json is damaged: {".".join(path)} is "text"; expected {expected}: run it again' in error
 
 
-def test_parts_of_a_result_that_disagree_are_told(runs, told, tmp_path):
+def test_parts_of_a_result_that_disagree_are_reported(runs, told, tmp_path):
     folder = copied(runs["fit"], tmp_path / "run")
     good = json.loads((folder / "result.json").read_text())
     for path, new, said in (
@@ -137,7 +137,7 @@ def test_parts_of_a_result_that_disagree_are_told(runs, told, tmp_path):
         (
             ("initial",),
             {"bias.constant": 1.0},
-            "initial: has the keys bias.constant; expected those of fitted, bias.constant, filter.radius",
+            "initial: has the keys bias.constant; expected the keys of fitted, bias.constant, filter.radius",
         ),
         (
             ("bounds", "filter.radius", "upper"),

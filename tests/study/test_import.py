@@ -355,7 +355,7 @@ def test_a_lamp_in_a_room_is_seen_under_a_degree_from_its_walls(tmp_path, at):
 def test_a_lamp_is_as_large_as_its_own_mesh(tmp_path, material):
     radius, said = room(tmp_path, {"name": "bulb", "geometry": "bulb", "material": material})
     assert radius == pytest.approx(0.05, rel=0.02)
-    assert "its light's radius is 0.05 world units, that of its mesh bulb;" in said
+    assert "its light's radius is 0.05 world units, the radius of its mesh bulb;" in said
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,7 @@ def test_deferred_interrupt_is_raised_where_it_is_looked_for():
     assert signal.getsignal(signal.SIGINT) == before
 
 
-def test_what_cannot_be_opened_out_of_reach_is_told_here():
+def test_what_cannot_be_opened_out_of_reach_is_reported_here():
     def opened():
         raise ValueError("there is nothing")
 

@@ -281,7 +281,7 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (damage("config.yaml", "sede: 1"), "sede: is not a key"),
     ],
 )
-def test_what_is_no_whole_run_is_told_in_one_message(harm, said, tmp_path, capsys):
+def test_what_is_no_whole_run_is_reported_in_one_message(harm, said, tmp_path, capsys):
     folder = write_fit(tmp_path / "tiny")
     harm(folder)
     there = sorted(folder.glob("*"))
@@ -295,7 +295,7 @@ def test_what_is_no_whole_run_is_told_in_one_message(harm, said, tmp_path, capsy
     assert sorted(folder.glob("*")) == there
 
 
-def test_mistakes_of_a_comparison_are_told(tmp_path, capsys):
+def test_mistakes_of_a_comparison_are_reported(tmp_path, capsys):
     run, sweep = write_fit(tmp_path / "tiny"), write_sweep(tmp_path / "radii-sweep")
     (tmp_path / "file").touch()
     for arguments, said in (

@@ -52,7 +52,7 @@ def test_camera_that_sees_nothing_names_the_cause(camera, cause):
     assert "and the scene's size 5.74 world units; expected a part of the scene in sight; " in said
 
 
-def test_near_that_follows_from_a_far_mesh_is_told():
+def test_near_that_follows_from_a_far_mesh_is_reported():
     said = blind_camera(*scene_of("scene.meshes.0.translate=[1e6, 0, 0]"), NOTHING)
     assert said is not None
     assert "its target is 2.17 world units away; its near is " in said

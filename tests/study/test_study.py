@@ -149,7 +149,7 @@ def test_a_finished_fit_is_converted_with_its_fitted_values(finished):
     file, origin = settings_file(folder / "config.yaml")
     config = load_config(file, ["bias.slope=0"])
     said = converted(config, origin)
-    assert said.startswith(f"the values are those that the fit found, {folder / 'fitted.yaml'}")
+    assert said.startswith(f"the values come from the fit, {folder / 'fitted.yaml'}")
     # Texels are its unit.
     (texels,) = re.findall(r"Unity URP +shadowBias \(depth\) +(\S+)", said)
     assert float(texels) == pytest.approx(result_of(folder)["fitted"]["bias.constant"], rel=1e-3)
@@ -484,7 +484,7 @@ def before_work(monkeypatch) -> None:
         ),
     ],
 )
-def test_mistakes_are_told_before_any_work(command, override, said, monkeypatch, capsys, tmp_path):
+def test_mistakes_are_reported_before_any_work(command, override, said, monkeypatch, capsys, tmp_path):
     before_work(monkeypatch)
     Path("text.png").write_text("no image")
     np.save("small.npy", np.ones((8, 4), np.float32))
@@ -548,7 +548,7 @@ def test_the_verdict_comes_first_everywhere(finished, tiny_figures, tmp_path):
 
 
 @pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
-def test_flat_gradient_is_told_with_its_cause(really, tiny_figures, monkeypatch):
+def test_flat_gradient_is_reported_with_its_cause(really, tiny_figures, monkeypatch):
     def flat(problems, *arguments, **settings):
         # By the program of other tests.
         bilinear = dataclasses.replace(problems[0].technique.filter, lookup="bilinear")

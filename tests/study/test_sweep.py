@@ -201,7 +201,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_told_with_their_place_before_anything_runs(fault):
+def test_faults_are_reported_with_their_place_before_anything_runs(fault):
     section, place, remedy = FAULTS[fault]
     with pytest.raises(ConfigError) as caught:
         sweep_of(section)
@@ -215,7 +215,7 @@ def test_faults_of_the_plot_hide_none_of_the_runs():
     assert [problem.key for problem in caught.value.mistakes] == ["sweep.plot.x", "filter.radus"]
 
 
-def test_faults_of_all_runs_are_told_at_once_and_once_each():
+def test_faults_of_all_runs_are_reported_at_once_and_once_each():
     with pytest.raises(ConfigError) as caught:
         sweep_of("{grid: {filter.samples: [4, x], filter.radius: [-1, 1]}, repeats: 3}", "bias.slope=-1")
     assert [problem.key for problem in caught.value.mistakes] == ["filter.radius", "filter.samples", "bias.slope"]
@@ -263,7 +263,7 @@ def test_bounds_of_a_parameter_can_be_swept():
         ),
     ],
 )
-def test_typo_in_an_override_of_what_is_swept_is_told(override, said):
+def test_typo_in_an_override_of_what_is_swept_is_reported(override, said):
     section = "{grid: {filter.radius: [1]}, qmc: {count: 2, axes: {bias.slope: {lower: 1, upper: 2}}}}"
     with pytest.raises(ConfigError) as caught:
         sweep_of(section, override)
@@ -317,7 +317,7 @@ def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
         large.runs[24]
 
 
-def test_so_many_faults_are_not_all_told():
+def test_so_many_faults_are_not_all_reported():
     with pytest.raises(ConfigError) as caught:
         sweep_of(f"{{grid: {{filter.radius: {list(range(-300, 0))}}}, repeats: 9}}")
     assert len(caught.value.mistakes) == 100
@@ -584,7 +584,7 @@ def test_plan_is_printed_and_nothing_written(finished):
     out = text_io.StringIO()
     study.print_plan(Console(file=out, width=120), load_sweep(Path("s.yaml")), 2)
     assert "filter.pattern = uniform, filter.radius = 1, seed = 1" in out.getvalue()
-    assert "8 runs, of which 0 are done; 2 would be done now" in out.getvalue()
+    assert "8 runs; 0 are done; 2 would be done now" in out.getvalue()
     assert not Path("runs").exists()
 
 
@@ -669,7 +669,7 @@ def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypa
     assert len(taken) == 40
 
 
-def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monkeypatch):
+def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, cluster, monkeypatch):
     from distributed import KilledWorker
 
     from diffshadow.study.sweeps import _pool as sweep_pool
@@ -690,7 +690,7 @@ def test_run_that_kills_its_worker_is_told_from_the_others(quick, cluster, monke
     assert "its worker died" in columns["error"][5]
 
 
-def test_missing_scheduler_is_told(quick, monkeypatch):
+def test_missing_scheduler_is_reported(quick, monkeypatch):
     monkeypatch.setattr("diffshadow.study.sweeps._pool._CONNECT_TIMEOUT", 1)
     with pytest.raises(ValueError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'.*dask scheduler"):
         study.run_sweep(load_sweep(Path("s.yaml")), console=Console(quiet=True), scheduler="tcp://127.0.0.1:1")
@@ -699,7 +699,7 @@ def test_missing_scheduler_is_told(quick, monkeypatch):
 @pytest.mark.parametrize(
     ("answer", "said"), [(b"HTTP/1.1 400 Bad Request\r\n\r\n", ""), (b"", "the server there does not answer")]
 )
-def test_what_is_no_scheduler_is_told(answer, said, quick, monkeypatch):
+def test_what_is_no_scheduler_is_reported(answer, said, quick, monkeypatch):
     from distributed import Client
 
     monkeypatch.setattr("diffshadow.study.sweeps._pool._ANSWER_TIMEOUT", 60 if answer else 1)

@@ -82,7 +82,7 @@ def _seeds(settings: SweepConfig, draft: Draft) -> list[list[Choice]]:
 
 
 def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
-    """`draft` with the values of `choice`. Their places are those of the axes, taken from `origin`."""
+    """`draft` with the values of `choice`. Their places are the places of the axes, taken from `origin`."""
     data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
     for key, value in choice.values.items():
         # JSON is YAML, so an override preserves the value.

@@ -91,7 +91,7 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
 def parse_draft(
     text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
 ) -> Draft:
-    """Reads YAML `text` and applies `overrides`, without checking the result. Arguments are those of `parse_config`."""
+    """Reads YAML `text` and applies `overrides`, without checking the result. Arguments are as for `parse_config`."""
     data, places, mistakes = read_yaml(text, lambda line, column: Place(source, line, column))
     places = {**places, (): Place(source, 1, 1)}
     if data is None:

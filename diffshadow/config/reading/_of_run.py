@@ -24,7 +24,7 @@ _COPY = "copy config.yaml to another folder, set the values of result.json in it
 class SettingsFile(NamedTuple):
     """A configuration's file.
 
-    - `origin`: what its values are, as a part of a sentence.
+    - `origin`: where its values come from, as a part of a sentence.
     """
 
     path: Path
@@ -48,7 +48,7 @@ def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
     is_folder = "\0" not in str(given) and given.is_dir()
     folder = given if is_folder else given.parent
     if not is_folder and (given.name != CONFIG_FILE or not (folder / RESULT_FILE).is_file()):
-        return SettingsFile(given, f"those of {given}")
+        return SettingsFile(given, str(given))
     name, origin = _found(_result(folder, str(given)), str(given))
     if not (folder / name).is_file():
         mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
@@ -73,20 +73,20 @@ def with_fitted(config: Config, values: Mapping[str, float], source: str = "the 
 
 
 def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
-    """The name of the file with what a run found, and what its values are."""
+    """The name of the file with what a run found, and where its values come from."""
     kind, metrics = result.get("kind"), result.get("metrics")
     if result.get("status") == "failed":
         raise _mistake(path, "holds a run that failed; expected a finished one; read the error in result.json")
     if kind == "sweep":
         raise _mistake(path, "holds a sweep; expected a single run; give one of the folders in runs/")
     if kind == "advise":
-        return RECOMMENDED_FILE, "those of the recommended technique"
+        return RECOMMENDED_FILE, "the recommended technique"
     # Runs of a sweep have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
         what = "holds a fit of lights or meshes, whose values no configuration of the run states"
         raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")
-    return (FITTED_FILE, "those that the fit found") if is_fit else (CONFIG_FILE, "those of the run")
+    return (FITTED_FILE, "the fit") if is_fit else (CONFIG_FILE, "the run")
 
 
 def _names(result: Mapping[str, Any]) -> list[str]:

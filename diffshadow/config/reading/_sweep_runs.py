@@ -57,13 +57,13 @@ class SweepRun(NamedTuple):
 class SweepRuns(Sequence[SweepRun]):
     """The runs of a sweep, in the order of its axes. The last axis varies fastest.
 
-    Runs are made when they are needed, since a million of them would fill the memory. Only those of a small sweep are
+    Runs are made when they are needed, since a million of them would fill the memory. Only a small sweep's runs are
     kept. Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
     """
 
     def __init__(self, settings: SweepConfig, draft: Draft):
         self._settings, self._origin = settings, draft.origin
-        # Each run copies the places of keys. Those of the section sweep are left out, since there may be thousands.
+        # Each run copies the places of keys, without the section sweep, which may have thousands.
         places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
         data = {key: value for key, value in draft.data.items() if key != "sweep"}
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
@@ -255,7 +255,7 @@ def _settings_of(draft: Draft) -> SweepConfig:
 
 
 def _faults_beside_plot(draft: Draft, error: ConfigError) -> Sequence[Mistake]:
-    """What is wrong with the runs of a sweep of which nothing but the plot is at fault."""
+    """What is wrong with the runs of a sweep whose only fault is its plot."""
     if not all(mistake.key.startswith("sweep.plot") for mistake in error.mistakes):
         return ()
     settings = {key: value for key, value in draft.data["sweep"].items() if key != "plot"}

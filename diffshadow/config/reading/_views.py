@@ -29,7 +29,7 @@ Views = tuple[View, ...]
 
 
 def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> tuple[Views, Views]:
-    """The views that a fit of `config` sees, and those of its validation.
+    """The views that a fit of `config` sees, and the views of its validation.
 
     **Arguments:**
 

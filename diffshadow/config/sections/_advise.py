@@ -15,7 +15,7 @@ from ._section import Conflict, Section, fault
 PARAMETERS = "parameters"
 """The key in an entry that holds the numbers to fit; all others but the label are set."""
 LISTS = ("biases", "filters")
-"""The keys of the lists of which every combination is a technique."""
+"""The keys of the lists; every combination of their entries is a technique."""
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
@@ -24,7 +24,7 @@ _Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("te
 
 
 def _bias(label: str, *fitted: str, plane: str = "none") -> dict[str, Any]:
-    """A bias whose numbers are 0, except for those that are fitted."""
+    """A bias whose numbers are 0, except for the fitted ones."""
     most = {"constant": 30.0, "slope": 10.0, "normal_offset": 10.0}
     starts = {name: 0.5 if name in fitted else 0.0 for name in most}
     return {

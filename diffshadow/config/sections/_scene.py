@@ -37,7 +37,7 @@ class MeshConfig(Section):
         Degrees, Limits(0, 180), "edges of a mesh file bent by more are shaded sharp, in degrees"
     ] = 30.0
     normals: Annotated[
-        Literal["creases", "file"], "normals by crease_angle, or those of a mesh file's vertices (PLY, glTF)"
+        Literal["creases", "file"], "normals by crease_angle, or a mesh file's normals of vertices (PLY, glTF)"
     ] = "creases"
     albedo: Annotated[Colour, "diffuse colour, each component in [0, 1]"] = (0.8, 0.8, 0.8)
     casts: Annotated[

@@ -50,7 +50,7 @@ class Section(BaseModel, Settings):
     """A mapping in a configuration. Values are not coerced, unknown keys are errors, and sections are immutable.
 
     `conflicts` checks several keys against each other. It works on the data as given, so that its faults are reported
-    together with those of single keys.
+    together with the faults of single keys.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -277,7 +277,7 @@ def is_index(word: str) -> bool:
 
 
 def given(data: Mapping[str, Any], *keys: str) -> list[str]:
-    """Those of `keys` that have a value in `data`."""
+    """The `keys` that have a value in `data`."""
     return [key for key in keys if data.get(key) is not None]
 
 

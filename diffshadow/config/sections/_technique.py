@@ -30,8 +30,8 @@ class CascadesConfig(Section, techniques.Cascades):
 
 
 class ResolutionMatchedConfig(Section, techniques.ResolutionMatched):
-    """A virtual map under each directional light, of which the pages that the camera needs are drawn, at the resolution
-    of the screen."""
+    """A virtual map under each directional light. Only the pages that the camera needs are drawn, at the resolution of
+    the screen."""
 
     def faults(self) -> Iterator[Conflict]:
         for key, value in (("page", self.page), ("finest", self.finest)):

@@ -115,7 +115,7 @@ def _wrong_factors(config: Parts, technique: Mapped) -> Iterator[Conflict]:
 
 
 def fit_faults(config: Parts) -> Iterator[Conflict]:
-    """Faults that only a fit of `config` has, in addition to those of `data_faults_of_fit`."""
+    """Faults that only a fit of `config` has, in addition to `data_faults_of_fit`."""
     yield from fit_cost_faults(config)
     yield from _beyond_the_greatest_radius(config)
     if isinstance(config.technique, Mapped):

@@ -1,7 +1,7 @@
 """The Gaussian under which images are compared where lights or meshes move.
 
 Without it, a shadow that lies farther from its target than its outline is wide has no gradient towards it. The outlines
-of a map are also as soft as its texels, while those of a reference are sharp. Without a blur, a fit would take that
+of a map are also as soft as its texels, while a reference's outlines are sharp. Without a blur, a fit would take that
 difference for a light in another place.
 """
 
@@ -53,7 +53,7 @@ def check_falling(blurs: Sequence[float]) -> None:
 def blurred(images: Float[Array, "*n h w"], deviation: Scalar | float) -> Float[Array, "*n h w"]:
     """Images under a Gaussian of standard `deviation` σ in pixels, 0 or more; 0 beyond their borders.
 
-    Its spectrum at f cycles per pixel is multiplied by that of the Gaussian, exp(-2 π² σ² f²): one program serves every
+    Its spectrum at f cycles per pixel is multiplied by the Gaussian's, exp(-2 π² σ² f²): one program serves every
     σ, in the same time.
     """
     height, width = images.shape[-2:]

@@ -35,7 +35,7 @@ class Losses(NamedTuple):
     """The losses of a subject.
 
     - `compared`: of the compared part of the differences, which a fit minimises; `whole`: of all of them.
-    - `errors`: (v,), those of the problems, of all differences.
+    - `errors`: (v,), the error of each problem, of all differences.
     - `overflow`: whether silhouettes are missing from a map, and the images wrong.
     """
 
@@ -81,7 +81,7 @@ class Joint(eqx.Module):
         return cls(each[0].subject, each, Loss(), OwnLoss.of(loss, (problem.shape for problem in each)))
 
     def differences(self, subject: Any) -> tuple[Images, Overflow]:
-        """Those of all problems, scaled so that the sum of the squares of each is its mean square error.
+        """Difference images, each scaled so that its squares sum to its mean square error.
 
         Where the signs of differences have factors in the loss, their squares are multiplied by these.
 

@@ -30,7 +30,7 @@ _MORE_CROSSINGS = 4
 
 
 class PoseProblem(AbstractProblem):
-    """An arrangement, what it is fitted to under one of its lights, and what stays as it is.
+    """An arrangement, its target under one of its lights, and all that a fit leaves alone.
 
     - `arrangement`: whose numbers are fitted.
     - `scene`: the meshes and the camera, and one light, as they stand before the arrangement moves them.
@@ -194,7 +194,7 @@ class PoseProblem(AbstractProblem):
     def padded(self) -> "PoseProblem":
         """With its meshes padded to few sizes, so that problems of like size share compiled programs.
 
-        A mesh of which single vertices are fitted stays as it is: what fills it up would not move with them.
+        A mesh whose vertices are fitted one by one is not padded: the padding would not move with them.
         """
         own, poses = self.scene.meshes, self.arrangement.meshes
         meshes = [mesh if pose.vertices else mesh.padded() for mesh, pose in zip(own, poses, strict=True)]
@@ -203,7 +203,7 @@ class PoseProblem(AbstractProblem):
             return dataclasses.replace(self, scene=scene)
         casts = self.scene.casts or [True] * len(own)
         sizes = lambda of: [(len(of(a)), len(of(b))) for a, b, c in zip(own, meshes, casts, strict=True) if c]
-        # Where the casters' own vertices and faces are among those that are padded.
+        # Where the casters' own vertices and faces are among the padded ones.
         places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
         edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
         return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))

@@ -126,7 +126,7 @@ def _fits(shadow_map: Any, like: ShadowMap) -> bool:
 
 
 def of_one_structure(problems: Sequence[TechniqueProblem]) -> list[list[TechniqueProblem]]:
-    """The problems in groups whose arrays have equal shapes, those of large images first."""
+    """The problems in groups whose arrays have equal shapes, large images first."""
     return [[problems[number] for number in group] for group in _numbers_of_one_structure(problems)]
 
 

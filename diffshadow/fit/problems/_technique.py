@@ -19,12 +19,12 @@ from .._own_loss import Seen
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
-# The side of a tile of pixels: a multiple of that of most patterns of taps.
+# The side of a tile of pixels: a multiple of the side of most patterns of taps.
 _TILE = 16
 
 
 class TechniqueProblem(AbstractProblem):
-    """A technique, what it is fitted to, and what stays as it is.
+    """A technique, its target, and all that a fit leaves alone.
 
     - `technique`: whose numbers are fitted.
     - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter. The map is drawn again only where
@@ -122,8 +122,8 @@ class TechniqueProblem(AbstractProblem):
 
         A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
         its tile does not divide these. The pixels of each place are drawn at random, one from each of as many runs of
-        equal length in the image's order. Each stands for its run, so the mean square error is that of the whole in
-        expectation. Where fewer pixels count, all of them are taken.
+        equal length in the image's order. Each stands for its run, so the expected mean square error equals the whole
+        image's. Where fewer pixels count, all of them are taken.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))
@@ -151,7 +151,7 @@ class TechniqueProblem(AbstractProblem):
         )
 
     def padded(self) -> "TechniqueProblem":
-        """Without the scene, of which programs need nothing."""
+        """Without the scene, which no program reads."""
         return dataclasses.replace(self, scene=None)
 
     @property

@@ -33,7 +33,7 @@ class _State(eqx.Module):
 class NielsenDamping(optx.AbstractSearch):
     """The damping of H. B. Nielsen, "Damping parameter in Marquardt's method" (1999).
 
-    With ρ the actual reduction of the loss over the one that the linear model predicts, the damping μ becomes
+    With ρ the actual reduction of the loss over the reduction by the linear model, the damping μ becomes
 
         μ · max(1/3, 1 - (2ρ - 1)³),  ν = 2    if ρ > 0, and the step is accepted
         μ · ν,                        ν = 2 ν  otherwise
@@ -86,7 +86,7 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's, with Nielsen's damping. It also ends where the step after a rejected one would be short.
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
-    minimum lies at a jump of the loss, such as that of a pixel that changes from lit to shadowed. With `noise`, as a
+    minimum lies at a jump of the loss, such as where a pixel changes from lit to shadowed. With `noise`, as a
     fraction of the loss, it ends where the model predicts almost no reduction. `stop` ends it sooner.
     """
 

@@ -50,7 +50,7 @@ class LightFrustum(NamedTuple):
     ) -> "LightFrustum":
         """The tight frustum around `points` from `position` towards `target`, by default the centre of their box.
 
-        Its width is `aspect` times its height, of which `outer_angle` is the half-angle.
+        Its width is `aspect` times its height, and `outer_angle` is the half-angle of its height.
 
         **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
         and `outer_angle` is left out.

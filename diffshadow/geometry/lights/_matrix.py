@@ -17,7 +17,7 @@ class MatrixLight(AbstractLight):
     """Light without a size, given by the matrices of its shadow map, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), a projection like those of `perspective` and `orthographic`, which may be off-centre. Depth
+    - `eye_to_clip`: (4, 4), a projection as `perspective` and `orthographic` make, which may be off-centre. Depth
         in clip space is from -1 to 1, as in OpenGL.
     - `is_perspective`: with a perspective projection, the light is at the eye; with a parallel one, it is directional
         and shines along `-z` of eye space. By default it is read from `eye_to_clip`; required under a trace.

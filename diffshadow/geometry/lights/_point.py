@@ -21,8 +21,8 @@ from ._abstract import AbstractLight, Domain, check_position
 from ._frustum import near_far
 from ._pose import LightPose, Vector
 
-# The faces' view directions, in OpenGL's order, and their up vectors, which are those of a spot light that looks the
-# same way.
+# The faces' view directions, in OpenGL's order, and their up vectors, as for a spot light that looks the same
+# way.
 _FORWARD = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
 _UPRIGHT = np.array([(0, 1, 0), (0, 1, 0), (1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0)], dtype=float)
 # Rows right, up and backward of each face.

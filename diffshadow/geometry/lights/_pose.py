@@ -8,7 +8,7 @@ from ..._types import Scalar, Vec3
 
 
 class Vector(eqx.Module):
-    """Three numbers, each of which can be fitted separately."""
+    """Three numbers that can be fitted separately."""
 
     x: Scalar = eqx.field(converter=as_number, default=0.0)
     y: Scalar = eqx.field(converter=as_number, default=0.0)

@@ -29,7 +29,7 @@ class SpotLight(AbstractLight):
     - `inner_angle`: degrees. Inside this half-angle the light has full intensity; from there to `outer_angle` it falls
         off by a smooth step in the cosine. If left out, shading ignores the cone. Visibility always ignores it.
     - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.
-    - `aspect`: width of the shadow map's frustum over its height, of which `outer_angle` is the half-angle.
+    - `aspect`: width of the shadow map's frustum over its height; `outer_angle` is the height's half-angle.
 
     `SpotLight.around` fits angle, near and far to a scene.
 

@@ -86,7 +86,7 @@ def _remarks(material: Material, has_normals: bool) -> Iterator[str]:
     if UNLIT in material.extensions:
         yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it does"
     if not has_normals:
-        yield "it has no normals; it gets those of its faces"
+        yield "it has no normals; it gets its faces' normals"
 
 
 def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], list[SceneLight]]:

@@ -33,7 +33,7 @@ def geometry_of(entry: GeometryEntry) -> Geometry:
         return _stored(entry.data, entry.type)
     if entry.type not in GEOMETRIES:
         raise MeshError(
-            f"has a {entry.type}, of which it stores parameters alone and which cannot be built; write its triangles "
+            f"has a {entry.type}, stored as parameters alone, which cannot be built; write its triangles "
             "instead: set geometry.type = 'BufferGeometry' and delete geometry.parameters before toJSON()"
         )
     return build_geometry(entry.type, entry.model_extra or {})

@@ -1,4 +1,4 @@
-"""three.js' own shapes, of which its files store the parameters alone.
+"""three.js' own shapes; its files store only their parameters.
 
 Each function has the constructor's parameters with its defaults, and returns the same vertices, normals and triangles
 in the same order (three.js r187, src/geometries). Angles are in radians, lengths in the geometry's own units.
@@ -404,7 +404,7 @@ def _numbered(rows: int, columns: int) -> Int[HostArray, "r c"]:
 
 
 def _corners(number: Int[HostArray, "r c"]) -> tuple[Int[HostArray, " q"], ...]:
-    """The corners of each quad: in its first column, the next row, the next column of it, and that of the first row."""
+    """Each quad's corners, around it: (row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)."""
     parts = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     return tuple(part.reshape(-1) for part in parts)
 

@@ -71,7 +71,7 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
     unseen = [entry for entry, visible in everything if not visible]
     hidden = [entry.name for entry in unseen if entry.object.type in (*_MESHES, *_LIGHTS)]
     if hidden:
-        remarks.append(f"{some_of(hidden)}: visible = false, or that of a group around; left out")
+        remarks.append(f"{some_of(hidden)}: visible = false, here or in a group around; left out")
     others = Counter(_OTHERS[entry.object.type] for entry in drawn if entry.object.type in _OTHERS)
     remarks += [f"{count} × {name}: left out" for name, count in others.items()]
     # A camera sees whether it is in the scene's visible part or not.
@@ -121,7 +121,7 @@ def _is_moved(entry: _Placed) -> bool:
 
 
 def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> list[SceneMesh]:
-    """The meshes that are drawn. Those that cannot be read are left out.
+    """The meshes that are drawn. Unreadable ones are left out.
 
     **Raises** `MeshError` if all that there are cannot be read.
     """

@@ -41,7 +41,7 @@ class PerceptronBias(AbstractBias):
 
     @classmethod
     def correcting(cls, linear: LinearBias, sizes: Sequence[int] = (8,), seed: int = 0) -> "PerceptronBias":
-        """A perceptron that gives what `linear` gives: its last weights are 0, those of its hidden layers random.
+        """A perceptron that gives what `linear` gives: its last weights are 0, and its hidden layers' weights random.
 
         **Arguments:**
 
@@ -111,7 +111,7 @@ class PerceptronBias(AbstractBias):
 
     @property
     def count(self) -> int:
-        """How many weights there are, with those of the linear terms."""
+        """How many weights there are, including the linear terms' weights."""
         return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(self, eqx.is_inexact_array)))
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

@@ -63,8 +63,8 @@ class AbstractEngineShadows(AbstractTechnique):
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
-    - `subpixels`: steps to a texel at whole numbers of which the engine's rasterizer places vertices. 256 is what most
-        graphics hardware does, 16 what Chromium's software rasterizer does.
+    - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
+        has 256, Chromium's software rasterizer 16.
     """
 
     compare: eqx.AbstractVar[AbstractCompare]
@@ -112,7 +112,7 @@ class AbstractEngineShadows(AbstractTechnique):
             (6, h, w), its faces in OpenGL's order.
         - `scene`: with the engine's light and the engine's meshes, which say what receives shadows.
 
-        The settings are those that the map was drawn with: what they do to depths is undone. The state is then as good
+        The settings are the map's, as it was drawn: their effect on depths is undone. The state is then as good
         for other biases and radii.
 
         **Raises** `ValueError` for another shape, numbers that no map holds, and what `prepare` raises.
@@ -149,8 +149,8 @@ class AbstractEngineShadows(AbstractTechnique):
         return found
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
-        """Pixels that the engine's shadow decides, (h, w): those that see a receiver within the light's frustum, on a
-        face turned to the light. Faces turned away are dark in the engine's picture, whatever their shadow."""
+        """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
+        turned to the light. Faces turned away are dark in the engine's picture, whatever their shadow."""
         return _covered(state, surface)
 
 

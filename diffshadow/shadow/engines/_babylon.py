@@ -53,7 +53,7 @@ class BabylonJs(AbstractEngineShadows):
     engine's `light.shadowMinZ` and `light.shadowMaxZ`.
 
     - `bias`: added to the depth of casters as the map is drawn: positive values push them away from the light. In
-        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, half of which is in window depth. For
+        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, and half as much in window depth. For
         the blocker search of `PCSS` both are added.
     - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
         light, in world units. It changes the map, so it has no derivative. The engine moves no mesh without normals.
@@ -69,7 +69,7 @@ class BabylonJs(AbstractEngineShadows):
     - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
         Gaussian, how far the box reaches to each side in texels, and which one is used.
     - `force_back_faces_only`: whether back faces cast. The engine does it for meshes with its own, clockwise winding,
-        and does nothing for others, such as those of its glTF loader: leave it out for these.
+        and does nothing for others, such as meshes of its glTF loader: leave it out for these.
     - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
     - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default they hold half floats, whose steps are
         2^-11 for metrics of 1/2 and more, ten times the default bias.
@@ -84,7 +84,7 @@ class BabylonJs(AbstractEngineShadows):
     Half floats have the derivative of what they round. The radius of `POISSONSAMPLING` has one through its bilinear
     taps. In the blocker search of `PCSS` a soft compare weighs blockers; that there is none is decided by less than 1.
 
-    The rotation of `PCSS` depends on the sine of the device: pixels differ from those of another, and means agree.
+    The rotation of `PCSS` depends on the sine of the device: pixels differ between devices, and means agree.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -131,7 +131,7 @@ class BabylonJs(AbstractEngineShadows):
 
         A light is drawn as Babylon.js draws one at the same place: with the frustum of ours, whose up direction becomes
         +y. The engine's cameras are left-handed. So its map is the mirror image of what ours would see: texels run from
-        right to left, and `orthoLeft` and `orthoRight` are those of ours with their signs changed, in each other's
+        right to left, and `orthoLeft` and `orthoRight` are ours with their signs changed, in each other's
         place. `angle` of a spot light is its full cone in radians. In cube maps the world's y runs the other way.
 
         **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.

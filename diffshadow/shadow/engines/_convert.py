@@ -1,7 +1,7 @@
 """One bias in the units of several engines.
 
-The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. Those of Godot
-4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The formulas of
+Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
 """
 
 import math
@@ -115,7 +115,7 @@ _AT = "holds at this distance only"
 _RANGE = "a part of far - near"
 _DEPTH = "window depth"
 _WORLD = "world units"
-# How an engine's normal offset grows with the angle to the light. That of Godot goes across the light.
+# How an engine's normal offset grows with the angle to the light. Godot's goes across the light.
 _PROFILES: dict[str, OffsetProfile | None] = {
     "three.js": "constant",
     "Babylon.js": "sine",

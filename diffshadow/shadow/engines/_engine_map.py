@@ -100,7 +100,7 @@ def map_of(
 
     **Arguments:**
 
-    - `subpixels`: steps to a texel, at whole numbers of which the rasterizer places vertices before it computes depth.
+    - `subpixels`: steps to a texel; the rasterizer places vertices at whole steps before it computes depth.
     - `is_mirrored`: draws what a left-handed camera sees: x runs the other way, and in a cube map the world's y does.
     - `push`: how far casters are pushed away from the light when the near and far planes clip them, in clip depth from
         -1 to 1. Depths are those without it.

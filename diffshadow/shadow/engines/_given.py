@@ -151,7 +151,7 @@ def babylon_spot_light(
 
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `angle`: `light.angle`: the full cone, in radians.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes those of the camera.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
     - `shadow_angle_scale`: `light.shadowAngleScale`.
     - `radius`: of the light's disk, in world units, for references; the engine has none.
 
@@ -169,7 +169,7 @@ def babylon_point_light(
     **Arguments:**
 
     - `position`: `light.position`, (3,), world units.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes those of the camera.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
     - `radius`: of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.

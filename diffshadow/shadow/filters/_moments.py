@@ -28,7 +28,7 @@ class MomentShadowMap(AbstractPrefiltered):
     - `radius`: of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
-    - `moment_bias`: weight with which moments are blended towards those of a broad distribution, against rounding. A
+    - `moment_bias`: weight with which moments are blended towards a broad distribution's moments, against rounding. A
         larger one bleeds more light.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which
         compensates the moment bias.

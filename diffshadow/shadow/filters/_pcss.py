@@ -26,7 +26,7 @@ class PercentageCloserSoft(AbstractFilter):
 
     The disk is round in the world: where texels are not square, it is an ellipse in the map.
 
-    The blocker search taps the part of the map that can hide the light. Its radius is that of the light projected
+    The blocker search taps the part of the map that can hide the light. Its radius is the light's, projected
     through the receiver onto the near plane, `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
     gives the half width of the penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For
     a directional light of angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are

@@ -18,7 +18,7 @@ class Separable(AbstractFilter):
     """A symmetric kernel of fixed width with free weights: bilinear compares one texel apart, weighted along both axes
     and divided by the weights' sum.
 
-    With n weights there are (2n + 1)² compares. All of `Castano`'s kernels are such: 3/4 and 1/4 are that of size 5.
+    With n weights there are (2n + 1)² compares. All of `Castano`'s kernels are such; size 5 has 3/4 and 1/4.
 
     - `weights`: of the compares 1, 2, ... texels from the middle, relative to the middle's; each 0 or more.
     """

@@ -12,7 +12,7 @@ class Tent(AbstractSizedFilter):
     """The mean of compares with all texels around the receiver, weighted by a tent.
 
     The tent moves and grows smoothly: each texel is weighted by the integral of the tent over it. Visibility then has a
-    continuous derivative along the map, while that of a box has kinks.
+    continuous derivative along the map, while a box's derivative has kinks.
 
     - `radius`: from the tent's peak to its edge, in texels.
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;

@@ -23,7 +23,7 @@ class Atlas(eqx.Module):
     its texels.
 
     - `texels`: (n,), the depths of all maps and their layers.
-    - `shape`: that of each map's depths, (h, w) or (l, h, w).
+    - `shape`: the shape of each map's depths, (h, w) or (l, h, w).
     """
 
     texels: Float[Array, " n"]
@@ -40,7 +40,7 @@ class Atlas(eqx.Module):
         return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
-        """`shadow_map`, whose own depths are ignored, with those of the map of this number."""
+        """`shadow_map`, whose own depths are ignored, with the depths of the map of this number."""
         *layers, height, width = self.shape
         stride = width + 2 * _MARGIN
         rows = self.size(1, self.shape) // stride

@@ -1,5 +1,10 @@
 """Corrections by silhouettes to a sum of compares over texels.
 
+A texel with a silhouette has two parts with different depths. Its correction is the kernel's weight times the change
+of the compare: its mean over the covered part of the texel, less the compare with the stored depth. Each pair of a
+look-up (*n,) and a texel that it reads has a correction. The sums of a look-up's corrections are (*n,), as the
+kernel's sums are.
+
 Few of the texels that are read have a silhouette, and such a texel costs many times a plain one. So the sum over stored
 depths is evaluated everywhere, and then corrected for each texel with a silhouette. Under a hard compare only if the
 receiver lies between the depths of its parts: beyond both, or before both, they compare alike.
@@ -74,7 +79,7 @@ class Corrections(AbstractTerms):
             lookup, place = lax.optimization_barrier((lookup, jnp.unravel_index(lookup, shape)))
 
             def own(table: Array) -> Array:
-                """A column of the table for each look-up. Its last axes are those of the look-ups, or have length 1."""
+                """A column of the table for each look-up. Its last axes equal the look-ups' axes, or have length 1."""
                 count, *sizes = table.shape
                 if not sizes:
                     return table
@@ -97,7 +102,7 @@ def _sums(
     most: int,
     at_once: int,
 ) -> Any:
-    """Sums (size,) of the values at set bits, of which there are `most` at most, a number `at_once`.
+    """Sums (size,) of the values at set bits, `most` at most; each iteration adds `at_once`.
 
     Given rows and columns of set bits, `values_at` returns places in the sums, and the values that are added there.
     """

@@ -130,7 +130,7 @@ class BlockBounds(eqx.Module):
     ) -> Bool[Array, "*n"]:
         """Whether `may_part` may be true for a texel within a square of half width `reach` texels around a look-up.
 
-        This reads the finest level of which 2 x 2 blocks cover the square.
+        This reads the finest level whose 2 x 2 blocks cover the square.
         """
         x, y, reach, depths = lax.stop_gradient((lookup.x, lookup.y, reach, depths))
         # Blocks that begin at most twice their spacing apart leave no gap. The square touches at most four spacings.

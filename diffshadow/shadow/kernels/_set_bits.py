@@ -16,7 +16,7 @@ WIDTH = 32
 class SetBits(eqx.Module):
     """Bits in rows and `n` columns, 32 rows to a word. Set bits are numbered column by column.
 
-    - `words`: the lowest bit is that of the first row.
+    - `words`: the lowest bit belongs to the first row.
     - `columns`: the set bits as items of columns.
     """
 

@@ -45,8 +45,8 @@ class Cascades(AbstractFittedLayout):
         map of R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
         rounded down. Layers are as large as the largest, and the others fill the lower left square of theirs. If left
         out, all fill their layers. Such a map is square, and has no silhouettes.
-    - `max_share`: upper bound on a cascade's part of all texels, in (0, 1], for which there is memory; defaults to that
-        of `shares`.
+    - `max_share`: upper bound on a cascade's part of all texels, in (0, 1], for which there is memory; defaults to the
+        largest of `shares`.
     - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the least and
         greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
         Lefohn 2011).
@@ -56,7 +56,7 @@ class Cascades(AbstractFittedLayout):
     - `stabilize`: whether texels stay where they are on the scene's surfaces as the camera moves: each cascade contains
         the least sphere around its slice, whose size does not change as the camera turns, and moves by whole texels.
         Otherwise it contains the box of its slice, and no more than the light's own map does.
-    - `select`: which cascade a receiver is looked up in. `"interval"`: that of its depth. `"map"`: the first whose map
+    - `select`: which cascade a receiver is looked up in. `"interval"`: by its depth. `"map"`: the first whose map
         contains it, which uses more of the finer maps.
     - `blend`: over which part of a slice, at its end, its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, over which part of the map's half width, at its border.
@@ -110,7 +110,7 @@ class Cascades(AbstractFittedLayout):
         if not any(each is None for each in known) and not (np.diff(np.array(known, float)) > 0).all():
             raise ValueError(
                 f"the cascades' distances are {[float(each) for each in distances]}; expected each to be greater than "
-                "the one before: sort them, and remove those that occur twice"
+                "the one before: sort them, and remove duplicates"
             )
 
     def _check_shares(self, shares: tuple[Scalar, ...]) -> None:

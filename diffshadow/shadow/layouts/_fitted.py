@@ -60,7 +60,7 @@ class AbstractFittedLayout(AbstractLayout):
 
 
 def margin_of(margin: float | None) -> float:
-    """`margin`, or that of a layout that knows of no filter."""
+    """`margin`, or the default for a layout without a filter."""
     return MARGIN if margin is None else margin
 
 

@@ -8,7 +8,7 @@ from ...geometry import AbstractLight, Domain, View
 
 
 class AbstractFittedLight(AbstractLight):
-    """A directional light whose shadow map is fitted to what a camera sees. Its light is that of another one.
+    """A directional light whose shadow map is fitted to what a camera sees. Its light comes from another light.
 
     - `light`: the directional light.
     - `camera`: the view of the camera.

@@ -51,7 +51,7 @@ class ViewFrustum(NamedTuple):
         if not self.is_perspective:
             middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
         else:
-            # The sphere touches the corners of both ends; or only those of the far end, whose disk is then its middle.
+            # The sphere touches the corners of both ends; or only the far end's corners, whose disk is then its middle.
             both = (begin + end) * (1 + k2) / 2
             radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
             middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)

@@ -54,7 +54,7 @@ class ResolutionMatched(AbstractFittedLayout):
     - `page`: side of a page, in texels, without its gutter; a power of two from 16 to 1024.
     - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 65536, and from 2 to 1024
         pages. Points that need more are looked up at level 0.
-    - `norm`: `"area"` matches the area of a texel to that of a pixel, `"worst"` the longest extent to a pixel's side,
+    - `norm`: `"area"` matches the area of a texel to a pixel's area, `"worst"` the longest extent to a pixel's side,
         so that nothing is undersampled, with more texels.
     - `level_bias`: added to all levels before they are rounded down, -16 to 16: -1 halves the side of a texel on the
         screen. It is raised if pages do not fit, so a low one fills the memory there is.
@@ -252,7 +252,7 @@ def levels_needed(
 
 
 def _resident(cells: Float[Array, "c c"], bias: Scalar, levels: int) -> Bool[Array, " n"]:
-    """Which pages of all levels are resident: the root, and those that some point is looked up in.
+    """Which pages of all levels are resident: the root, and all pages that some point is looked up in.
 
     **Arguments:**
 

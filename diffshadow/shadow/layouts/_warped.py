@@ -53,7 +53,7 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `"perspective"`: `z₁ / z₀ - 1`, the strength of perspective shadow maps (Stamminger & Drettakis 2002). They warp
         space as the camera does. Here the perspective runs along the map, so there are no singular cases;
     - `"trapezoidal"`: such that what lies within the `focus` takes up 80 % of the map (trapezoidal shadow maps, Martin
-        & Tan 2004), at most that of `"perspective"`.
+        & Tan 2004), at most the warp of `"perspective"`.
 
     None is more than `max(1 / τ - 2, 0)`, with τ in [0, 1] the height of the nearest point in a map without a warp: a
     stronger warp would enlarge the texels there again. So all of them tend to 0 as the light turns parallel to the

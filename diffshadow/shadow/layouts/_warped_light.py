@@ -11,7 +11,7 @@ from ._fitted_light import AbstractFittedLight
 
 class WarpedLight(AbstractFittedLight):
     """A directional light whose shadow map is a part of the light's own, turned about the light's axis and warped by a
-    perspective. Depths are those of the light's own map.
+    perspective. Depths are as in the light's own map.
 
     `PerspectiveWarp` makes one for a light and a camera.
 

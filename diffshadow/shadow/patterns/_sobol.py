@@ -49,7 +49,7 @@ def sobol(
 
 
 def _owen_scrambled(x: HostArray, seed: HostArray) -> HostArray:
-    """32-bit fractions `x`, each bit of which is flipped or not depending on `seed` and the bits above it."""
+    """32-bit fractions `x`; each bit is flipped or not depending on `seed` and the bits above it."""
     x = _reversed_bits(x) + seed
     # With bits reversed, multiplying by an even number lets a bit affect only the bits above it (Laine & Karras 2011).
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):

@@ -76,7 +76,7 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     rise = lax.stop_gradient(across(end) - across(start))
     fraction = lax.stop_gradient(found.line - across(start)) / jnp.where(rise == 0, 1, rise)
     depth = z[:, 0] + fraction * (z[:, 1] - z[:, 0])
-    # The derivative is that of the edge's point, which moves off the side. It defines the same line as the crossing,
+    # The derivative belongs to the edge's point, which moves off the side. It defines the same line as the crossing,
     # whose own derivative would be huge where the edge is almost parallel to the side.
     point = start + fraction[:, None] * (end - start)
     motion = point - lax.stop_gradient(point)

@@ -93,7 +93,7 @@ def print_advise_plan(console: Console, advice: Advice) -> None:
 
 
 def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
-    """`one`, or what it is at the values of a special case that was fitted better: a fit may end in a local minimum."""
+    """`one`, or its technique at a special case's values that were fitted better: a fit may end in a local minimum."""
     loss = one.config.fit.loss
     if not isinstance(loss, Loss) or loss.over != "mean" or loss.false_shadow != loss.false_light:
         # Fits were not made for the least RMSE.
@@ -223,6 +223,6 @@ def _print(console: Console, name: str, found: Findings) -> None:
         numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.times} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
-    legend = "← is recommended; * marks those that no other beats in both RMSE and time"
+    legend = "← is recommended; * marks techniques that no other beats in both RMSE and time"
     table.print_lines(console, [legend])
     table.print_lines(console, verdict(found))

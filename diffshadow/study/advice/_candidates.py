@@ -51,7 +51,7 @@ class Candidate(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What it is called in sentences."""
+        """Its name in sentences."""
         return f"{self.bias} with {self.filter} at {self.size}"
 
 
@@ -67,7 +67,7 @@ def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def front(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The Pareto front: the candidates of which no other is faster with as small an error, from fast to slow.
+    """The Pareto front, from fast to slow: no other candidate is faster with as small an error.
 
     Equal ones are all on it.
     """

@@ -11,7 +11,7 @@ _ASIDE = {"name", "output", "sweep", "advise", "fit"}
 
 
 def as_special_case(config: Config, other: Config) -> dict[str, float] | None:
-    """The values of the fitted numbers of `config` at which its technique is that of `other`, which fits fewer of them.
+    """The values of the fitted numbers of `config` at which its technique equals `other`'s, which fits fewer of them.
 
     A bias of a constant and a slope, for example, is the constant bias where the slope is 0.
 

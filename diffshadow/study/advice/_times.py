@@ -25,7 +25,7 @@ class Times(NamedTuple):
     """Times of a technique for one view with all its lights.
 
     - `map_ms`, `lookup_ms`: in milliseconds.
-    - `ratio`: of its time to that of the fastest technique.
+    - `ratio`: its time over the fastest technique's.
     - `spread`: how far the ratio may be off to either side, as a fraction of it: half of the interval that contains the
         true median with a probability of 95 %.
     """

@@ -119,7 +119,7 @@ class _RenderMetrics(_Metrics):
 
 
 class _FitMetrics(_Metrics):
-    """`shown`: for fits over views, the indices of those that have pictures, the worst first."""
+    """`shown`: for fits over views, the indices of views that have pictures, the worst first."""
 
     before: _Errors
     after: _Errors
@@ -267,7 +267,7 @@ class _Fit(_Run):
         }
         for key, numbers in named.items():
             if list(numbers) != list(self.fitted):
-                raise _fault(key, f"has the keys {_listed(numbers)}", f"those of fitted, {_listed(self.fitted)}")
+                raise _fault(key, f"has the keys {_listed(numbers)}", f"the keys of fitted, {_listed(self.fitted)}")
         for name, bounds in self.bounds.items():
             if bounds.lower >= bounds.upper:
                 raise _fault(f"bounds.{name}", f"are {bounds.lower:g} and {bounds.upper:g}", "lower less than upper")
@@ -280,7 +280,7 @@ class _Fit(_Run):
 
 
 class _Sweep(_Part):
-    """`runs`: how many there are, of which so many are `done` and `failed`."""
+    """`runs`: how many there are; so many of them are `done` and `failed`."""
 
     schema_version: Count = 0
     kind: Literal["sweep"]
@@ -314,7 +314,7 @@ class _Candidate(_Part):
     @model_validator(mode="after")
     def _agrees(self) -> "_Candidate":
         if list(self.values) != list(self.units):
-            raise _fault("units", f"has the keys {_listed(self.units)}", f"those of values, {_listed(self.values)}")
+            raise _fault("units", f"has the keys {_listed(self.units)}", f"the keys of values, {_listed(self.values)}")
         return self
 
 

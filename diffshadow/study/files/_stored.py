@@ -88,7 +88,7 @@ class StoredRun(NamedTuple):
 
     @property
     def shown(self) -> list[LightImages]:
-        """The images that have pictures: those of all lights, or of the worst views, the worst first."""
+        """The images that have pictures: of all lights, or of the worst views, the worst first."""
         lights, shown = self.lights, self.result["metrics"].get("shown")
         return lights if shown is None else [lights[i] for i in shown]
 

@@ -35,10 +35,10 @@ def mesh_of(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -> 
 
 
 def lamp_size(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -> tuple[float, str]:
-    """The radius of a lamp at `position` in world units, and what it is taken from."""
+    """The radius of a lamp at `position` in world units, and its source."""
     mesh = mesh_of(meshes, position)
     if mesh is not None:
-        return _radius(mesh), f"that of its mesh {mesh.name}"
+        return _radius(mesh), f"the radius of its mesh {mesh.name}"
     distance = distance_lit(meshes, position)
     radius = math.tan(math.radians(HALF_ANGLE)) * distance
     return radius, f"seen under {2 * HALF_ANGLE:g} degree from {distance:.3g} world units, the median of what it lights"

@@ -262,7 +262,7 @@ def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, distance: 
 
 
 def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:
-    """Bounds of the numbers to fit, which contain those that are given."""
+    """Bounds of the numbers to fit, which contain the given numbers."""
     bias, normal_bias, radius = (given.get(key, getattr(ThreeJs, key)) for key in ("bias", "normal_bias", "radius"))
     (shift,), (offset,) = _rounded([min(_SHIFT * diagonal * slope, 1.0)], 2), _rounded([_OFFSET * diagonal], 2)
     return {

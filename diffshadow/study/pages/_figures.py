@@ -141,7 +141,7 @@ def write_from_light(folder: Path, end: str, technique: Any, from_light: Any) ->
 
 @eqx.filter_jit
 def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
-    """The map's depths as distances along the light's axis, and those of its near and far plane, in world units."""
+    """Distances along the light's axis of the map's depths, and of its near and far plane, in world units."""
     view = shadow_map.view
     return view.eye_depth(shadow_map.depth), view.near, view.far
 

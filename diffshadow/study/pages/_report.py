@@ -184,7 +184,7 @@ def _validation(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _by_light(run: StoredRun) -> list[dict[str, Any]]:
-    """The errors of each light or view; those of views before and after the fit, the worst first."""
+    """The errors of each light or view; for views before and after the fit, the worst first."""
     unseen = [light.get("validation", False) for light in run.result["metrics"]["lights"]]
     rows = [
         {

@@ -83,7 +83,7 @@ def _unconverged(result: FitResult) -> Iterator[str]:
         if phase.result != _CUT_SHORT:
             continue
         fall = _late_fall(result, number)
-        before = f"an earlier phase ({_named(phase)}), where the one that gave the result began, ended at max_steps"
+        before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
         if fall is not None and fall[0] > _STILL_FALLING:
             yield f"{before} while its error still fell, {_by(*fall)}: raise fit.solver.max_steps"

@@ -18,7 +18,7 @@ def reference_remarks(config: Config, drawn: Sequence[Drawn]) -> Iterator[str]:
         if seen.size and seen.max() <= 0:
             yield f"{each.key} reaches no pixel of the reference, so there is no shadow to compare: move the light"
         elif seen.size and seen.min() >= 1:
-            yield f"{each.key} casts no shadow into the reference, so errors are those of acne alone: move the light"
+            yield f"{each.key} casts no shadow into the reference, so errors come from acne alone: move the light"
     technique = config.technique
     is_traced = isinstance(config.reference, TracedReference)
     if isinstance(technique, ThreeJs) and technique.intensity < 1 and is_traced:

@@ -46,7 +46,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
 
     **Arguments:**
 
-    - `origin`: what the values of `config` are, as a part of a sentence.
+    - `origin`: where the values of `config` come from, as a part of a sentence.
 
     **Raises** `ConfigError` for a technique or a light that has none of these.
     """
@@ -62,7 +62,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
             surface = draw_surface(scene.mesh, scene.camera)
             lit = [_lit(config, technique, scene, surface, i) for i in range(len(scene.lights))]
     if origin:
-        table.print_lines(console, [f"the values are {origin}"])
+        table.print_lines(console, [f"the values come from {origin}"])
     lacking, excluded = list(_lacking(config)), {}
     for each in lit:
         settings = [] if lacking else _settings(config, each)
@@ -146,7 +146,7 @@ def _title(config: Config, lit: _Lit) -> str:
 def _convert_by_fits(
     config: Config, technique: ShadowMapping, lit: list[_Lit], engines: list[str], console: Console
 ) -> None:
-    """Fits the shadows of those of `engines` that can be drawn, and prints their errors and their code."""
+    """Fits the shadows of all `engines` that can be drawn, and prints their errors and their code."""
     fits = {name: overrides for name, overrides in _fits(config, lit).items() if name in engines}
     runs: dict[str, FittedRun] = {}
     with Stages(console) as stages:

@@ -48,7 +48,7 @@ def write_debug(folder: Path, end: str, config: Config, technique: shadow.Abstra
 
 
 def _write_depths(path: Path, technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap) -> None:
-    """The map's window depths, scaled to their range, since those of a perspective view are all close to 1."""
+    """The map's window depths, scaled to their range, since a perspective view's depths are all close to 1."""
     depth = np.asarray(shadow_map.depth)
     seen = depth[depth < 1]
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)

@@ -43,13 +43,13 @@ def _as_given(section: scene.Light, light: AbstractLight) -> AbstractLight | Eng
 
 
 def _distances(drawn: Drawn) -> tuple[float, float]:
-    """The least and greatest distance of what counts along the light's axis, or that of a point light's faces."""
+    """The least and greatest distance of what counts along the light's axis, or a point light's faces' axes."""
     distances = along(drawn.scene.light, drawn.surface.position)[drawn.mask]
     return float(distances.min()), float(distances.max())
 
 
 def along(light: AbstractLight, points: VectorMap) -> Float32[HostArray, "h w"]:
-    """The distance of `points` (h, w, 3) along the light's axis, or that of the face of a point light's map."""
+    """The distance of `points` (h, w, 3) along the axis of the light, or of its face of a point light's map."""
     if isinstance(light, PointLight):
         return np.asarray(abs(points - light.position).max(axis=-1))
     return np.asarray(light.view().distance(points))

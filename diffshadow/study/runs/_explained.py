@@ -121,7 +121,7 @@ def _compared(image: Image, truth: Image, mask: Mask, words: str) -> Change:
 
 
 def _alien(images: Sequence[Fitted]) -> Iterator[tuple[Fitted, Sequence[Image], float]]:
-    """Of the images whose references may be no pictures of the scene, those that are none, what rays see, and its
+    """The images whose given references are no pictures of the scene, what rays see, and the references'
     error."""
     for each in images:
         if not each.given and each.scene is None:

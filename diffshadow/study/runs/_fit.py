@@ -37,7 +37,7 @@ _MOST_SHOWN = 8
 class FittedRun(NamedTuple):
     """A finished fit, with its images and their errors under the hard compare, one for each view and light.
 
-    - `views`: all that the fit sees, and what it is validated on.
+    - `views`: all that the fit sees, and its validation.
     - `seen`: the scenes before and after the fit, which may move lights and meshes; `drawn` is the truth.
     - `verdict`: what the fit comes to.
     """
@@ -57,7 +57,7 @@ class FittedRun(NamedTuple):
 
     @property
     def mapped(self) -> list[Drawn]:
-        """The scene with the maps that are stored: those of the fitted technique, or of the true lights and meshes."""
+        """The scene with the stored maps: of the fitted technique, or of the true lights and meshes."""
         return self.seen[1] if self.plan.arrangement is None else self.drawn
 
     @property
@@ -73,7 +73,7 @@ class FittedRun(NamedTuple):
 
     @property
     def shown(self) -> list[int]:
-        """The indices of the scenes and lights whose pictures are written: all, or those of the worst views."""
+        """The indices of the scenes and lights whose pictures are written: all, or only the worst views'."""
         if not self.has_views:
             return list(range(len(self.drawn)))
         errors = np.nan_to_num([errors["rmse"] for errors in self.errors_after])

@@ -99,7 +99,7 @@ def suffix(index: int, drawn: Sequence[Drawn]) -> str:
 
 
 def stacked(images: Sequence[Any]) -> np.ndarray:
-    """One image (h, w), or those of several lights (l, h, w)."""
+    """One image (h, w), or the images of several lights (l, h, w)."""
     return np.asarray(images[0]) if len(images) == 1 else np.stack([np.asarray(image) for image in images])
 
 

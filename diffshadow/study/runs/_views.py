@@ -1,4 +1,4 @@
-"""The views of a fit: its own scene, or those of `fit.views` and `fit.validation`."""
+"""The views of a fit: its own scene, or the views in `fit.views` and `fit.validation`."""
 
 import dataclasses
 import itertools
@@ -29,7 +29,7 @@ class DrawnView(NamedTuple):
 class Views(NamedTuple):
     """All views of a fit.
 
-    - `fitted`: those that it sees; `validation`: those that its result is measured on.
+    - `fitted`: the fit sees these; `validation`: its result is measured on these.
     """
 
     fitted: list[DrawnView]
@@ -37,7 +37,7 @@ class Views(NamedTuple):
 
     @property
     def all(self) -> list[DrawnView]:
-        """All of them, those that the fit sees first."""
+        """All views, the fitted ones first."""
         return [*self.fitted, *self.validation]
 
     @property

@@ -18,7 +18,7 @@ _EXIT_TIMEOUT, _EXIT_TIMEOUT_INTERRUPTED = 30, 2
 def deferred_interrupts() -> Iterator[Callable[[], None]]:
     """Defers Ctrl-C in the block until it calls the yielded function, or ends.
 
-    Otherwise Python raises `KeyboardInterrupt` between any two instructions of the main thread, including those of
+    Otherwise Python raises `KeyboardInterrupt` between any two instructions of the main thread, also within
     libraries, which then stop half-way. The second Ctrl-C also kills the child processes; the third interrupts at once.
     Where Ctrl-C is ignored, as in background jobs of scripts, it stays so.
     """

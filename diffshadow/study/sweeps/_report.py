@@ -52,7 +52,7 @@ class Summary(NamedTuple):
 def report_sweep(folder: Path, form: str | None = None) -> Path:
     """Writes the page of the sweep in `folder`, and its figure if a format `form` is given. **Returns** the page.
 
-    **Raises** `FileError` if the sweep's table is missing, damaged, or that of another sweep.
+    **Raises** `FileError` if the sweep's table is missing, damaged, or another sweep's.
     """
     from ..pages._page import file_pictures, write_page
 

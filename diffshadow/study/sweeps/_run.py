@@ -168,7 +168,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         missing = missing_runs(sweep, folder)
         unique = len({sweep.runs.id(index) for index in range(count)})
         number = len(missing[:limit])
-        message = f"{count:,} runs, of which {unique - len(missing):,} are done; {number:,} would be done now"
+        message = f"{count:,} runs; {unique - len(missing):,} are done; {number:,} would be done now"
     else:
         missing = range(count)
         message = f"{count:,} runs, too many to check each of them here; {_results_in(folder)}"
@@ -297,7 +297,7 @@ def counts_of(results: pa.Table) -> dict[str, int]:
 
 
 def record_of(sweep: Sweep, kind: str, counts: Mapping[str, int]) -> dict[str, Any]:
-    """The content of `result.json`: of which `kind` the folder is, and how many runs have each status."""
+    """The content of `result.json`: the folder's `kind`, and how many runs have each status."""
     return {
         "schema_version": record.SCHEMA_VERSION,
         "name": sweep.name,

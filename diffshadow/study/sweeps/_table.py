@@ -75,7 +75,7 @@ def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda 
 
 
 def metric_columns(settings: SweepConfig, columns: Sequence[str]) -> list[str]:
-    """Those of a table's `columns` that are metrics."""
+    """All `columns` of a table that are metrics."""
     return [name for name in columns if name not in (*_OWN, *settings.axes)]
 
 

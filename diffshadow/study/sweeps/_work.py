@@ -286,7 +286,7 @@ def _bytes_of(value: Any) -> int:
 
 
 def _limit_programs(shape: str) -> None:
-    """Drops all compiled programs if those of `shape` would exceed the limit."""
+    """Drops all compiled programs if `shape` would exceed the limit."""
     if shape not in _shapes and len(_shapes) >= _MOST_SHAPES:
         _shapes.clear()
         jax.clear_caches()

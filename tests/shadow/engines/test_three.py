@@ -222,7 +222,7 @@ KINDS = {
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_changed_setting_is_told_apart(kind):
+def test_a_changed_setting_is_distinguished(kind):
     missed = set(KINDS[kind])
     for name in (name for name in CASES if name.startswith(kind)):
         golden = engine_golden("three", name)
@@ -256,7 +256,7 @@ HIDDEN = {
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("what", HIDDEN)
-def test_a_hidden_term_left_out_is_told_apart(what, monkeypatch):
+def test_a_hidden_term_left_out_is_distinguished(what, monkeypatch):
     module, constant, value, name = HIDDEN[what]
     golden = engine_golden("three", name)
     monkeypatch.setattr(module, constant, value)
