@@ -30,7 +30,7 @@ SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
 
 # More workers would only wait for each other, and each takes a gigabyte.
-_MOST_WORKERS_PER_CORE = 4
+_MAX_WORKERS_PER_CORE = 4
 # Seconds until a Ctrl-C without effect is repeated.
 _INTERRUPT_INTERVAL = 0.2
 # Runs between updates of the progress bar: about a tenth of a second.
@@ -204,7 +204,7 @@ def sweep(
     dry_run
         Only count the runs that would be done, and show the first.
     """
-    _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
+    _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
     with _checking() as progress:
         plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
@@ -248,7 +248,7 @@ def advise(
     dry_run
         Only list the fits that would be done.
     """
-    _check_count("--workers", workers, 0, _MOST_WORKERS_PER_CORE * (os.cpu_count() or 1))
+    _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
     with _checking() as progress:
         advice = load_advice(config, overrides, progress=progress)
     _start_jax()

@@ -65,7 +65,7 @@ VALIDATION: tuple[View, ...] = (
     ("thin_wall", 150, 25, 70, 45),
     ("sphere", 260, 20, 210, 65),
 )
-TENT_RADIUS, MOST_RADIUS = 2.0, 4.0
+TENT_RADIUS, MAX_RADIUS = 2.0, 4.0
 HIDDEN = (8,)
 # Of Adam. A few weights, in texels, have farther to go than those of a network.
 NETWORK_RATE, RATE = 0.03, 0.1
@@ -180,7 +180,7 @@ def problem_of(config: Path, overrides: Sequence[str], view: View) -> fit.Techni
     terms = shadow.LinearBias({"one": given.constant, "slope": given.slope})
     bias = shadow.Bias(normal_offset=given.normal_offset, terms=terms)
     problem = common.problem_of(drawn, settings)
-    kernel = shadow.Tent(TENT_RADIUS, MOST_RADIUS)
+    kernel = shadow.Tent(TENT_RADIUS, MAX_RADIUS)
     technique = shadow.ShadowMapping(kernel, bias, map=problem.technique.map)
     return dataclasses.replace(problem, technique=technique)
 

@@ -16,10 +16,10 @@ install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "beartype.bearty
 # Of the file system, whatever the tests set DIFFSHADOW_CACHE to.
 PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "diffshadow-tests"
 """Where compiled programs are kept, for this clone and the next; JAX's keys tell versions and machines apart."""
-_MOST_BYTES = 1 << 30
+_MAX_BYTES = 1 << 30
 _MAPPINGS = Path("/proc/self/maps")
 # Linux allows a process 65,530, and each compiled program takes several.
-_MOST_MAPPINGS = 25_000
+_MAX_MAPPINGS = 25_000
 
 collect_rarely()
 
@@ -32,7 +32,7 @@ def pytest_configure(config):
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(PROGRAMS)
         from diffshadow.io import prune_cache  # after the hook is installed
 
-        prune_cache(PROGRAMS, _MOST_BYTES)
+        prune_cache(PROGRAMS, _MAX_BYTES)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -60,6 +60,6 @@ def _optimize(request):
 def _forget_programs():
     """Programs stay loaded from file to file, until they take too much."""
     yield
-    if not _MAPPINGS.exists() or _MAPPINGS.read_bytes().count(b"\n") > _MOST_MAPPINGS:
+    if not _MAPPINGS.exists() or _MAPPINGS.read_bytes().count(b"\n") > _MAX_MAPPINGS:
         jax.clear_caches()
         gc.collect()

@@ -12,7 +12,7 @@ import pytest
 PAGE = Path(__file__).parent.parent / "docs" / "gradients.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 # Of the first block, which makes the scene, and of the others.
-MOST_LINES = 14, 10
+MAX_LINES = 14, 10
 _NAMES: dict[str, Any] = {}
 _RUN: list[str] = []
 
@@ -40,8 +40,8 @@ def central(function: Any, places: tuple[Any, ...], number: int, steps: Any) -> 
 def test_blocks_are_short():
     scene, *others = [block for block in BLOCKS if "torch" not in block]
     assert len(others) == 5
-    assert len(scene.splitlines()) <= MOST_LINES[0]
-    assert max(sum(bool(line) for line in block.splitlines()) for block in others) <= MOST_LINES[1]
+    assert len(scene.splitlines()) <= MAX_LINES[0]
+    assert max(sum(bool(line) for line in block.splitlines()) for block in others) <= MAX_LINES[1]
 
 
 def test_gradients_by_bias_radius_and_width_are_those_of_differences():

@@ -15,10 +15,10 @@ from ._search import search
 from ._starts import starts_within
 
 # The ratio of the factors of false shadow and false light at one end of a front; at the other end, its inverse.
-_MOST_RATIO = 256.0
+_MAX_RATIO = 256.0
 # Settings over all of the bounds that are tried first, for each parameter. The corners are tried as well, if they are
 # of no more than so many parameters.
-_SPREAD, _MOST_CORNERS = 32, 4
+_SPREAD, _MAX_CORNERS = 32, 4
 # The search about the best setting of each end: evaluations for each parameter, and the part of the bounds.
 _EVALUATIONS, _PART = 15, 0.25
 # Fits that look for another setting between two neighbours, for each point of the front.
@@ -65,7 +65,7 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
     found = _Found(run)
     found.add(best)
     found.spread()
-    for ratio in (_MOST_RATIO, 1 / _MOST_RATIO):
+    for ratio in (_MAX_RATIO, 1 / _MAX_RATIO):
         found.end(ratio, best)
     found.between(count)
     points = [point._replace(rmse=run.rmse(point.values)) for point in _chosen(found.hull(), count)]
@@ -105,7 +105,7 @@ class _Found:
         parameters = self.run.parameters
         ends = [np.asarray(end) for end in (parameters.lower, parameters.upper)]
         tried = np.asarray(starts_within(parameters, parameters.lower, _SPREAD * len(ends[0]), seed=0))
-        if len(ends[0]) <= _MOST_CORNERS:
+        if len(ends[0]) <= _MAX_CORNERS:
             tried = np.concatenate([tried, list(itertools.product(*np.transpose(ends)))])
         for values in tried.tolist():
             self.add(tuple(values))
@@ -143,7 +143,7 @@ class _Found:
 
     def hull(self) -> list[FrontPoint]:
         """The settings that have the least weighted sum for some ratio, from the least false shadow on."""
-        first, last = (self.best(ratio) for ratio in (_MOST_RATIO, 1 / _MOST_RATIO))
+        first, last = (self.best(ratio) for ratio in (_MAX_RATIO, 1 / _MAX_RATIO))
         (least, most), (most_light, least_light) = zip(self.sides[first], self.sides[last], strict=True)
         inside = [
             values
@@ -159,7 +159,7 @@ class _Found:
             points.append(point)
         if len(points) == 1:
             return points
-        ratios = [_MOST_RATIO, *(_equal(a, b) for a, b in itertools.pairwise(points)), 1 / _MOST_RATIO]
+        ratios = [_MAX_RATIO, *(_equal(a, b) for a, b in itertools.pairwise(points)), 1 / _MAX_RATIO]
         middle = [(a * b) ** 0.5 for a, b in itertools.pairwise(ratios)]
         middle[0], middle[-1] = ratios[0], ratios[-1]
         return [point._replace(ratio=ratio) for point, ratio in zip(points, middle, strict=True)]

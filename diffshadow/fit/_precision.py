@@ -14,8 +14,8 @@ from .problems import REACH_OF_BLUR, Joint
 
 # A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
 # does, or if its standard deviation is more than this fraction of the distance between its bounds.
-_LEAST_EFFECT = 1e-3
-_MOST_SPREAD = 0.1
+_MIN_EFFECT = 1e-3
+_MAX_SPREAD = 0.1
 # A parameter belongs to a combination if its component is at least this fraction of the largest.
 _PART = 0.3
 # The distance within which residuals are correlated, in standard deviations of the blur: it covers a texel, and all
@@ -139,7 +139,7 @@ def precision_of(
     steps[:, 1:] /= max(steps.shape[1] - 1, 1) ** 0.5
     # The covariance is the product of this and its transpose: positive, however little a combination does.
     root = np.column_stack([inverse[:, None] * (ways @ scatter), steps])
-    lost = (effect < _LEAST_EFFECT * effect[0]) | (np.linalg.norm(root, axis=1) > _MOST_SPREAD)
+    lost = (effect < _MIN_EFFECT * effect[0]) | (np.linalg.norm(root, axis=1) > _MAX_SPREAD)
     undetermined = []
     for way in np.abs(ways[lost]):
         group = tuple(name for name, part in zip(kept, way, strict=True) if part >= _PART * way.max())

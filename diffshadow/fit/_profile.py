@@ -13,13 +13,13 @@ _SETTLED = 0.02
 # The most trials for an end, and the part of the bounds below which trials end.
 _TRIALS, _NARROW = 12, 1e-4
 # The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
-_FIRST, _LEAST_GROWTH, _MOST_GROWTH = 0.01, 1.3, 4.0
+_FIRST, _MIN_GROWTH, _MAX_GROWTH = 0.01, 1.3, 4.0
 # Later ones keep away from those on both sides by this part of their distance.
 _MARGIN = 0.1
 # A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
 _BETTER, _RESTARTS = 1e-3, 4
 # Errors below this, in visibility, are rounding.
-_LEAST_ERROR = 1e-5
+_MIN_ERROR = 1e-5
 
 Bound = Literal["lower", "upper"]
 
@@ -71,7 +71,7 @@ class Trial(NamedTuple):
 
 def _limit(best: Trial, fraction: float) -> float:
     """The greatest error within a `fraction` of the best."""
-    return (1 + fraction) * max(best.error, _LEAST_ERROR)
+    return (1 + fraction) * max(best.error, _MIN_ERROR)
 
 
 class Profiler:
@@ -171,7 +171,7 @@ class Profiler:
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
         """The best with the parameter at `value`, from the values of a trial that is near."""
         moved = (*near.values[:index], value, *near.values[index + 1 :])
-        tolerance = limit / max(self.best.error, _LEAST_ERROR) - 1
+        tolerance = limit / max(self.best.error, _MIN_ERROR) - 1
         again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * tolerance)
         # Not rounded to single precision, so that a bound is met exactly.
         again = (*again[:index], value, *again[index + 1 :])
@@ -198,7 +198,7 @@ class Profiler:
             reach = _FIRST * (parameter.upper - parameter.lower)
         else:
             reach = abs(far) * ((aim**2 - self.best.error**2) / max(excess, 1e-30)) ** 0.5
-            reach = min(max(reach, _LEAST_GROWTH * abs(far)), _MOST_GROWTH * abs(far))
+            reach = min(max(reach, _MIN_GROWTH * abs(far)), _MAX_GROWTH * abs(far))
         value = here + reach if side == "upper" else here - reach
         return min(max(value, parameter.lower), parameter.upper)
 

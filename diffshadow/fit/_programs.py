@@ -9,7 +9,7 @@ from typing import Any
 import jax
 
 # A program of a phase takes some ten megabytes.
-_MOST_PROGRAMS = 16
+_MAX_PROGRAMS = 16
 
 _PROGRAMS: OrderedDict[Any, Any] = OrderedDict()
 
@@ -27,7 +27,7 @@ def compiled(function: Any, arguments: tuple[Any, ...]) -> Any:
             lowered = function.lower(*arguments)
         program = lowered.compile()
     _PROGRAMS[key] = program
-    while len(_PROGRAMS) > _MOST_PROGRAMS:
+    while len(_PROGRAMS) > _MAX_PROGRAMS:
         _PROGRAMS.popitem(last=False)
     return program
 

@@ -29,7 +29,7 @@ _NEVER_ENOUGH = (
     "to settle: narrow the bounds of what moves"
 )
 # Mean square errors below this count as 0.
-_LEAST_LOSS = 1e-10
+_MIN_LOSS = 1e-10
 # The token of no reporter.
 _UNHEARD = -1
 # The error of layouts that do not suit the scene: visibility cannot be wrong by more than 1.
@@ -169,7 +169,7 @@ class Run:
                 "the visibility or the reference is not finite at the initial values; expected numbers: check "
                 "the mesh, the light and the reference"
             )
-        if loss < -(_LEAST_LOSS**0.5):
+        if loss < -(_MIN_LOSS**0.5):
             raise ValueError(
                 f"the loss is {loss:.4g} at the initial values; expected 0 or more: add a constant, as in 1 - SSIM"
             )
@@ -187,7 +187,7 @@ class Run:
         phase, free = self.phases[number], path.free[-1]
         active = np.asarray(phase.active)
         # Relative residuals, so that the solver's tolerances mean the same whatever the size of the errors.
-        scale = 1 / np.sqrt(max(path.losses[-1], _LEAST_LOSS)) if phase.joint.moves else 1.0
+        scale = 1 / np.sqrt(max(path.losses[-1], _MIN_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
         solution = self._solution(number, free, as_float(path.values[-1]), scale)
         if np.isfinite(solution.value).all():

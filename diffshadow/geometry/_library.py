@@ -26,18 +26,18 @@ Number = float | int
 _SMOOTH, _SHARP = 180.0, 30.0
 # Squared lengths of normals, which are cross products of edges, grow with the fourth power of size. Within these sizes
 # they fit single precision.
-_LEAST_SIZE, _MOST_SIZE = 1e-6, 1e9
+_MIN_SIZE, _MAX_SIZE = 1e-6, 1e9
 # Two million triangles, about 200 MB.
-_MOST_QUADS = 1 << 20
-_MOST_SUBDIVISIONS = 8
-_MOST_SLATS = 10_000
+_MAX_QUADS = 1 << 20
+_MAX_SUBDIVISIONS = 8
+_MAX_SLATS = 10_000
 # A chair with this many spindles of this many sides has half a million triangles.
-_MOST_SPINDLES, _MOST_CHAIR_SIDES = 100, 256
+_MAX_SPINDLES, _MAX_CHAIR_SIDES = 100, 256
 # (right or left, front or back), as 1 or -1.
 _CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 # With this many windings, even the finest tube has only a few segments per winding.
-_MOST_WINDINGS = 1000
-_MOST_SEED = 2**32 - 1
+_MAX_WINDINGS = 1000
+_MAX_SEED = 2**32 - 1
 
 
 class OptionError(ValueError):
@@ -54,7 +54,7 @@ class OptionError(ValueError):
 def plane(size: Number = 1.0, segments: int = 1) -> Mesh:
     """A square in y = 0 that faces `+y`: `size` world units wide, `segments` quads along each side. Open."""
     _check_positive("plane", size=size)
-    _check_count("plane", 1, math.isqrt(_MOST_QUADS), segments=segments)
+    _check_count("plane", 1, math.isqrt(_MAX_QUADS), segments=segments)
     line = (np.arange(segments + 1) / segments - 0.5) * size
     x, z = np.meshgrid(line, line, indexing="ij")
     vertices = np.stack([x, np.zeros_like(x), z], axis=-1).reshape(-1, 3)
@@ -120,7 +120,7 @@ def torus_knot(
     """
     _check_positive("torus_knot", radius=radius, tube=tube)
     _check_tube("torus_knot", segments, sides)
-    _check_count("torus_knot", 1, _MOST_WINDINGS, p=p, q=q)
+    _check_count("torus_knot", 1, _MAX_WINDINGS, p=p, q=q)
     if math.gcd(p, q) != 1:
         what = f"is {q}, which has a divisor in common with p, {p}; expected none; take numbers such as p = 2, q = 3"
         raise OptionError("torus_knot", "q", what)
@@ -150,7 +150,7 @@ def fence(
     - `slat_width`, `thickness`: of each slat along x and z, world units.
     """
     _check_positive("fence", width=width, height=height, slat_width=slat_width, thickness=thickness)
-    _check_count("fence", 1, _MOST_SLATS, slats=slats)
+    _check_count("fence", 1, _MAX_SLATS, slats=slats)
     if slats * slat_width >= width and not (slats == 1 and slat_width == width):
         raise OptionError(
             "fence",
@@ -184,8 +184,8 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
     - `sides`: around each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
     """
     _check_positive("chair", height=height)
-    _check_count("chair", 0, _MOST_SPINDLES, spindles=spindles)
-    _check_count("chair", 3, _MOST_CHAIR_SIDES, sides=sides)
+    _check_count("chair", 0, _MAX_SPINDLES, spindles=spindles)
+    _check_count("chair", 3, _MAX_CHAIR_SIDES, sides=sides)
     # Lengths are fractions of the height, except in the last line.
     x, z = np.eye(3)[[0]], np.eye(3)[[2]]
     along = np.linspace(0, 1, 13)
@@ -245,7 +245,7 @@ def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, 
     - `seed`: of the random shape, which does not depend on the number of subdivisions.
     """
     _check_positive("blob", radius=radius)
-    _check_count("blob", 0, _MOST_SEED, seed=seed)
+    _check_count("blob", 0, _MAX_SEED, seed=seed)
     if not 0 <= amplitude < 1:
         what = f"is {amplitude}; expected a fraction of the radius, at least 0 and less than 1; change it"
         raise OptionError("blob", "amplitude", what)
@@ -308,8 +308,8 @@ def _check_type(name: str, option: str, value: Any, default: Any) -> None:
 
 def _check_positive(piece: str, **sizes: Any) -> None:
     for option, value in sizes.items():
-        if not _LEAST_SIZE <= value <= _MOST_SIZE:
-            expected = f"world units from {_LEAST_SIZE:g} to {_MOST_SIZE:g}"
+        if not _MIN_SIZE <= value <= _MAX_SIZE:
+            expected = f"world units from {_MIN_SIZE:g} to {_MAX_SIZE:g}"
             raise OptionError(piece, option, f"is {value}; expected {expected}; change it")
 
 
@@ -320,10 +320,10 @@ def _check_count(piece: str, least: int, most: int, **counts: int) -> None:
 
 
 def _check_tube(piece: str, segments: int, sides: int) -> None:
-    _check_count(piece, 3, _MOST_QUADS // 3, segments=segments, sides=sides)
-    if segments * sides > _MOST_QUADS:
+    _check_count(piece, 3, _MAX_QUADS // 3, segments=segments, sides=sides)
+    if segments * sides > _MAX_QUADS:
         given = f"is {segments}, which with {sides} sides makes {2 * segments * sides:,} triangles"
-        raise OptionError(piece, "segments", f"{given}; expected at most {2 * _MOST_QUADS:,}; lower one of the two")
+        raise OptionError(piece, "segments", f"{given}; expected at most {2 * _MAX_QUADS:,}; lower one of the two")
 
 
 def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[float, float, float]:
@@ -422,7 +422,7 @@ def _rings(
 
 def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
     """Unit vertices and faces of an icosahedron, with each triangle split in four, `subdivisions` times."""
-    _check_count(piece, 0, _MOST_SUBDIVISIONS, subdivisions=subdivisions)
+    _check_count(piece, 0, _MAX_SUBDIVISIONS, subdivisions=subdivisions)
     g = (1 + math.sqrt(5)) / 2
     rectangle = np.array([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]])
     vertices = _unit(np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)]))

@@ -18,7 +18,7 @@ _PAIRS_PER_CHUNK = 1 << 21
 
 # Above this mean number of vertices per cell (cells are a little smaller than the tolerance), each cell is merged
 # before pairs are searched. Otherwise parts far smaller than the mesh's extent would have millions of pairs.
-_MOST_IN_CELL = 4
+_MAX_IN_CELL = 4
 # Odd multipliers of a hash of cells; two cells collide with a probability of 2⁻⁶⁴.
 _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2D])
 
@@ -129,7 +129,7 @@ def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int
     reach = tolerance * np.ptp(distinct, axis=0).max()
     # Cells so small that all their points are within reach of each other.
     cells = np.floor((distinct - distinct.min(axis=0)) * (3**0.5 / reach)).astype(np.int64)
-    if len(distinct) > _MOST_IN_CELL * len(np.unique(cells @ _CELL_HASH)):
+    if len(distinct) > _MAX_IN_CELL * len(np.unique(cells @ _CELL_HASH)):
         _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         distinct, group = distinct[first], cell.reshape(-1)[group]
     pairs = KDTree(distinct).query_pairs(reach, output_type="ndarray")

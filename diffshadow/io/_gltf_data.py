@@ -24,7 +24,7 @@ _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 
 Form = Literal["SCALAR", "VEC3", "VEC4"]
 _WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 # A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
-_MOST_ZEROS = 2**24
+_MAX_ZEROS = 2**24
 
 
 def chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -90,8 +90,8 @@ class Buffers:
             rows = self._rows(accessor.buffer_view, accessor.byte_offset, kind, accessor.count, width)
         elif sparse is None:
             raise NoDataError
-        elif accessor.count > _MOST_ZEROS:
-            raise damaged(f"its accessor {index} declares {accessor.count} zeros; expected at most {_MOST_ZEROS}")
+        elif accessor.count > _MAX_ZEROS:
+            raise damaged(f"its accessor {index} declares {accessor.count} zeros; expected at most {_MAX_ZEROS}")
         else:
             rows = np.zeros((accessor.count, width), kind)
         if sparse is not None:

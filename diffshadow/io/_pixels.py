@@ -11,7 +11,7 @@ from .._types import HostArray
 from ._errors import FileError
 
 # 8192 squared: far more pixels than any image that is compared, in a few hundred megabytes.
-MOST_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 # Colours of a grey image may differ by this much through lossy compression.
 _GREY = 1 / 64
 
@@ -28,11 +28,11 @@ class Pixels(NamedTuple):
 
 
 def check_size(file: Path, rows: int, columns: int) -> None:
-    """**Raises** `FileError` if there are no pixels, or more than `MOST_PIXELS`."""
-    if not 0 < rows * columns <= MOST_PIXELS:
+    """**Raises** `FileError` if there are no pixels, or more than `MAX_PIXELS`."""
+    if not 0 < rows * columns <= MAX_PIXELS:
         raise FileError(
             f"the visibility file {file} has {rows} x {columns} pixels; "
-            f"expected 1 to {MOST_PIXELS:,} in total: scale it down"
+            f"expected 1 to {MAX_PIXELS:,} in total: scale it down"
         )
 
 

@@ -17,7 +17,7 @@ _EXACT, _TOUCHING = 1e-9, 1e-4
 # A face is flat if its corners are this close to its plane, as a fraction of its extent.
 _FLAT = 1e-3
 # Beyond this, the vertices of instances fill gigabytes.
-_MOST_REPEATED = 1 << 25
+_MAX_REPEATED = 1 << 25
 
 
 class Polygons(NamedTuple):
@@ -121,9 +121,9 @@ def repeated(
 
     **Raises** `MeshError` for more triangles or vertices than memory has room for.
     """
-    if len(to_world) * max(len(points), len(triangles)) > _MOST_REPEATED:
+    if len(to_world) * max(len(points), len(triangles)) > _MAX_REPEATED:
         raise MeshError(
-            f"has {len(to_world):,} instances of {len(triangles):,} triangles; expected at most {_MOST_REPEATED:,} "
+            f"has {len(to_world):,} instances of {len(triangles):,} triangles; expected at most {_MAX_REPEATED:,} "
             "triangles in all: leave some out"
         )
     linear = to_world[:, :3, :3]

@@ -22,17 +22,17 @@ from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, Drawing, DrawPass, Finish, Write
 
 # Buffers of at most so many bytes are not split. Bands of larger ones have at least so many bytes, and so many rows.
-_MOST_IN_ONE, _LEAST_BYTES, _LEAST_ROWS = 1 << 25, 1 << 21, 128
+_MAX_IN_ONE, _MIN_BYTES, _MIN_ROWS = 1 << 25, 1 << 21, 128
 
 
 def bands_of(buffer: Resolution, bytes_a_pixel: int) -> int:
     """How many bands an image is drawn in."""
     height, width = buffer
     size = height * (width + PADDING) * bytes_a_pixel
-    if is_on_gpu() or size <= _MOST_IN_ONE:
+    if is_on_gpu() or size <= _MAX_IN_ONE:
         return 1
     # A power of two, which divides the height of most images.
-    return 1 << min(size // _LEAST_BYTES, height // _LEAST_ROWS).bit_length() - 1
+    return 1 << min(size // _MIN_BYTES, height // _MIN_ROWS).bit_length() - 1
 
 
 class BandDrawing(Drawing):

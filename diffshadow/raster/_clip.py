@@ -20,7 +20,7 @@ PLANES = 6
 _CORNERS = 3 + PLANES
 FAN = _CORNERS - 2
 # The least w that is kept, as a fraction of the triangle's greatest.
-_LEAST_W = 1e-6
+_MIN_W = 1e-6
 
 
 def guard_ratio(resolution: Viewport) -> tuple[Any, Any]:
@@ -53,7 +53,7 @@ def clip_triangles(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Floa
     planes = jnp.array(
         [[0, 0, 1, 1], [-1, 0, 0, gx], [1, 0, 0, gx], [0, -1, 0, gy], [0, 1, 0, gy], [0, 0, 0, 1]], corners.dtype
     )
-    offsets = jnp.array([0, 0, 0, 0, 0, _LEAST_W], corners.dtype)
+    offsets = jnp.array([0, 0, 0, 0, 0, _MIN_W], corners.dtype)
     scale = jnp.max(jnp.abs(corners[3]), axis=0)
     start = jnp.pad(corners, ((0, 0), (0, PLANES), (0, 0))), jnp.full(scale.shape, 3, jnp.int32)
     # A loop, since its six iterations unrolled would take seconds to compile.

@@ -13,7 +13,7 @@ from .._misc import is_on_gpu, take
 # six classes into one integer.
 _RUN = 16
 _BITS = 5
-_MOST_CLASSES = 6
+_MAX_CLASSES = 6
 
 
 class Ranks(NamedTuple):
@@ -49,7 +49,7 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
     A prefix sum over all elements for each class would take most of a frame. Here one prefix sum over short runs serves
     all classes. Runs are laid out across memory so that it vectorizes, and only the runs' totals are summed further.
     """
-    assert number <= _MOST_CLASSES
+    assert number <= _MAX_CLASSES
     n = classes.shape[0]
     runs = jnp.pad(classes, (0, -n % _RUN), constant_values=-1).reshape(_RUN, -1)
 

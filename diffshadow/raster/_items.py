@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Int
 from .._misc import is_on_gpu, take
 
 # With no more owners than this to an item, a CPU takes less time to mark where each one's items end than to search.
-_MOST_MARKS = 8
+_MAX_MARKS = 8
 
 
 class Items(NamedTuple):
@@ -54,7 +54,7 @@ class Items(NamedTuple):
             # GPUs are slow to start loops, and CPUs take longer to compile them unrolled.
             return jnp.searchsorted(self.ends, item, side="right", method="scan_unrolled").astype(jnp.int32)
         count = item.shape[0]
-        if self.ends.shape[0] > _MOST_MARKS * count:
+        if self.ends.shape[0] > _MAX_MARKS * count:
             return jnp.searchsorted(self.ends, item, side="right").astype(jnp.int32)
         marks = jnp.zeros(count + 1, jnp.int32).at[jnp.clip(self.ends - item[0], 0, count)].add(1)
         return jnp.cumsum(marks[:-1], dtype=jnp.int32)

@@ -51,7 +51,7 @@ _CLIPPED_AT_ONCE = 64, 256, 2048
 _MANY_PIXELS, _MANY_FACES = 1 << 22, 1 << 16
 # On a CPU, windows of this side or more are written one after the other into buffers of so many bytes at most. In
 # larger ones, one core would wait for memory where several evaluate windows.
-_LEAST_IN_TURN, _MOST_IN_TURN = 8, 1 << 24
+_MIN_IN_TURN, _MAX_IN_TURN = 8, 1 << 24
 # How many rows of blocks are cut into blocks at once, for each block that is drawn at once.
 _ROWS_TO_BLOCKS = 2
 
@@ -347,7 +347,7 @@ def _least(
     """
 
     def write(buffer: Array, form: EdgeForm, source: Array, side: int) -> Array:
-        if is_on_gpu() or side < _LEAST_IN_TURN or buffer.size * buffer.dtype.itemsize > _MOST_IN_TURN:
+        if is_on_gpu() or side < _MIN_IN_TURN or buffer.size * buffer.dtype.itemsize > _MAX_IN_TURN:
             updates = stored(form, source, side)
             return lax.scatter_min(buffer, corner(form), updates, SCATTER, mode=DROPPED_WRITES)
 

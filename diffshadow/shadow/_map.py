@@ -231,7 +231,7 @@ def _check_allows_edges(view: View, resolution: Resolution, depth_layer: DepthLa
 
 
 # Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
-_MOST_SHARED = 2049
+_MAX_SHARED = 2049
 
 
 @dataclasses.dataclass(frozen=True)
@@ -276,7 +276,7 @@ class MapSettings:
         height, width = self.resolution
         # With silhouettes, as in fits of lights or meshes, the corners of texels are drawn too.
         size = (height, width) if self.silhouettes is False else (height + 1, width + 1)
-        return size if all(n <= side <= _MOST_SHARED for n, side in zip(image, size, strict=True)) else None
+        return size if all(n <= side <= _MAX_SHARED for n, side in zip(image, size, strict=True)) else None
 
 
 class MapPlan(eqx.Module):

@@ -15,7 +15,7 @@ POISSON = np.array(
 )
 POISSON_CUBE = np.array([(-1, 1, -1), (1, -1, -1), (-1, -1, -1), (1, -1, 1)], float)
 # Exponents of more would overflow a float.
-MOST_EXPONENT = 87.0
+MAX_EXPONENT = 87.0
 
 
 def babylon_visibility(
@@ -80,8 +80,8 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 def exponential(name: str, metric: np.ndarray, texel: np.ndarray, darkness: float, steepness: float) -> np.ndarray:
     if "CLOSE" in name:
-        return np.exp(np.minimum(MOST_EXPONENT, -steepness * (metric - texel))).clip(darkness, 1)
-    return 1 - (np.exp(np.minimum(MOST_EXPONENT, steepness * metric)) * texel).clip(0, 1 - darkness)
+        return np.exp(np.minimum(MAX_EXPONENT, -steepness * (metric - texel))).clip(darkness, 1)
+    return 1 - (np.exp(np.minimum(MAX_EXPONENT, steepness * metric)) * texel).clip(0, 1 - darkness)
 
 
 def flat(name: str, color, uv, metric, darkness: float, scale: float, steepness: float) -> np.ndarray:

@@ -20,7 +20,7 @@ FACES = 211
 def in_bands(monkeypatch):
     """Makes programs that are traced from here on draw in bands."""
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    for name, value in (("_MOST_IN_ONE", 0), ("_LEAST_BYTES", 1), ("_LEAST_ROWS", 20)):
+    for name, value in (("_MAX_IN_ONE", 0), ("_MIN_BYTES", 1), ("_MIN_ROWS", 20)):
         monkeypatch.setattr(_band_pass, name, value)
     assert _band_pass.bands_of(RESOLUTION, 4) == 4
 
@@ -42,7 +42,7 @@ def faces():
 def whole(clips, faces, viewports=None):
     """The same in one buffer. Outside of a trace, small images are drawn into a buffer of another shape."""
     with pytest.MonkeyPatch.context() as one:
-        one.setattr(_band_pass, "_MOST_IN_ONE", 1 << 25)
+        one.setattr(_band_pass, "_MAX_IN_ONE", 1 << 25)
         return rasterize(clips, faces, RESOLUTION, viewports=viewports)
 
 

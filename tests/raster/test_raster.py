@@ -21,7 +21,7 @@ COUNT = 24
 FACES = np.arange(3 * COUNT, dtype=np.int32).reshape(-1, 3)
 SOUPS_AN_EXAMPLE = 25
 # What all meshes are filled up to, so that a kind of drawing is compiled once.
-MOST_FACES, MOST_VERTICES = 4096, 4095
+MAX_FACES, MAX_VERTICES = 4096, 4095
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -31,9 +31,9 @@ LESS_EQUAL = DepthTest(compare="less_equal")
 
 def padded_to(clip, faces):
     """Vertices and faces, and more of either that are not seen."""
-    vertices = np.full((MOST_VERTICES, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
+    vertices = np.full((MAX_VERTICES, 4), [2.0, 2.0, 2.0, 1.0], np.float32)
     vertices[: len(clip)] = clip
-    corners = np.full((MOST_FACES, 3), MOST_VERTICES - 1, np.int32)
+    corners = np.full((MAX_FACES, 3), MAX_VERTICES - 1, np.int32)
     corners[: len(faces)] = faces
     return jnp.asarray(vertices), jnp.asarray(corners)
 
@@ -317,7 +317,7 @@ def test_slivers_are_no_deeper_and_no_nearer_than_their_corners():
 
 def test_many_triangles_of_every_size_are_drawn_as_few_are():
     """So many that every loop runs several times: small ones, large ones, and those that are clipped."""
-    times = MOST_FACES // COUNT // 3
+    times = MAX_FACES // COUNT // 3
     for seed in (11, 12):
         clip, _ = soup(np.random.default_rng(seed), COUNT, RESOLUTION)
         face, depth = draw(np.tile(clip, (times, 1)), np.arange(3 * COUNT * times).reshape(-1, 3))

@@ -18,7 +18,7 @@ RESOLUTION = (32, 48)
 COLUMNS, ROWS = 7, 5
 
 
-MOST_FACES, MOST_VERTICES = 80, 49
+MAX_FACES, MAX_VERTICES = 80, 49
 
 
 @jax.jit
@@ -29,9 +29,9 @@ def _coverage(clip, faces):
 
 def coverage(clip, faces):
     """How many of the faces cover each pixel centre, each drawn by itself; any number by one program."""
-    vertices = np.full((MOST_VERTICES, 4), [2, 2, 2, 1], np.float32)
+    vertices = np.full((MAX_VERTICES, 4), [2, 2, 2, 1], np.float32)
     vertices[: len(clip)] = clip
-    corners = np.full((MOST_FACES, 3), MOST_VERTICES - 1, np.int32)
+    corners = np.full((MAX_FACES, 3), MAX_VERTICES - 1, np.int32)
     corners[: len(faces)] = faces
     return np.asarray(_coverage(vertices, corners))
 

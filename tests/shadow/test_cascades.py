@@ -50,7 +50,7 @@ TEXELS = 32
 SHARES, SHARED_TEXELS = (16.0, 1.0, 4.0, 4.0), 40
 RADIUS = 3.0
 """Of the filters, texels."""
-MOST_BLEND = 0.3
+MAX_BLEND = 0.3
 BIAS = Bias(0.5, plane=ReceiverPlane())
 
 
@@ -58,7 +58,7 @@ def cascades(logarithmic=0.8, blend=0.0, select="map", **more) -> Cascades:
     """Four cascades, with all that a filter may read within them. They share what is compiled."""
     if more.get("shares") is not None:
         more["max_share"] = max(SHARES) / sum(SHARES)
-    return Cascades(4, logarithmic, blend=blend, max_blend=MOST_BLEND, margin=RADIUS + 2, select=select, **more)
+    return Cascades(4, logarithmic, blend=blend, max_blend=MAX_BLEND, margin=RADIUS + 2, select=select, **more)
 
 
 def mapping(layout, kernel=None, texels=None, **settings) -> ShadowMapping:
@@ -201,7 +201,7 @@ def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, sele
 
 
 def one_cascade(blend=0.0) -> Cascades:
-    return Cascades(1, stabilize=False, blend=blend, max_blend=MOST_BLEND)
+    return Cascades(1, stabilize=False, blend=blend, max_blend=MAX_BLEND)
 
 
 @pytest.mark.parametrize("blend", [0.3, pytest.param(0.0, marks=pytest.mark.exhaustive)])

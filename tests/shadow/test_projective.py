@@ -22,7 +22,7 @@ CARD = quad((0, 1, 0), (HALF, 0, 0), (0, 0, -HALF))
 FLOOR = quad((0, 0, 0), (1.5, 0, 0), (0, 0, -1.5))
 CAMERA = OrthographicCamera((0, 2, 0), (0, 0, 0), (0, 0, -1), height=3.0)
 # All textures and images are of one size, and all can be blurred as far, so that they share what is compiled.
-MOST_BLUR = 10.0
+MAX_BLUR = 10.0
 
 
 # Visibility depends on the texture alone.
@@ -40,7 +40,7 @@ def scene_of(light):
 
 
 def texture_of(light=DOWN, blur=0.0, kernel="box"):
-    technique = ProjectiveShadow((TEXELS, TEXELS), blur, max_blur=MOST_BLUR, kernel=kernel)
+    technique = ProjectiveShadow((TEXELS, TEXELS), blur, max_blur=MAX_BLUR, kernel=kernel)
     return technique.prepare(scene_of(light))
 
 
@@ -89,7 +89,7 @@ def test_casters_are_lit_and_surfaces_turned_away_are_dark():
     below = quad((0, 0.5, 0), (0.2, 0, 0), (0, 0, 0.2))
     scene = Scene([FLOOR, CARD, below], side_camera((TEXELS, TEXELS)), DOWN, casts=(False, True, True))
     surface = draw_surface(scene.mesh, scene.camera)
-    technique = ProjectiveShadow((TEXELS, TEXELS), max_blur=MOST_BLUR)
+    technique = ProjectiveShadow((TEXELS, TEXELS), max_blur=MAX_BLUR)
     shadows = lambda scene: np.asarray(technique.visibility(technique.prepare(scene), surface))
     visibility = shadows(scene)
     face = np.asarray(surface.face)

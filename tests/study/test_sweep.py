@@ -299,7 +299,7 @@ QMC = "{count: 64, axes: {bias.slope: {lower: 0, upper: 4}}}"
 def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
     section = "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.radius: [1, 2, 3]}, repeats: 4}"
     small = sweep_of(section)
-    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MOST_KEPT", 0)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_KEPT", 0)
     told = []
     Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
     large = load_sweep(Path("t.yaml"), progress=lambda done, total: told.append((done, total)))
@@ -506,8 +506,8 @@ def test_sweep_that_is_started_again_does_only_what_is_missing(quick):
 
 def test_sweep_in_parts_gives_the_same_table(quick, monkeypatch):
     whole, _ = run(load_sweep(Path("s.yaml")))
-    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MOST_KEPT", 0)
-    monkeypatch.setattr("diffshadow.study.sweeps._run._MOST_AT_ONCE", 3)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_KEPT", 0)
+    monkeypatch.setattr("diffshadow.study.sweeps._run._MAX_AT_ONCE", 3)
     parts, _ = run(load_sweep(Path("s.yaml"), ["output=other"]))
     assert len(quick) == 16
     assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()

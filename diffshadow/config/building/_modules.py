@@ -26,7 +26,7 @@ from ._scene import build_mesh as build_mesh
 from ._technique import build_bias, build_compare, build_filter, build_layout, module_of
 
 # 120 bytes per triangle, with normals, colours and indices.
-_MOST_TRIANGLES = 1 << 25
+_MAX_TRIANGLES = 1 << 25
 
 
 class FitPlan(NamedTuple):
@@ -92,15 +92,15 @@ def _meshes_of(config: Config) -> list[Placed]:
             with _blame(config, ("scene", "meshes", i)):
                 mesh = place_mesh(section)
                 triangles += mesh.faces.shape[0]
-                if triangles > _MOST_TRIANGLES:
+                if triangles > _MAX_TRIANGLES:
                     raise ValueError(
-                        f"brings the scene to {triangles:,} triangles; expected at most {_MOST_TRIANGLES:,}, which "
+                        f"brings the scene to {triangles:,} triangles; expected at most {_MAX_TRIANGLES:,}, which "
                         "take 4 GB; simplify it, or leave meshes out"
                     )
                 meshes.append(mesh)
         except ConfigError as error:
             mistakes += error.mistakes
-            if triangles > _MOST_TRIANGLES:
+            if triangles > _MAX_TRIANGLES:
                 break
     if mistakes:
         raise ConfigError(mistakes)

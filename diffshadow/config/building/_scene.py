@@ -25,7 +25,7 @@ Triple = tuple[float, float, float]
 # Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01
 # Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
-_LEAST_NEAR = 1e-3
+_MIN_NEAR = 1e-3
 
 
 class Placed(NamedTuple):
@@ -167,9 +167,9 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
             "expected some of it in front: change the camera's eye or target"
         )
     # A scene seen edge-on still needs a depth range.
-    margin = max(_MARGIN * (high - low), _LEAST_NEAR * max(abs(low), abs(high)))
+    margin = max(_MARGIN * (high - low), _MIN_NEAR * max(abs(low), abs(high)))
     near, far = low - margin, high + margin
-    return (max(near, _LEAST_NEAR * far) if perspective else near), far
+    return (max(near, _MIN_NEAR * far) if perspective else near), far
 
 
 def build_light(config: scene.Light, stage: Stage) -> geometry.AbstractLight:

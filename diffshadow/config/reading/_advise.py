@@ -22,7 +22,7 @@ from ._sweep_runs import Progress, Sweep, SweepRuns
 
 _SIZE = "shadow_map.resolution"
 # Each is a fit.
-_MOST_TECHNIQUES = 1024
+_MAX_TECHNIQUES = 1024
 # What a fit says of its parameters beyond the best: techniques are compared at their best.
 _OF_ONE_FIT = ("intervals", "prefer", "front")
 
@@ -63,8 +63,8 @@ def load_advice(
     settings = _settings_of(draft)
     sizes = settings.resolutions or _sizes_of(draft)
     pairs = list(itertools.product(*(enumerate(getattr(settings, name)) for name in LISTS)))
-    if len(pairs) * len(sizes) > _MOST_TECHNIQUES:
-        message = f"makes {len(pairs) * len(sizes):,} fits; expected at most {_MOST_TECHNIQUES:,}; shorten its lists"
+    if len(pairs) * len(sizes) > _MAX_TECHNIQUES:
+        message = f"makes {len(pairs) * len(sizes):,} fits; expected at most {_MAX_TECHNIQUES:,}; shorten its lists"
         raise ConfigError([Mistake(draft.origin.place(("advise",)), "advise", message)])
     places, entries = dict(draft.origin.places), []
     for n, pair in enumerate(pairs):

@@ -12,7 +12,7 @@ from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
 # Beyond this, not every whole number is a float.
-_MOST_COUNTED = 2**53
+_MAX_COUNTED = 2**53
 _SWITCHES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
@@ -82,7 +82,7 @@ def _remedy(value: Any, slot: Slot) -> str:
     if slot.kind in (int, float) and isinstance(value, str) and _NUMBER_IN_TEXT.fullmatch(value):
         point = ", with a decimal point" if slot.kind is float else ""
         return f"write it without quotes{point} and without other characters between the digits"
-    if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MOST_COUNTED:
+    if slot.kind is int and isinstance(value, float) and value.is_integer() and abs(value) < _MAX_COUNTED:
         return f"write {int(value)}"
     if slot.kind is str:
         return "put it in quotes" if isinstance(value, int | float) else "write text"

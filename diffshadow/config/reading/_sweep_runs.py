@@ -30,11 +30,11 @@ from ._mistakes import mistakes_of
 _FORMAT = 1
 _ID_BYTES = 8
 # Each run takes a millisecond to check, a folder, and a few hundred bytes of memory.
-_MOST_RUNS = 1 << 20
+_MAX_RUNS = 1 << 20
 # The runs of larger sweeps are not kept in memory, but made again when they are needed.
-_MOST_KEPT = 4096
+_MAX_KEPT = 4096
 # How many distinct faults are collected before checking stops.
-_MOST_FAULTS = 100
+_MAX_FAULTS = 100
 
 Progress = Callable[[int, int], None]
 """Called with the number of runs checked so far, and the number of all runs."""
@@ -136,12 +136,12 @@ class SweepRuns(Sequence[SweepRun]):
                     faults[mistake] = first, count + 1
             else:
                 ids += bytes.fromhex(run.id)
-                if self._count <= _MOST_KEPT:
+                if self._count <= _MAX_KEPT:
                     kept.append(run)
             checked += 1
             if progress is not None:
                 progress(checked, self._count)
-            if len(faults) >= _MOST_FAULTS:
+            if len(faults) >= _MAX_FAULTS:
                 break
         if faults:
             # A fault of every run does not depend on the values.
@@ -229,9 +229,9 @@ def load_sweep(
     except ConfigError as error:
         raise ConfigError([*error.mistakes, *_faults_beside_plot(draft, error)]) from None
     runs = SweepRuns(settings, draft)
-    if len(runs) > _MOST_RUNS:
+    if len(runs) > _MAX_RUNS:
         message = (
-            f"makes {len(runs):,} runs; expected at most {_MOST_RUNS:,}, since each is checked and gets a folder; "
+            f"makes {len(runs):,} runs; expected at most {_MAX_RUNS:,}, since each is checked and gets a folder; "
             "shorten its lists, or split it into several sweeps"
         )
         raise ConfigError([Mistake(draft.origin.place(("sweep",)), "sweep", message)])
@@ -262,7 +262,7 @@ def _faults_beside_plot(draft: Draft, error: ConfigError) -> Sequence[Mistake]:
     rest = draft._replace(data={**draft.data, "sweep": settings})
     try:
         runs = SweepRuns(_settings_of(rest), rest)
-        if len(runs) <= _MOST_RUNS:
+        if len(runs) <= _MAX_RUNS:
             runs.check()
     except ConfigError as more:
         return more.mistakes

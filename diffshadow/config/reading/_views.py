@@ -14,14 +14,14 @@ from ..sections._paths import path_of
 from ..sections._scene import BUILTIN
 from ..sections._section import is_number, value_at
 from ..sections._views import ViewsConfig
-from ..whole._costs import MOST_PIXELS
+from ..whole._costs import MAX_PIXELS
 from ..whole._schema import Config, View
 from ._axes import Choice, levels_of, written
 from ._draft import Draft
 
 KINDS = ("views", "validation")
 """The sections of a fit that hold views."""
-_MOST_VIEWS = 4096
+_MAX_VIEWS = 4096
 # What tells views apart.
 _COMPARED = {"scene", "reference", "shadow_map"}
 
@@ -72,8 +72,8 @@ def _views(
     levels, key = levels_of(section, draft), section.at
     place = draft.origin.place(tuple(key.split(".")))
     count = math.prod(map(len, levels))
-    if count > _MOST_VIEWS:
-        message = f"makes {count:,} views; expected at most {_MOST_VIEWS:,}; shorten its lists"
+    if count > _MAX_VIEWS:
+        message = f"makes {count:,} views; expected at most {_MAX_VIEWS:,}; shorten its lists"
         raise ConfigError([Mistake(place, key, message)])
     views, mistakes = [], {}
     rows = list(itertools.product(*levels))
@@ -99,8 +99,8 @@ def _views(
             message = f"has images of {have} in the view {view.name}, and others have {need}; expected the same"
             raise ConfigError([Mistake(place, key, f"{message}; set scene.camera.resolution outside of the views")])
     pixels = sum(math.prod(view.config.scene.camera.resolution) for view in views)
-    if pixels > MOST_PIXELS:
-        message = f"has {pixels:,} pixels in {count:,} views; expected at most {MOST_PIXELS:,}, which take 5 GB"
+    if pixels > MAX_PIXELS:
+        message = f"has {pixels:,} pixels in {count:,} views; expected at most {MAX_PIXELS:,}, which take 5 GB"
         mend = "lower scene.camera.resolution, or take fewer views"
         raise ConfigError([Mistake(place, key, f"{message}; {mend}")])
     return tuple(views)

@@ -24,7 +24,7 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 _KNOWN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("str", "seq", "map")}
 # Aliases of aliases can grow exponentially. No real configuration comes near this limit.
-_MOST_VALUES = 10_000
+_MAX_VALUES = 10_000
 _LONGEST_INTEGER = 40
 
 _HINTS = {
@@ -103,8 +103,8 @@ class _Reader:
         if id(node) in within:
             self.report(node, path, "contains itself; expected plain data; write the value out instead of the alias")
             return None
-        if self.count > _MOST_VALUES:
-            if self.count == _MOST_VALUES + 1:
+        if self.count > _MAX_VALUES:
+            if self.count == _MAX_VALUES + 1:
                 message = f"is the {self.count:,}th value; expected fewer in a configuration; check its aliases ('*')"
                 self.report(node, path, message)
             return None

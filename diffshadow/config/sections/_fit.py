@@ -40,7 +40,7 @@ class AnnealConfig(Section, fit.Anneal):
 
 
 _as_names = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
-LEAST_BIAS = "least_bias"
+MIN_BIAS = "least_bias"
 """The preference for the least biases, then the least radii."""
 
 UPPER = 10.0

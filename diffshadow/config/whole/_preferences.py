@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from .._errors import listing
-from ..sections._fit import LEAST_BIAS, FitConfig
+from ..sections._fit import MIN_BIAS, FitConfig
 from ..sections._section import Conflict, fault
 from ._parts import Parts
 
@@ -16,7 +16,7 @@ def preferences(fit: FitConfig) -> list[str]:
     radii = [name for name in fit.parameters if name.rpartition(".")[2] in _RADII and name not in biases]
     found: dict[str, None] = {}
     for name in fit.prefer:
-        found |= dict.fromkeys([*biases, *(radii if biases else ())] if name == LEAST_BIAS else [name])
+        found |= dict.fromkeys([*biases, *(radii if biases else ())] if name == MIN_BIAS else [name])
     return list(found)
 
 
@@ -29,10 +29,10 @@ def preference_faults(config: Parts) -> Iterator[Conflict]:
                 yield ("fit", key), fault("is given in a fit of lights or meshes", "a fit of a technique", "remove it")
         return
     for name in fit.prefer:
-        if name == LEAST_BIAS:
+        if name == MIN_BIAS:
             if not preferences(fit):
                 mend = "add bias.constant, or remove the preference"
                 yield ("fit", "prefer"), fault("is least_bias, and no bias is fitted", "one among fit.parameters", mend)
         elif name not in fit.parameters:
-            what = fault(f"names {name}, which is not fitted", listing((LEAST_BIAS, *fit.parameters)), "change it")
+            what = fault(f"names {name}, which is not fitted", listing((MIN_BIAS, *fit.parameters)), "change it")
             yield ("fit", "prefer"), what

@@ -25,7 +25,7 @@ Samples = dict[tuple[int, int], tuple[Any, Any]]
 # The fraction of a sample that is taken from the worst problems.
 _OF_WORST = 0.75
 # Bounds of the factor that corrects a sample's error.
-_LEAST_ERROR, _MOST_FACTOR = 1e-10, 4.0
+_MIN_ERROR, _MAX_FACTOR = 1e-10, 4.0
 
 Images = tuple[Float[Array, "..."], ...]
 """The images of each stack, (n, h, w), and of each other problem, (1, h, w)."""
@@ -187,8 +187,8 @@ class Joint(eqx.Module):
         """
         hard, own = self.hard().each(lambda p: p.padded()), np.empty(len(self.problems))
         own[stacked_order(hard.problems)] = _errors(hard.stacked(atlases))
-        ratios = np.asarray(errors) / np.maximum(own, _LEAST_ERROR)
-        factors = np.clip(ratios, 1 / _MOST_FACTOR, _MOST_FACTOR)
+        ratios = np.asarray(errors) / np.maximum(own, _MIN_ERROR)
+        factors = np.clip(ratios, 1 / _MAX_FACTOR, _MAX_FACTOR)
         corrected = [dataclasses.replace(p, factor=c) for p, c in zip(self.problems, factors, strict=True)]
         return dataclasses.replace(self, problems=tuple(corrected))
 

@@ -24,7 +24,7 @@ from ._blur import blurred
 # The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
 # meshes, an image under it tells best where they are (`docs/experiments.md`).
 _LAST_BLUR = 0.7
-_LEAST_BLUR = 1.0
+_MIN_BLUR = 1.0
 # There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
 _MORE_CROSSINGS = 4
 
@@ -172,7 +172,7 @@ class PoseProblem(AbstractProblem):
         """
         scene = self.scene
         texel = float(_texel_in_pixels(scene.light, scene.camera, _points(scene.meshes), self.settings.resolution))
-        return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _LEAST_BLUR), self.blur_in_pixels))
+        return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _MIN_BLUR), self.blur_in_pixels))
 
     def planned(self) -> "PoseProblem":
         """With memory for several times the silhouettes of its arrangement, and no less than before."""

@@ -20,7 +20,7 @@ from ._technique import TechniqueProblem
 _AT_ONCE = 1 << 14, 1 << 19
 # The most texels of an atlas, whose indices are 32-bit numbers, and the most atlases that are kept: a fit of a layout
 # draws its maps again and again.
-_MOST_TEXELS, _MOST_ATLASES = (1 << 31) - 1, 4
+_MAX_TEXELS, _MAX_ATLASES = (1 << 31) - 1, 4
 
 
 Atlases = dict[tuple[int, ...], tuple[Atlas, Any]]
@@ -107,13 +107,13 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
     if not isinstance(like, ShadowMap) or like.silhouettes is not None:
         return Stack(together(group))
     maps: dict[int, Any] = {id(p.shadow_map): p.shadow_map for p in among if _fits(p.shadow_map, like)}
-    if Atlas.size(len(maps), like.depth.shape) > _MOST_TEXELS:
+    if Atlas.size(len(maps), like.depth.shape) > _MAX_TEXELS:
         return Stack(together(group))
     numbers = {key: number for number, key in enumerate(maps)}
     if tuple(maps) not in atlases:
         # With the maps, so that their ids stay their own.
         atlases[tuple(maps)] = Atlas.of([*maps.values()]), maps
-        while len(atlases) > _MOST_ATLASES:
+        while len(atlases) > _MAX_ATLASES:
             atlases.pop(next(iter(atlases)))
     atlas, _ = atlases[tuple(maps)]
     return Stack.of(group, atlas, [numbers[id(problem.shadow_map)] for problem in group])

@@ -16,9 +16,9 @@ from ._settings import Stop
 _FIRST_DAMPING = 0.01
 # The factor by which the first of several rejected steps shortens the next, and the greatest by which a good one
 # lengthens it.
-_SHRINK, _MOST_GROWTH = 2.0, 3.0
+_SHRINK, _MAX_GROWTH = 2.0, 3.0
 # Where the loss is noisy, a fit ends when the predicted reduction of a full step is less than this fraction of it.
-_LEAST_GAIN = 1e-3
+_MIN_GAIN = 1e-3
 # Added to the squares of the Jacobian's columns, relative to them, so that parameters with the same effect do no harm.
 _RIDGE = 1e-6
 
@@ -56,7 +56,7 @@ class NielsenDamping(optx.AbstractSearch):
         actual = noise + f_info.as_min() - f_eval_info.as_min()
         accept = first_step | ((predicted > 0) & (actual > 0))
         ratio = actual / jnp.where(predicted > 0, predicted, 1)
-        longer = state.step_size / jnp.maximum(1 / _MOST_GROWTH, 1 - (2 * ratio - 1) ** 3)
+        longer = state.step_size / jnp.maximum(1 / _MAX_GROWTH, 1 - (2 * ratio - 1) ** 3)
         steepest = jnp.max(jnp.sum(f_eval_info.jac.as_matrix() ** 2, axis=0))
         first = 1 / jnp.where(steepest > 0, _FIRST_DAMPING * steepest, 1)
         size = jnp.where(first_step, first, jnp.where(accept, longer, state.step_size / state.shrink))
@@ -119,6 +119,6 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
         short = jnp.abs(state.y_eval - y) < jnp.maximum(self.stop.shortest, self.atol + self.rtol * jnp.abs(y))
         accepted = state.num_steps_since_acceptance == 0
         gain = _gain(state.f_info.jac.as_matrix(), state.f_info.residual)
-        least = jnp.maximum(self.stop.least_gain, _LEAST_GAIN if self.noise > 0 else 0.0)
+        least = jnp.maximum(self.stop.least_gain, _MIN_GAIN if self.noise > 0 else 0.0)
         flat = accepted & ~state.first_step & (gain < least)
         return done | (jnp.all(short) & ~accepted) | flat, result

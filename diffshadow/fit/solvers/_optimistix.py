@@ -11,7 +11,7 @@ from ._levenberg_marquardt import LevenbergMarquardt
 from ._settings import Solver, Stop
 
 # Singular values of the Jacobian below this fraction of the largest count as zero, at the precision of float32.
-_LEAST_SINGULAR = 1e-6
+_MIN_SINGULAR = 1e-6
 
 
 def optimistix_solver(
@@ -26,7 +26,7 @@ def optimistix_solver(
             return LevenbergMarquardt(**tolerances, noise=solver.noise or 0.0, stop=stop)
         case "dogleg":
             # It solves undamped: a parameter without a gradient must not spoil the others' steps.
-            return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_LEAST_SINGULAR))
+            return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_MIN_SINGULAR))
         case "bfgs":
             return optx.BFGS(**tolerances)
         case "lbfgs":

@@ -16,7 +16,7 @@ OptimistixSolver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 # Fraction of the loss.
 _NOISE_OF_POSES = 0.25
-_LEAST_SQUARES = ("levenberg_marquardt", "dogleg")
+_MIN_SQUARES = ("levenberg_marquardt", "dogleg")
 _OF_OPTIMISTIX = "a least-squares solver or minimiser of optimistix, such as optimistix.BFGS(1e-4, 1e-6)"
 _EXPECTED = f'a fit.Solver, such as Solver("adam"), or {_OF_OPTIMISTIX}'
 
@@ -69,7 +69,7 @@ class Solver(CheckedModule):
         """Whether it uses the residuals' Jacobian, rather than the loss' gradient."""
         if self.method is not None:
             return isinstance(self.method, optx.AbstractLeastSquaresSolver)
-        return self.name in _LEAST_SQUARES
+        return self.name in _MIN_SQUARES
 
     @property
     def title(self) -> str:

@@ -18,7 +18,7 @@ from .._errors import damaged
 from .._text import excerpt
 
 # More than any shape needs; two of these make 17 million vertices, which memory has room for.
-_MOST_SEGMENTS = 1 << 12
+_MAX_SEGMENTS = 1 << 12
 
 
 class Geometry(NamedTuple):
@@ -385,8 +385,8 @@ def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
 
 
 def _whole(kind: str, key: str, value: Any, least: int) -> int:
-    if not (isinstance(value, int | float) and least <= value <= _MOST_SEGMENTS):
-        raise damaged(f"its {kind} has {key} = {_shown(value)}; expected a number from {least} to {_MOST_SEGMENTS}")
+    if not (isinstance(value, int | float) and least <= value <= _MAX_SEGMENTS):
+        raise damaged(f"its {kind} has {key} = {_shown(value)}; expected a number from {least} to {_MAX_SEGMENTS}")
     return int(value)
 
 

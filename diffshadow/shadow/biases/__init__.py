@@ -16,7 +16,7 @@ from ._features import GLSL_INPUTS as GLSL_INPUTS
 from ._linear import LinearBias as LinearBias
 from ._normal_offset import NormalOffset as NormalOffset
 from ._normal_offset import OffsetProfile as OffsetProfile
-from ._perceptron import MOST_WEIGHTS as MOST_WEIGHTS
+from ._perceptron import MAX_WEIGHTS as MAX_WEIGHTS
 from ._perceptron import PerceptronBias as PerceptronBias
 from ._receiver_plane import ReceiverPlane as ReceiverPlane
 from ._slope import SlopeBias as SlopeBias

@@ -10,7 +10,7 @@ from ..._misc import safe_norm, safe_sqrt
 from .._receiver import Receiver
 
 # Blockers farther away than this count as this far away, in texels.
-_MOST_TEXELS = 16.0
+_MAX_TEXELS = 16.0
 
 
 class Feature(NamedTuple):
@@ -45,7 +45,7 @@ def _sine(receiver: Receiver) -> Float[Array, "h w"]:
 
 
 def _blocker_distance(receiver: Receiver) -> Float[Array, "h w"]:
-    return jnp.clip((receiver.depth - receiver.stored) / receiver.depth_per_texel, 0, _MOST_TEXELS)
+    return jnp.clip((receiver.depth - receiver.stored) / receiver.depth_per_texel, 0, _MAX_TEXELS)
 
 
 _COSINE = "clamp(cosine, 0.0, 1.0)"
@@ -61,6 +61,6 @@ FEATURES = {
     "distance": Feature(
         lambda at: jnp.clip(at.distance, 0, 1), "parts of the map's depth range", "clamp(light_distance, 0.0, 1.0)"
     ),
-    "blocker_distance": Feature(_blocker_distance, "texels", f"clamp(blocker_distance, 0.0, {_MOST_TEXELS})"),
+    "blocker_distance": Feature(_blocker_distance, "texels", f"clamp(blocker_distance, 0.0, {_MAX_TEXELS})"),
 }
 """Each feature by its name. None depends on the scene's scale."""

@@ -17,7 +17,7 @@ from ._abstract import AbstractBias, BiasTerms, in_depth
 from ._features import FEATURES
 from ._linear import LinearBias
 
-MOST_WEIGHTS = 100
+MAX_WEIGHTS = 100
 """The most weights of a perceptron, its linear terms included: a shader evaluates them for each pixel."""
 
 
@@ -31,7 +31,7 @@ class PerceptronBias(AbstractBias):
     - `hidden`: the hidden layers, from the first; of each, `weight` (out, in) and `bias` (out,).
     - `last`: (n,), the weights of the last hidden layer's values, in texels.
 
-    **Raises** `ValueError` if the layers' sizes do not fit together, there are more than `MOST_WEIGHTS` weights, or one
+    **Raises** `ValueError` if the layers' sizes do not fit together, there are more than `MAX_WEIGHTS` weights, or one
     is out of its range.
     """
 
@@ -90,9 +90,9 @@ class PerceptronBias(AbstractBias):
                 f"the perceptron has {inputs} inputs and layers of {given} weights; expected one or more hidden "
                 "layers, each with as many columns as the one before has rows, and a bias for each row"
             )
-        if self.count > MOST_WEIGHTS:
+        if self.count > MAX_WEIGHTS:
             raise ValueError(
-                f"the perceptron has {self.count} weights; expected at most {MOST_WEIGHTS}: take smaller layers, or "
+                f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: take smaller layers, or "
                 "fewer terms"
             )
         for numbers in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):

@@ -42,7 +42,7 @@ from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_ligh
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 # Of contact hardening's penumbra, in texels.
-_LEAST_PENUMBRA = 10.0
+_MIN_PENUMBRA = 10.0
 
 
 class BabylonJs(AbstractEngineShadows):
@@ -357,7 +357,7 @@ def _contact_hardening(
     blockers, total = lax.scan(search, (jnp.zeros_like(u), jnp.zeros_like(u)), searched)[0]
     is_blocked = blockers >= 1
     behind = at.metric - total / jnp.where(is_blocked, blockers, 1)
-    radius = (behind + _LEAST_PENUMBRA / state.resolution[1]) * ratio
+    radius = (behind + _MIN_PENUMBRA / state.resolution[1]) * ratio
     cosine, sine = jnp.cos(turn) * radius, jnp.sin(turn) * radius
 
     def tap(offset: Array) -> Array:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._misc import as_float
 from ..._types import HostArray, Scalar
 from ...settings.engines import BabylonQuality
-from ._babylon_maps import MOST_EXPONENT
+from ._babylon_maps import MAX_EXPONENT
 from ._textures import bilinear
 
 Compared = Callable[[Array], Array]
@@ -78,8 +78,8 @@ def exponentially(
 ) -> Float[Array, "h w"]:
     """Visibility from an exponential map; or, if it `is_close`, from a map of the metric."""
     if is_close:
-        return jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, -depth_scale * (metric - texel))), darkness, 1)
-    return 1 - jnp.clip(jnp.exp(jnp.minimum(MOST_EXPONENT, depth_scale * metric)) * texel, 0, 1 - darkness)
+        return jnp.clip(jnp.exp(jnp.minimum(MAX_EXPONENT, -depth_scale * (metric - texel))), darkness, 1)
+    return 1 - jnp.clip(jnp.exp(jnp.minimum(MAX_EXPONENT, depth_scale * metric)) * texel, 0, 1 - darkness)
 
 
 def falloff(squared: Float[Array, "h w"], width: Scalar) -> Float[Array, "h w"]:

@@ -15,7 +15,7 @@ from ._textures import bilinear, rounded
 # Of numbers in the blur's shader.
 _DIGITS = 8
 # Exponents of more would overflow a float.
-MOST_EXPONENT = 87.0
+MAX_EXPONENT = 87.0
 
 
 def metric_in_window(depth: Float[Array, "h w"], view: View) -> Float[Array, "h w"]:
@@ -49,7 +49,7 @@ def _lengths(size: int) -> Float[Array, "n n"]:
 
 def exponential(metric: Array, depth_scale: Scalar, is_drawn: Array) -> Array:
     """exp(-k metric), from 0 to 1; 0 where nothing is drawn."""
-    return jnp.where(is_drawn, jnp.clip(jnp.exp(-jnp.minimum(MOST_EXPONENT, depth_scale * metric)), 0, 1), 0)
+    return jnp.where(is_drawn, jnp.clip(jnp.exp(-jnp.minimum(MAX_EXPONENT, depth_scale * metric)), 0, 1), 0)
 
 
 def box_blurred(image: Float[Array, "h w"], size: Resolution, step: Scalar, offset: int) -> Array:

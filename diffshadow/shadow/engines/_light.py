@@ -16,7 +16,7 @@ NO_NUDGE = 1e-13
 _EPSILON = float(np.finfo(np.float32).eps)
 # Within these lengths, a direction leads from a light to its target as it is.
 _SHORTEST, _LONGEST = 0.01, 1e4
-_MOST_DIGITS = 9
+_MAX_DIGITS = 9
 
 
 class EngineLight(NamedTuple):
@@ -137,5 +137,5 @@ def _shortest(value: float, error: float) -> float:
     within = max(error, float(np.spacing(np.float32(abs(value)))) / 2)
     if abs(value) <= error or not math.isfinite(within):
         return 0.0 if abs(value) <= error else value
-    written = (float(f"{value:.{digits}g}") for digits in range(1, _MOST_DIGITS))
+    written = (float(f"{value:.{digits}g}") for digits in range(1, _MAX_DIGITS))
     return next((number for number in written if abs(number - value) <= within), value)

@@ -17,7 +17,7 @@ from ..._misc import as_float, safe_sqrt
 from ..._types import HostArray
 from ._textures import as_half, mix, rounded
 
-_LEAST_VARIANCE = 1e-7
+_MIN_VARIANCE = 1e-7
 # Light bleeding below this bound is cut off.
 _BLEEDING = 0.3
 _FULL = 0.95
@@ -66,7 +66,7 @@ def at_receivers(
 
 def chebyshev(mean: Array, deviation: Array, z: Array) -> Array:
     """The upper bound on visibility (Donnelly & Lauritzen 2006), cut off below against light bleeding."""
-    variance = jnp.maximum(deviation * deviation, _LEAST_VARIANCE)
+    variance = jnp.maximum(deviation * deviation, _MIN_VARIANCE)
     bound = variance / (variance + (z - mean) ** 2)
     return jnp.clip((bound - _BLEEDING) / (_FULL - _BLEEDING), 0, 1)
 

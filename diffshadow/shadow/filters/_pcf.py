@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from ..._misc import at_least, at_most
 from ...settings.filters import PercentageCloser as Settings
 from .._lookup import Lookup
-from ..kernels import LEAST_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
+from ..kernels import MIN_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
 from ._sized import AbstractSizedFilter
 
 
@@ -28,7 +28,7 @@ class PercentageCloser(AbstractSizedFilter):
     settings: ClassVar = Settings
 
     def row(self) -> AbstractRow:
-        return _Row(self.max_radius, at_least(at_most(self.radius, self.max_radius), LEAST_RADIUS))
+        return _Row(self.max_radius, at_least(at_most(self.radius, self.max_radius), MIN_RADIUS))
 
 
 class _Row(AbstractSizedRow):

@@ -21,7 +21,7 @@ from ._kernel import Span as Span
 from ._padded_map import PaddedMap as PaddedMap
 from ._padded_map import pad as pad
 from ._separable import INTEGRALS as INTEGRALS
-from ._separable import LEAST_RADIUS as LEAST_RADIUS
+from ._separable import MIN_RADIUS as MIN_RADIUS
 from ._separable import SeparableRow as SeparableRow
 from ._separable import weight_between as weight_between
 from ._sum import sum_over as sum_over

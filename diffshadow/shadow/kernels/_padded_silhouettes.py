@@ -14,7 +14,7 @@ from .._lookup import Lookup
 from ..silhouettes import NO_SILHOUETTE, Rectangle, SilhouetteMap
 
 # Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
-_LEAST_AREA = 1e-9
+_MIN_AREA = 1e-9
 # Bounds of depths are numbers of steps: the least in the upper half of a word, and the greatest in its lower half.
 _STEP_BITS = 16
 _STEPS = (1 << _STEP_BITS) - 1
@@ -71,7 +71,7 @@ class PaddedSilhouettes(eqx.Module):
         slot = jnp.maximum(slot, 0)
         inner, outer = function(take(self.map.inner, slot)), function(take(self.map.outer, slot))
         area = (part.right - part.left) * (part.above - part.below)
-        fraction = self.map.area_within(slot, part, motion) / jnp.maximum(area, _LEAST_AREA)
+        fraction = self.map.area_within(slot, part, motion) / jnp.maximum(area, _MIN_AREA)
         return outer + fraction * (inner - outer) - function(depth)
 
 

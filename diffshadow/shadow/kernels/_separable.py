@@ -19,7 +19,7 @@ from ._kernel import AbstractSizedRow, Footprint, Span
 # Standard deviations at which the Gaussian is cut off.
 _DEVIATIONS = 3.0
 _WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
-LEAST_RADIUS = 1e-3
+MIN_RADIUS = 1e-3
 """In texels: smaller radii are clamped to this."""
 
 INTEGRALS: dict[Shape, Callable[[Array], Array]] = {
@@ -38,7 +38,7 @@ def weight_between(
     Weights of intervals that cover the kernel sum to 1, and so their derivatives to 0. Where a side of an interval lies
     on the kernel's end, they are a smaller radius's weights.
     """
-    radius = jnp.maximum(radius, LEAST_RADIUS)
+    radius = jnp.maximum(radius, MIN_RADIUS)
 
     def until(x: Array) -> Array:
         u = x / radius

@@ -24,7 +24,7 @@ from ._fitted import AbstractFittedLayout, check_depths, margin_of
 from ._frustum import ViewFrustum, depths_of
 
 # The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
-_LEAST_SIZE = 1e-3
+_MIN_SIZE = 1e-3
 # Relative rounding error of shares: a thousandth of a texel in the largest maps.
 _ROUNDING = 1e-6
 
@@ -301,5 +301,5 @@ def _around_points(
     low, high = at.min(axis=1), at.max(axis=1)
     beyond = (high - low) * (margin / (texels - 2 * margin))
     low, high = jnp.clip(low - beyond, -1, 1), jnp.clip(high + beyond, -1, 1)
-    half = jnp.maximum((high - low) / 2, _LEAST_SIZE)
+    half = jnp.maximum((high - low) / 2, _MIN_SIZE)
     return 1 / half, -(low + high) / 2 / half

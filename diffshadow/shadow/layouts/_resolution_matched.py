@@ -24,7 +24,7 @@ from ._paged_light import PagedLight
 # By which fraction of a level the bias is raised until all pages fit.
 _STEPS = 16
 # Extents on the screen, in pixels, below which surfaces count as seen edge-on.
-_LEAST_EXTENT = 1e-12
+_MIN_EXTENT = 1e-12
 # The share of too coarse points that is worth a remark.
 _MANY = 0.01
 
@@ -248,7 +248,7 @@ def levels_needed(
     at, to_light = window(points), normalize(light.towards(points))
     inside = (at[..., 0] >= 0) & (at[..., 1] >= 0) & (at[..., 0] <= 1) & (at[..., 1] <= 1)
     mask = surface.mask & inside & (dot(surface.normal, to_light) > 0)
-    return -jnp.log2(jnp.maximum(extent, _LEAST_EXTENT)), mask
+    return -jnp.log2(jnp.maximum(extent, _MIN_EXTENT)), mask
 
 
 def _resident(cells: Float[Array, "c c"], bias: Scalar, levels: int) -> Bool[Array, " n"]:

@@ -21,15 +21,15 @@ from ._frustum import ViewFrustum, depths_of
 from ._warped_light import WarpedLight
 
 # The least sine of the angle between light and view at which the map is turned towards the view.
-_LEAST_SINE = 1e-3
+_MIN_SINE = 1e-3
 # The least size of the map, as a fraction of the light's own, for cameras that see nothing of what that shows.
-_LEAST_SIZE = 1e-3
+_MIN_SIZE = 1e-3
 # Points count as nearest up to this multiple of the least depth: corners of the near plane differ by rounding.
 _NEARLY = 1.001
 # The least height of the nearest point, as a fraction of the map's: 1 / τ has to be finite.
 _LOWEST = 1e-6
 # The most of the way from the far end to infinity, which lies 1 / w above it, that a margin takes.
-_MOST_MARGIN = 0.5
+_MAX_MARGIN = 0.5
 # The part of a trapezoidal map that shows the focus (Martin & Tan 2004).
 _FOCUS_SHARE = 0.8
 # Corners k of a box are numbered by bits, and an edge joins two that differ in one.
@@ -117,7 +117,7 @@ class PerspectiveWarp(AbstractFittedLayout):
         strength = None if self.strength is None else concrete(self.strength)
         if strength is not None and strength > 0:
             sine = concrete(_Axes.of(light.view(), camera.view()).sine)
-            if sine is not None and sine < _LEAST_SINE:
+            if sine is not None and sine < _MIN_SINE:
                 raise ValueError(
                     f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where "
                     'no warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
@@ -147,7 +147,7 @@ class _Axes(NamedTuple):
         across = transform_vectors(light.world_to_eye, -camera.world_to_eye[2, :3])[:2]
         sine = safe_norm(across)
         # There is no such direction if the light shines along the view, and no warp either.
-        turns = sine >= _LEAST_SINE
+        turns = sine >= _MIN_SINE
         return cls(jnp.where(turns, across / jnp.where(turns, sine, 1), jnp.array([0.0, 1.0])), sine)
 
     def __call__(self, view: View, points: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
@@ -172,7 +172,7 @@ def _warped_light(
     axes, frustum = _Axes.of(from_light, from_camera), ViewFrustum.of(from_camera)
     points, valid = _common_points(from_light, from_camera, frustum)
     x, y = axes(from_light, points)
-    smallest = _LEAST_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
+    smallest = _MIN_SIZE / jnp.maximum(from_light.eye_to_clip[0, 0], from_light.eye_to_clip[1, 1])
     low, high = _range(y, valid, smallest)
     # Margins in texels, as fractions of what is within them.
     across, along = layout.margin / (np.array(resolution[::-1], float) - 2 * layout.margin)
@@ -180,7 +180,7 @@ def _warped_light(
     if strength is None:
         depth = jnp.where(valid, from_camera.distance(points), end)
         strength = _strength(layout, from_camera, depth, (y - low) / (high - low), (high - low) * axes.sine)
-        strength = strength if along == 0 else jnp.minimum(strength, float(_MOST_MARGIN / along))
+        strength = strength if along == 0 else jnp.minimum(strength, float(_MAX_MARGIN / along))
     low, high, strength = _with_margin(low, high, strength, float(along))
     scale_y, offset_y = _window(low, high)
 
@@ -241,8 +241,8 @@ def _with_margin(low: Scalar, high: Scalar, strength: Scalar, margin: float) -> 
     length = high - low
     # Where s is -margin and 1 + margin. The map would end in infinity at s = 1 + 1 / w.
     before = length * margin / (1 + strength * (1 + margin))
-    is_strong = strength * margin > _MOST_MARGIN
-    margin_after = jnp.where(is_strong, _MOST_MARGIN / jnp.where(is_strong, strength, 1), margin)
+    is_strong = strength * margin > _MAX_MARGIN
+    margin_after = jnp.where(is_strong, _MAX_MARGIN / jnp.where(is_strong, strength, 1), margin)
     after = length * margin_after * (1 + strength) / (1 - strength * margin_after)
     whole = length + before + after
     # The centre of projection, length / strength below the range, stays where it is.

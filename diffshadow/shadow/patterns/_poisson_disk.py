@@ -11,7 +11,7 @@ from ._pattern import Pattern, check_counts, pattern_of
 _TIGHTNESS = 0.6
 _ROUNDS = 30
 # Points in the square that sets are cut from: the minimum, and the number per sample, so that the square holds a disk.
-_LEAST_POINTS, _POINTS_A_SAMPLE = 1024, 4
+_MIN_POINTS, _POINTS_A_SAMPLE = 1024, 4
 
 
 def poisson_disk(
@@ -35,7 +35,7 @@ def poisson_disk(
     """
     check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)
-    darts = _throw_darts(max(_LEAST_POINTS, _POINTS_A_SAMPLE * samples), rng)
+    darts = _throw_darts(max(_MIN_POINTS, _POINTS_A_SAMPLE * samples), rng)
     centers = rng.random((pattern_size**2, 1, 2))
     distance, nearest = map(np.asarray, KDTree(darts, boxsize=1).query(centers[:, 0], samples + 1))
     aside = darts[nearest[:, :-1]] - centers

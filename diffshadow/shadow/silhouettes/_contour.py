@@ -15,7 +15,7 @@ from ._half_planes import HalfPlanes
 # An offset so low that the half-plane contains every texel.
 _EVERYWHERE = -1e6
 # The sine of the smallest angle that counts as a corner of the outline within a texel.
-_LEAST_TURN = 1e-3
+_MIN_TURN = 1e-3
 
 # A texel's corners (row, column), along the walk around it, and whether this follows the sides that begin there.
 _CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
@@ -156,7 +156,7 @@ def _bend(start: _Points, end: _Points) -> Float[Array, " t"]:
     start, end = take_first(start), take_first(end)
     cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     turn, way = cross(start.direction, end.direction), end.place - start.place
-    bends = jnp.abs(turn) > _LEAST_TURN
+    bends = jnp.abs(turn) > _MIN_TURN
     safe = jnp.where(bends, turn, 1)
     ahead, behind = cross(way, end.direction) / safe, cross(start.direction, way) / safe
     corner = start.place + ahead[:, None] * start.direction

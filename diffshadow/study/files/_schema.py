@@ -16,7 +16,7 @@ from ... import io
 from ...config import SweepConfig
 
 # Far more than any run writes.
-_MOST_BYTES = 64 << 20
+_MAX_BYTES = 64 << 20
 _LONGEST_SHOWN = 60
 _DISAGREES = "disagrees"
 _PYDANTIC = "Input should be "
@@ -393,9 +393,9 @@ def read_json(file: Path) -> Any:
         # Reading anything else, such as a pipe, could block forever.
         if not file.is_file():
             raise io.FileError(f"there is no file {file}; expected what a run wrote: run it again")
-        if file.stat().st_size > _MOST_BYTES:
+        if file.stat().st_size > _MAX_BYTES:
             raise io.FileError(
-                f"{file} has {file.stat().st_size:,} bytes; expected at most {_MOST_BYTES:,}: run it again"
+                f"{file} has {file.stat().st_size:,} bytes; expected at most {_MAX_BYTES:,}: run it again"
             )
         return from_json(file.read_bytes(), allow_inf_nan=False)
     except io.FileError:

@@ -27,7 +27,7 @@ _LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
 _CLIPPED = 0.01
 DIFFERENCE_LABEL = "too dark (−), too light (+) [visibility]"
 # The most parameters that are drawn.
-_MOST_PARAMETERS = 16
+_MAX_PARAMETERS = 16
 FEW_PARAMETERS = 6
 """Up to this many parameters are drawn in one column; more take two columns."""
 # A phase with a smaller fraction of the steps is too narrow for a label.
@@ -277,7 +277,7 @@ def _hard_errors(result: Mapping[str, Any]) -> list[float]:
 
 def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
     """Every parameter over a fit, with its bounds if they are near, the truth if it is known, and the result."""
-    names, recorded = list(result["fitted"])[:_MOST_PARAMETERS], history(arrays)
+    names, recorded = list(result["fitted"])[:_MAX_PARAMETERS], history(arrays)
     truth = (result.get("poses") or {}).get("truth", {})
     columns = 1 if len(names) <= FEW_PARAMETERS else 2
     rows = -(-len(names) // columns)
@@ -310,7 +310,7 @@ def widths(result: Mapping[str, Any]) -> list[float]:
 
 def profiles(result: Mapping[str, Any]) -> Figure:
     """The error along each parameter over the best, with its intervals and the result."""
-    found, fractions = list(result["profiles"].items())[:_MOST_PARAMETERS], widths(result)
+    found, fractions = list(result["profiles"].items())[:_MAX_PARAMETERS], widths(result)
     columns = min(len(found), 3)
     rows = -(-len(found) // columns)
     figure, axes = style.figure(3.4 * columns, 2.7 * rows, rows, columns)

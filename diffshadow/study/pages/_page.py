@@ -15,7 +15,7 @@ from ...config import printable
 from .. import style
 
 # Pictures with more pixels along a side are downsampled, so that pages stay a few megabytes.
-_MOST_PIXELS = 768
+_MAX_PIXELS = 768
 # Pixels per inch in CSS.
 _SCREEN_DPI = 96
 _MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -51,7 +51,7 @@ def picture(
 
 def _smaller(image: HostArray) -> HostArray:
     """`image`, downsampled by averaging blocks of n × n pixels if it is large."""
-    n = -(-max(image.shape[:2]) // _MOST_PIXELS)
+    n = -(-max(image.shape[:2]) // _MAX_PIXELS)
     if n == 1:
         return image
     height, width = (side // n for side in image.shape[:2])

@@ -36,7 +36,7 @@ UNITS = {
 """The units of errors."""
 
 # Errors below this, in visibility, are rounding.
-_LEAST_ERROR = 1e-5
+_MIN_ERROR = 1e-5
 UNEXPLAINED = "unexplained"
 """The kind of the verdict on a fit that does not explain its references."""
 
@@ -113,7 +113,7 @@ def knee_text(front: Sequence[tuple[float | None, bool]]) -> list[str]:
     if not at_knee:
         return []
     (knee,), least = at_knee, min(errors)
-    more = knee / max(least, _LEAST_ERROR) - 1
+    more = knee / max(least, _MIN_ERROR) - 1
     cost = f"{more:.1%} more than the least of the front, {least:.4f}" if knee > least else "the least of the front"
     return [f"at the knee, the RMSE is {knee:.4f}, {cost}"]
 

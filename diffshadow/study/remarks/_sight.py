@@ -14,7 +14,7 @@ from ...config import Config
 # all of it from inside; an open mesh covers no more than half from nearby.
 _INSIDE = 0.75
 # Single precision has seven digits.
-_LEAST_RATIO = 1e-6
+_MIN_RATIO = 1e-6
 _NO_DEPTHS = "single precision cannot distinguish depths between its near and far"
 _NO_POINTS = (
     "none is within its frustum, since single precision cannot distinguish points from so far away",
@@ -95,7 +95,7 @@ def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n
 def _has_no_depths(view: geometry.View) -> bool:
     """Whether all depths are equal in single precision: near is too close to far, or to a perspective view's eye."""
     near, far = float(view.near), float(view.far)
-    return far - near < _LEAST_RATIO * max(abs(near), abs(far)) or (view.is_perspective and near < _LEAST_RATIO * far)
+    return far - near < _MIN_RATIO * max(abs(near), abs(far)) or (view.is_perspective and near < _MIN_RATIO * far)
 
 
 def _mesh_around(

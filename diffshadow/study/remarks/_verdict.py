@@ -15,7 +15,7 @@ Kind = Literal["unexplained", "best already", "nothing fitted", "fitted"]
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
 _MANY = 3
 # How many starts are advised where there is one.
-_STARTS, _MOST_STARTS = 8, 1024
+_STARTS, _MAX_STARTS = 8, 1024
 # Shadows and light of a reference that is as it should be differ from 0 and 1 by no more than this.
 _NEARLY = 0.05
 # Up to this factor, what a fit gains is said in percent.
@@ -151,7 +151,7 @@ def _remedies(config: Config, plan: FitPlan, found: Unexplained) -> Iterator[str
         yield from steps
         return
     lights = [name for name in config.fit.parameters if name.startswith("scene.light")]
-    more = f"fit.multistart={_STARTS if plan.starts == 1 else min(4 * plan.starts, _MOST_STARTS)}"
+    more = f"fit.multistart={_STARTS if plan.starts == 1 else min(4 * plan.starts, _MAX_STARTS)}"
     if plan.arrangement is not None:
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:

@@ -21,7 +21,7 @@ from ._setup import load, visibility_of
 from ._views import draw_views
 
 # Bounds and start of an engine's bias in texels, and of its normal bias and radius.
-_MOST_BIAS, _MOST_OFFSET, _MOST_RADIUS = 32.0, 4.0, 16.0
+_MAX_BIAS, _MAX_OFFSET, _MAX_RADIUS = 32.0, 4.0, 16.0
 _START = 2.0
 _SIDES = {"none": "double", "back": "front", "front": "back"}
 _CASTING = {"none": "both sides of faces cast", "back": "front faces cast", "front": "back faces cast"}
@@ -191,12 +191,12 @@ def _fits(config: Config, lit: list[_Lit]) -> dict[str, list[str]]:
 def _three_js(config: Config, lit: list[_Lit]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The technique's section, and the parameters of its fit."""
     depth = max(each.depth_per_texel for each in lit)
-    radius = min(getattr(config.filter, "radius", 1.0), _MOST_RADIUS)
+    radius = min(getattr(config.filter, "radius", 1.0), _MAX_RADIUS)
     technique = {"type": "three.js", "shadow_type": "PCFShadowMap", "shadow_side": _SIDES[config.shadow_map.cull]}
     return technique, {
-        "technique.bias": _bounds(-min(_START * depth, 1), -min(_MOST_BIAS * depth, 1), 0),
-        "technique.normal_bias": _bounds(0, 0, _MOST_OFFSET * max(each.texel for each in lit)),
-        "technique.radius": _bounds(radius, 0, _MOST_RADIUS),
+        "technique.bias": _bounds(-min(_START * depth, 1), -min(_MAX_BIAS * depth, 1), 0),
+        "technique.normal_bias": _bounds(0, 0, _MAX_OFFSET * max(each.texel for each in lit)),
+        "technique.radius": _bounds(radius, 0, _MAX_RADIUS),
     }
 
 
@@ -220,11 +220,11 @@ def _babylon_js(config: Config, lit: list[_Lit]) -> tuple[dict[str, Any], dict[s
         "force_back_faces_only": config.shadow_map.cull == "front",
     }
     parameters = {
-        "technique.bias": _bounds(min(_START * metric, 1), 0, min(_MOST_BIAS * metric, 1)),
-        "technique.normal_bias": _bounds(0, 0, _MOST_OFFSET * max(each.texel for each in lit)),
+        "technique.bias": _bounds(min(_START * metric, 1), 0, min(_MAX_BIAS * metric, 1)),
+        "technique.normal_bias": _bounds(0, 0, _MAX_OFFSET * max(each.texel for each in lit)),
     }
     if is_point:
-        parameters["technique.blur_scale"] = _bounds(_START, 0.1, _MOST_RADIUS)
+        parameters["technique.blur_scale"] = _bounds(_START, 0.1, _MAX_RADIUS)
     return technique, parameters
 
 

@@ -22,9 +22,9 @@ from ._shade import shade
 # Number of neighbouring pixels whose patterns are shown separately.
 _FEW = 3
 # The colours of extents end at 2 to this power, and its reciprocal.
-_MOST_LOG = 4
+_MAX_LOG = 4
 # Higher counts of volumes all have the last colour.
-_MOST_COLOURS = 12
+_MAX_COLOURS = 12
 
 
 def write_debug(folder: Path, end: str, config: Config, technique: shadow.AbstractTechnique, drawn: Drawn) -> None:
@@ -72,13 +72,13 @@ def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -
     for one, (title, extent) in zip(axes, images, strict=True):
         one.set_facecolor(style.NO_SURFACE)
         shown = np.where(mask, np.log2(np.maximum(np.asarray(extent), 1e-6)), np.nan)
-        picture = style.picture(one, shown, cmap="RdBu_r", vmin=-_MOST_LOG, vmax=_MOST_LOG)
+        picture = style.picture(one, shown, cmap="RdBu_r", vmin=-_MAX_LOG, vmax=_MAX_LOG)
         figures_of = metrics.measure_aliasing(extent, mask) if mask.any() else None
         below = "" if figures_of is None else f"99 % at most {figures_of.percentile_99:.3g} pixels"
         style.title(one, title, below)
     label = "pixels to a texel: 1 is matched, more is undersampled"
     bar = style.colour_bar(figure, picture, axes, label, extend="both")
-    ticks = range(-_MOST_LOG, _MOST_LOG + 1)
+    ticks = range(-_MAX_LOG, _MAX_LOG + 1)
     bar.set_ticks(list(ticks), labels=[f"{2.0**tick:g}" for tick in ticks])
     style.save(figure, path)
 
@@ -148,7 +148,7 @@ def _write_counts(path: Path, technique: shadow.ShadowVolumes, drawn: Drawn) -> 
 
 def _range(counts: Int[HostArray, " n"]) -> tuple[int, int]:
     low = min(int(counts.min(initial=0)), 0)
-    return low, min(max(int(counts.max(initial=1)), 1), low + _MOST_COLOURS)
+    return low, min(max(int(counts.max(initial=1)), 1), low + _MAX_COLOURS)
 
 
 def _write_blockers(path: Path, technique: shadow.ShadowMapping, shadow_map: shadow.ShadowMap, drawn: Drawn) -> None:

@@ -28,7 +28,7 @@ _FAR_BETTER = 0.5
 # The camera rays along each side of a pixel.
 _SUPERSAMPLING = 4
 # Of many views, only the worst are traced.
-_MOST_TRACED = 8
+_MAX_TRACED = 8
 
 Image = Float[HostArray, "h w"]
 Mask = Bool[HostArray, "h w"]
@@ -62,7 +62,7 @@ def unexplained(images: Sequence[Fitted]) -> Unexplained | None:
     variance = np.asarray([_variance(*_truth(each.drawn)) for each in counted])
     total, constant = (float(np.average(each, weights=pixels)) for each in (left, variance))
     doubtful = [i for i in np.argsort(-left * pixels, kind="stable") if left[i] > _DOUBTFUL * variance[i] > 0]
-    alien = list(_alien([counted[i] for i in doubtful[:_MOST_TRACED]]))
+    alien = list(_alien([counted[i] for i in doubtful[:_MAX_TRACED]]))
     if not alien and not total >= constant > 0:
         return None
     found = Unexplained(math.sqrt(total), math.sqrt(constant), [each.drawn.key for each, *_ in alien])

@@ -31,7 +31,7 @@ from ._views import DrawnView, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
 # Of views, the worst have pictures.
-_MOST_SHOWN = 8
+_MAX_SHOWN = 8
 
 
 class FittedRun(NamedTuple):
@@ -77,7 +77,7 @@ class FittedRun(NamedTuple):
         if not self.has_views:
             return list(range(len(self.drawn)))
         errors = np.nan_to_num([errors["rmse"] for errors in self.errors_after])
-        return np.argsort(-errors, kind="stable")[:_MOST_SHOWN].tolist()
+        return np.argsort(-errors, kind="stable")[:_MAX_SHOWN].tolist()
 
     @property
     def errors(self) -> dict[str, dict[str, float]]:

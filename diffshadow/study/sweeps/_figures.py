@@ -11,7 +11,7 @@ from ._curves import Curve, with_unit
 
 _WIDTH, _HEIGHT = 4.1, 3.9
 # The most panels in a row.
-_MOST_COLUMNS = 3
+_MAX_COLUMNS = 3
 _METRICS = {
     "rmse": "RMSE [visibility]",
     "mae": "mean absolute error [visibility]",
@@ -33,7 +33,7 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: 
     names = with_unit(settings, plot.x), _metric(plot.y)
     panels = list(dict.fromkeys(curve.panel for curve in curves))
     lines = list(dict.fromkeys(curve.line for curve in curves))
-    columns = min(len(panels), _MOST_COLUMNS)
+    columns = min(len(panels), _MAX_COLUMNS)
     rows = -(-len(panels) // columns)
     figure, axes = style.figure(_WIDTH * columns, _HEIGHT * rows, rows, columns, sharey=True)
     for number, (one, panel) in enumerate(zip(axes, panels, strict=False)):

@@ -26,11 +26,11 @@ _SEED = "seed"
 # The name of a run's folder.
 _ID = re.compile("[0-9a-f]{16}")
 # Far more than any sweep has. A table with more rows is damaged.
-_MOST_RUNS = 1 << 24
+_MAX_RUNS = 1 << 24
 # The greatest float32.
 _MOST = float(np.finfo(np.float32).max)
 # The most combinations, pictures of runs, values of an axis, and errors that are shown.
-_MOST_ROWS, _MOST_PICTURES, _MOST_VALUES, _MOST_ERRORS = 2000, 24, 12, 50
+_MAX_ROWS, _MAX_PICTURES, _MAX_VALUES, _MAX_ERRORS = 2000, 24, 12, 50
 # The figures that represent a run.
 _RUN_PICTURES = ("comparison*.png", "difference*.png")
 
@@ -102,8 +102,8 @@ def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
         )
     try:
         with file.open("rb") as stream, parquet.ParquetFile(stream) as stored:
-            if stored.metadata.num_rows > _MOST_RUNS:
-                raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MOST_RUNS:,}")
+            if stored.metadata.num_rows > _MAX_RUNS:
+                raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MAX_RUNS:,}")
             _check_columns(stored.schema_arrow, sweep)
             runs = stored.read().to_pandas()
         _check_values(runs)
@@ -150,7 +150,7 @@ def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary
     runs = groups.size()
     means, deviations = groups[list(metrics)].mean(), groups[list(metrics)].sem()
     rows = []
-    for i in range(min(len(runs), _MOST_ROWS)):
+    for i in range(min(len(runs), _MAX_ROWS)):
         key = runs.index[i] if len(axes) > 1 else (runs.index[i],)
         texts = [_mean(means[name].iloc[i], deviations[name].iloc[i]) for name in metrics]
         rows.append(([_text(value) for value in key] if axes else [], texts, int(runs.iloc[i])))
@@ -175,15 +175,15 @@ def _text(value: Any) -> str:
 
 
 def _listed(values: Sequence[Any]) -> str:
-    more = f", … ({len(values)} values)" if len(values) > _MOST_VALUES else ""
-    return ", ".join(map(_text, values[:_MOST_VALUES])) + more
+    more = f", … ({len(values)} values)" if len(values) > _MAX_VALUES else ""
+    return ", ".join(map(_text, values[:_MAX_VALUES])) + more
 
 
 def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
     """Each error with its number of runs and the first of these; and the number of errors not shown."""
     failed = runs[runs["status"] == FAILED]
     counts = failed["error"].value_counts(sort=False)
-    firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MOST_ERRORS)
+    firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MAX_ERRORS)
     shown = [
         ("; ".join(run["error"].splitlines()), int(counts[run["error"]]), _values(run, axes))
         for _, run in firsts.iterrows()
@@ -232,13 +232,13 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:
-    """Pictures of the runs, with the runs' values; at most `_MOST_PICTURES`."""
+    """Pictures of the runs, with the runs' values; at most `_MAX_PICTURES`."""
     found = []
     for number in range(len(runs) if (folder / FIGURES).is_dir() else 0):
         run = runs.iloc[number]
         for pattern in _RUN_PICTURES:
             paths = sorted((folder / FIGURES).glob(f"{run['id']}*/{pattern}"))
             found += [(path, _values(run, axes)) for path in paths if path.is_file()]
-        if len(found) >= _MOST_PICTURES:
+        if len(found) >= _MAX_PICTURES:
             break
-    return found[:_MOST_PICTURES]
+    return found[:_MAX_PICTURES]

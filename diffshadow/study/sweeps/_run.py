@@ -39,9 +39,9 @@ _BATCH = 16
 # The least number of batches per worker, so that all workers finish at about the same time.
 _BATCHES_PER_WORKER = 8
 # Configurations of runs that are made at a time.
-_MOST_AT_ONCE = 4096
-_MOST_SHOWN = 8
-MOST_LISTED = 4096
+_MAX_AT_ONCE = 4096
+_MAX_SHOWN = 8
+MAX_LISTED = 4096
 """The most runs for which a plan looks up whether each is done."""
 
 
@@ -157,12 +157,12 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
     choices = {axis: values for axis, values in choices.items() if not (axis in labelled and has_sections(axis))}
     for axis, chosen in choices.items():
         values = [_shown(value) for value in chosen]
-        some = values[:_MOST_SHOWN] + ["…"] * (len(values) > _MOST_SHOWN)
+        some = values[:_MAX_SHOWN] + ["…"] * (len(values) > _MAX_SHOWN)
         between = "; " if axis == LABEL else ", "
         axes.add_row(table.words(axis), f"{len(values)}", table.words(between.join(some)))
     console.print(axes)
-    count, shown = len(sweep.runs), min(limit or _MOST_SHOWN, _MOST_SHOWN)
-    if count <= MOST_LISTED:
+    count, shown = len(sweep.runs), min(limit or _MAX_SHOWN, _MAX_SHOWN)
+    if count <= MAX_LISTED:
         with counting(console, "checking", count) as progress:
             sweep.runs.check(lambda done, _: progress(done))
         missing = missing_runs(sweep, folder)
@@ -247,13 +247,13 @@ def _work(
 
 
 def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:
-    """The runs with the indices `todo`, in batches that share programs and drawings. Made `_MOST_AT_ONCE` at a time."""
+    """The runs with the indices `todo`, in batches that share programs and drawings. Made `_MAX_AT_ONCE` at a time."""
     size = max(1, min(_BATCH, len(todo) // (_BATCHES_PER_WORKER * workers)))
     # Workers do not need the lists of values, which may be long.
     settings = sweep.settings.model_copy(update=dict.fromkeys(("list", "grid", "zip", "qmc", "seeds", "plot")))
     batch = Batch(str(folder), settings, (), jax.config.jax_compilation_cache_dir)
-    for start in range(0, len(todo), _MOST_AT_ONCE):
-        runs = list(sweep.runs.at(todo[start : start + _MOST_AT_ONCE]))
+    for start in range(0, len(todo), _MAX_AT_ONCE):
+        runs = list(sweep.runs.at(todo[start : start + _MAX_AT_ONCE]))
         yield from (batch._replace(runs=together) for together in _together(runs, size, workers))
 
 

@@ -41,9 +41,9 @@ VALIDATION = "validation."
 WHOLE = frozenset({"steps", "pixels"})
 """The metrics that are whole numbers."""
 # The most bytes of drawings and limits that a process keeps for further runs.
-_MOST_KEPT = 256 << 20
+_MAX_KEPT = 256 << 20
 # Compiled programs accumulate, and a process has a limited number of memory mappings.
-_MOST_SHAPES = 40
+_MAX_SHAPES = 40
 # The settings of the limit: the same for all runs, whatever their pattern and seed.
 _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
@@ -273,7 +273,7 @@ def _kept(key: tuple[str, str], compute: Callable[[], Any]) -> Any:
     with _lock:
         if key not in _memory:
             _memory[key] = compute()
-            while len(_memory) > 1 and sum(map(_bytes_of, _memory.values())) > _MOST_KEPT:
+            while len(_memory) > 1 and sum(map(_bytes_of, _memory.values())) > _MAX_KEPT:
                 _memory.popitem(last=False)
         _memory.move_to_end(key)
         return _memory[key]
@@ -287,7 +287,7 @@ def _bytes_of(value: Any) -> int:
 
 def _limit_programs(shape: str) -> None:
     """Drops all compiled programs if `shape` would exceed the limit."""
-    if shape not in _shapes and len(_shapes) >= _MOST_SHAPES:
+    if shape not in _shapes and len(_shapes) >= _MAX_SHAPES:
         _shapes.clear()
         jax.clear_caches()
         gc.collect()

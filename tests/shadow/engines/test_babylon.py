@@ -403,7 +403,7 @@ HIDDEN = {
     "linear depth": (_babylon, "metric_in_window", lambda depth, view: depth, "spot_none_bias"),
     "radial depth": (_babylon, "metric_in_cube", along_the_axis, "point_none_bias"),
     "1.5 times the bias": (_babylon, "_color_of_pushed", with_the_bias_once, "directional_pcss_high"),
-    "least penumbra": (_babylon, "_LEAST_PENUMBRA", 0.0, "directional_pcss_high"),
+    "least penumbra": (_babylon, "_MIN_PENUMBRA", 0.0, "directional_pcss_high"),
     "sine of normal bias": (_babylon, "shrunk", by_the_whole_normal, "directional_none_normal_bias"),
 }
 
