@@ -90,6 +90,7 @@ def test_a_fit_shows_its_table_and_its_reference(has_problem):
         np.testing.assert_allclose(picture(shown), truth.visibility, atol=0.5 / 255)
 
 
+@pytest.mark.exhaustive
 def test_pictures_need_no_matplotlib():
     program = "import sys; from diffshadow import geometry; geometry.library_mesh('box')._repr_html_(); "
     check = "assert not {'matplotlib', 'PIL', 'trimesh'} & set(sys.modules)"

@@ -61,6 +61,8 @@ _OTHERS = {
 _LIST, _STRIP, _FAN = 4, 5, 6
 HIDDEN_MESH = "hidden mesh"
 # The attributes of instances.
+# Their matrices take half a gigabyte.
+_MAX_INSTANCES = 1 << 22
 _PLACEMENT: Mapping[str, Form] = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
 
@@ -189,7 +191,10 @@ def _instances(node: Node, buffers: Buffers) -> Float[HostArray, "n 4 4"]:
         raise damaged(
             f"its instances have {' and '.join(map(str, sorted(counts)))} rows; expected as many of each kind"
         )
-    matrices = np.tile(np.eye(4), (counts.pop() if counts else 1, 1, 1))
+    count = counts.pop() if counts else 1
+    if count > _MAX_INSTANCES:
+        raise MeshError(f"has {count:,} instances; expected at most {_MAX_INSTANCES:,}: leave some out")
+    matrices = np.tile(np.eye(4), (count, 1, 1))
     try:
         if "ROTATION" in columns:
             matrices[:, :3, :3] = Rotation.from_quat(columns["ROTATION"]).as_matrix()

@@ -336,7 +336,7 @@ REFUSALS = {
     "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected as many of each"),
     "countless_instances": (
         countless_instances,
-        "16,777,216 instances of 2 triangles; expected at most 33,554,432",
+        "16,777,216 instances; expected at most 4,194,304",
     ),
     "zeros": (zeros, "declares 1000000000000 zeros"),
     "old": (lambda builder: builder.tree.update(asset={"version": "1.0"}), "of glTF version '1.0'.*convert it"),

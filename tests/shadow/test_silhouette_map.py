@@ -551,7 +551,9 @@ class _Everywhere(HardCompare):
         return True
 
 
-@pytest.mark.parametrize(("light", "mode"), [("spot", jax.jacfwd), ("point", jax.jacrev)])
+@pytest.mark.parametrize(
+    ("light", "mode"), [("spot", jax.jacfwd), pytest.param("point", jax.jacrev, marks=pytest.mark.exhaustive)]
+)
 def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
     """Derivatives by the light are found for the points near outlines alone: those that the projection of all has."""
     make, parameters, _ = LIGHTS[light]
