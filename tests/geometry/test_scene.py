@@ -62,6 +62,7 @@ def test_the_origin_of_a_far_scene_is_a_round_number_in_its_middle():
     # Steps are no smaller than the scene, so that a scene moved by whole steps keeps its coordinates to the bit.
     assert origin_of(points + np.array([6e5, 0, -8e6])) == (6e5, 0, -8e6)
     assert origin_of(points + np.array([600001.3, 1e4, 0])) == (6e5, 1e4, 0)
+    assert origin_of(points + np.array([600003.2, 1e4, 0])) == (6e5, 1e4, 0)
     assert origin_of(1e-3 * points + np.array([123.456, 0, 0])) == pytest.approx((123.456, 0, 0), abs=0.005)
 
 

@@ -289,6 +289,9 @@ def test_times_are_medians_and_techniques_of_one_program_share_them():
     assert [each / ms[0] for each in ms] == pytest.approx([1, 1, 3, 2], rel=1e-6)
     steady = times_of(np.stack([true] * 3), ["p", "p", "q", "r"])
     assert (steady[3].map_ms, steady[3].lookup_ms) == pytest.approx((4, 2))
+    # One of three that share a program hiccups in every round.
+    shared = times_of(np.stack([true[[0, 0, 0, 2]] * [[1], [1], [50], [1]]] * 3), ["p", "p", "p", "q"])
+    assert [time.ratio for time in shared] == pytest.approx([1, 1, 1, 3])
 
 
 def test_the_spread_of_times_is_as_large_as_what_times_are_off_by():
