@@ -44,6 +44,7 @@ def test_blocks_are_short():
     assert max(sum(bool(line) for line in block.splitlines()) for block in others) <= MAX_LINES[1]
 
 
+@pytest.mark.exhaustive
 def test_gradients_by_bias_radius_and_width_are_those_of_differences():
     names = names_after(3)
     places = (1.0, 2.0, 0.5)

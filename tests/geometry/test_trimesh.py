@@ -166,6 +166,7 @@ def test_what_is_no_mesh_is_refused():
         Scene(trimesh.Trimesh, CAMERA, LIGHT)
 
 
+@pytest.mark.exhaustive
 def test_trimesh_is_loaded_only_for_what_needs_it():
     program = (
         "import sys; from diffshadow import config, geometry, io, study; geometry.library_mesh('box'); "

@@ -29,6 +29,7 @@ def run(tmp_path_factory):
         return folder.absolute(), out.getvalue()
 
 
+@pytest.mark.exhaustive
 def test_errors_of_views_add_up_and_those_of_the_validation_are_apart(run):
     folder, printed = run
     measured = json.loads((folder / "result.json").read_text())["metrics"]
@@ -47,6 +48,7 @@ def test_errors_of_views_add_up_and_those_of_the_validation_are_apart(run):
     assert "1 view for validation" in printed
 
 
+@pytest.mark.exhaustive
 def test_the_page_shows_views_worst_first_and_how_sure_the_values_are(run):
     folder, printed = run
     page, measured = (folder / "report.html").read_text(), json.loads((folder / "result.json").read_text())
@@ -66,6 +68,7 @@ def test_the_page_shows_views_worst_first_and_how_sure_the_values_are(run):
     assert (folder / "report.html").read_text() == before
 
 
+@pytest.mark.exhaustive
 def test_a_stored_view_that_does_not_exist_is_damage(run, tmp_path):
     folder = shutil.copytree(run[0], tmp_path / "views")
     result = json.loads((folder / "result.json").read_text())
