@@ -18,7 +18,7 @@ _RUN: list[str] = []
 
 
 def names_after(count: int) -> dict[str, Any]:
-    """The names that the page has defined after so many blocks, each of which runs once."""
+    """The names that the page's first `count` blocks define. Each block runs once."""
     for block in BLOCKS[len(_RUN) : count]:
         exec(compile(block, PAGE.name, "exec"), _NAMES)
         _RUN.append(block)

@@ -14,8 +14,10 @@ import trimesh
 
 from diffshadow.geometry import face_normals, library_mesh
 from diffshadow.io import FileError, MeshWarning, load_mesh, write_ply
+from diffshadow.io._errors import MeshError
 from diffshadow.io._gltf import _matrix
 from diffshadow.io._gltf_schema import Node
+from diffshadow.io._polygons import repeated
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "meshes"
 
@@ -355,3 +357,10 @@ def test_real_meshes_load(name, vertices, faces, closed, extent):
     np.testing.assert_allclose(high - low, extent, atol=0.06, rtol=0.05)
     lengths = np.linalg.norm(np.asarray(mesh.corner_normals), axis=-1)
     np.testing.assert_allclose(lengths, 1, atol=1e-5)
+
+
+def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made():
+    points, triangles = np.zeros((4, 3)), np.array([[0, 1, 2], [0, 2, 3]])
+    places = np.broadcast_to(np.eye(4), (1 << 24, 4, 4))
+    with pytest.raises(MeshError, match="16,777,216 instances of 2 triangles; expected at most 33,554,432"):
+        repeated(points, triangles, None, places)

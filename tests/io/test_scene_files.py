@@ -527,7 +527,7 @@ PLACED = moved(1, 2, 3) @ about(0, 0.3) @ about(1, 0.5) @ about(2, 0.7) @ np.dia
 
 
 def assert_placed(mesh, own, matrix):
-    """The mesh's vertices are those of its `own`, moved by a matrix."""
+    """The mesh's vertices equal its `own` vertices, moved by `matrix`."""
     np.testing.assert_allclose(mesh.vertices, (np.c_[own, np.ones(len(own))] @ matrix.T)[:, :3], atol=1e-6)
 
 

@@ -118,7 +118,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     resolve_views(data, origin, draft.folder)
     mistakes = [*draft.mistakes, *(missing if files else ())]
     if unusable := add_plugins(data, origin, draft.folder):
-        # Without its class, nothing can be said of a section and of what is fitted there.
+        # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
         raise ConfigError([*mistakes, *unusable])
     # Checked on the data, so that messages quote numbers as they were written.
     of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []

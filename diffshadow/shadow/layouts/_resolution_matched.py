@@ -13,7 +13,7 @@ from ..._misc import as_float, as_number, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
-from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, DepthRange, LevelNorm
+from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, LevelNorm
 from ...settings.techniques import ResolutionMatched as Settings
 from .._jacobian import determinant, pixels_of, pixels_per_texel, singular_values
 from ._abstract import Choice
@@ -72,7 +72,6 @@ class ResolutionMatched(AbstractFittedLayout):
     level_bias: Scalar = eqx.field(converter=as_number, default=Settings.level_bias, kw_only=True)
     shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
     margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
-    depths: DepthRange = eqx.field(static=True, init=False, default="surface")
 
     def _check_rules(self):
         for name, value in (("page", self.page), ("finest", self.finest)):

@@ -118,7 +118,7 @@ def unexplained_verdict(config: Config, plan: FitPlan, found: Unexplained) -> Ve
 
 def _was_best(plan: FitPlan, result: FitResult) -> bool:
     """Whether the error at the start is the best within the tolerance."""
-    # Of several starts, the best may not be the configured one.
+    # With several starts, the best start may differ from the configured one.
     starts = [p.initial for p in plan.parameters]
     is_own = np.allclose(starts, list(result.initial.values()), rtol=1e-5, atol=0)
     before, best = result.errors
