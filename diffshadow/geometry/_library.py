@@ -365,7 +365,7 @@ def _turn(n: int) -> Float[HostArray, " n"]:
     return 2 * np.pi * np.arange(n) / n
 
 
-def _box(extent: Sequence[float], centre: Sequence[float]) -> tuple[Float[HostArray, "8 3"], Int[HostArray, "12 3"]]:
+def _box(extent: Sequence[Number], centre: Sequence[Number]) -> tuple[Float[HostArray, "8 3"], Int[HostArray, "12 3"]]:
     # Vertex 4x + 2y + z, where each bit is 1 on the positive side of its axis.
     corners = (np.arange(8)[:, None] >> np.array([2, 1, 0])) & 1
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])

@@ -66,8 +66,8 @@ class Scene(eqx.Module):
         meshes: MeshLike | Iterable[Any],
         camera: AbstractCamera | None = None,
         lights: AbstractLight | Iterable[AbstractLight] | None = None,
-        casts: tuple[bool, ...] | None = None,
-        receives: tuple[bool, ...] | None = None,
+        casts: Sequence[bool] | None = None,
+        receives: Sequence[bool] | None = None,
         origin: Sequence[float | int] = WORLD,
     ):
         self.meshes = _as_meshes(meshes)
@@ -79,7 +79,9 @@ class Scene(eqx.Module):
             points = [np.asarray(mesh.vertices) for mesh in self.meshes] if isinstance(meshes, TriangleScene) else []
             lights = lights_of(meshes, as_float(np.concatenate(points))) if points else ()
         self.lights = _as_tuple(lights)
-        self.casts, self.receives, self.origin = casts, receives, as_origin(origin)
+        self.casts = None if casts is None else tuple(casts)
+        self.receives = None if receives is None else tuple(receives)
+        self.origin = as_origin(origin)
 
     def __check_init__(self):
         if not self.meshes:

@@ -75,7 +75,9 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     height, width = image.shape
     taps = footprint(uv, width, height)
-    return sum((w * image[y.clip(0, height - 1), x.clip(0, width - 1)] for x, y, w in taps), np.zeros(len(uv)))
+    mean = sum((w * image[y.clip(0, height - 1), x.clip(0, width - 1)] for x, y, w in taps), np.zeros(len(uv)))
+    # A texture unit's result is a float: the mean of four texels of 1 is 1, not 1 - 1e-16.
+    return mean.astype(f32)
 
 
 def exponential(name: str, metric: np.ndarray, texel: np.ndarray, darkness: float, steepness: float) -> np.ndarray:

@@ -684,7 +684,7 @@ def test_no_light_leaks_into_the_shadows_of_200_crumpled_spheres():
     for seed in range(200):
         vertices = _crumpled(seed, 4, (2.0, 4.0, 8.0, 20.0)[seed % 4])
         mesh = Mesh(vertices / np.abs(vertices).max(axis=0) * [0.7, 0.7, 1.0], faces)
-        scene = Scene([mesh, wall], camera, light, casts=[True, False])
+        scene = Scene([mesh, wall], camera, light, casts=(True, False))
         surface = draw_surface(scene.mesh, camera)
         found = np.asarray(technique.visibility(technique.prepare(scene), surface))
         traced = np.asarray(trace_visibility(scene, samples=1, supersampling=4).visibility)

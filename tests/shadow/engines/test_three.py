@@ -247,7 +247,7 @@ HIDDEN = {
     "cut of light bleeding": (_variance, "_BLEEDING", 0.0, "directional_vsm_radius_4"),
     "sides that cast": (
         _three,
-        "_OTHER",
+        "OTHER_SIDE",
         {one: one for one in ("front", "back", "double")},
         "directional_basic_default_sides",
     ),
@@ -260,7 +260,7 @@ def test_a_hidden_term_left_out_is_distinguished(what, monkeypatch):
     module, constant, value, name = HIDDEN[what]
     golden = engine_golden("three", name)
     monkeypatch.setattr(module, constant, value)
-    if constant == "_OTHER":
+    if constant == "OTHER_SIDE":
         assert agreement(golden, from_own_map(golden, preset(golden))) < 0.999
         return
     with jax.disable_jit():
