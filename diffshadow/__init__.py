@@ -18,26 +18,34 @@ before JAX makes its first array, sets the process up for fast work. It calls th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ._memory import collect_rarely as collect_rarely
-from ._memory import keep_freed_memory as keep_freed_memory
-from ._setup import setup as setup
-from ._xla import use_all_cores as use_all_cores
+from ._memory import collect_rarely, keep_freed_memory
+from ._setup import setup
+from ._xla import use_all_cores
 
 if TYPE_CHECKING:
-    from . import config as config
-    from . import fit as fit
-    from . import geometry as geometry
-    from . import io as io
-    from . import metrics as metrics
-    from . import raster as raster
-    from . import reference as reference
-    from . import shading as shading
-    from . import shadow as shadow
-    from . import study as study
+    from . import config, fit, geometry, io, metrics, raster, reference, shading, shadow, study
 
 __version__: str
 
 _SUBPACKAGES = ("config", "fit", "geometry", "io", "metrics", "raster", "reference", "shading", "shadow", "study")
+
+__all__ = [
+    "__version__",
+    "collect_rarely",
+    "config",
+    "fit",
+    "geometry",
+    "io",
+    "keep_freed_memory",
+    "metrics",
+    "raster",
+    "reference",
+    "setup",
+    "shading",
+    "shadow",
+    "study",
+    "use_all_cores",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -52,4 +60,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_SUBPACKAGES, "__version__"])
+    return __all__

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from ._misc import concrete
+from ._arithmetic import concrete
 from .settings import Limits, LongerThan, Setting, Settings
 
 _MAX_SHOWN = 16

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._misc import concrete
+from ._arithmetic import concrete
 from ._types import HostArray
 
 SIDE = 160

@@ -28,8 +28,8 @@ from diffshadow import fit, geometry, io, raster, reference, setup
 from diffshadow.config import (
     Config,
     ConfigError,
+    Location,
     Mistake,
-    Place,
     build_fit,
     build_fittable,
     build_scene,
@@ -99,7 +99,7 @@ def mistake(settings: Config, key: str, what: str) -> ConfigError:
 def expect(option: str, given: Any, fine: bool, expected: str) -> None:
     """**Raises** `ConfigError` unless the value `given` for an option is `fine`."""
     if not fine:
-        raise ConfigError([Mistake(Place(f"--{option}"), "", f"is {given}; expected {expected}")])
+        raise ConfigError([Mistake(Location(f"--{option}"), "", f"is {given}; expected {expected}")])
 
 
 def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]:
@@ -112,7 +112,7 @@ def listed(option: str, given: str, of: Callable[[str], Any] = str) -> list[Any]
     except ValueError:
         what = {int: "whole numbers", float: "numbers"}[of]  # type: ignore[index]
         message = f"is {given!r}; expected {what} separated by commas, such as 1,2,4"
-        raise ConfigError([Mistake(Place(f"--{option}"), "", message)]) from None
+        raise ConfigError([Mistake(Location(f"--{option}"), "", message)]) from None
 
 
 def chosen[Name: str](option: str, given: str, among: Collection[Name]) -> list[Name]:
@@ -148,7 +148,7 @@ def truth_of(settings: Config, scene: geometry.Scene) -> reference.Reference:
             raise mistake(settings, "reference.path", str(error)) from error
     how = section.how(settings.seed)
     traced = lambda: vars(reference.trace_visibility(scene, **how))
-    arrays = io.cached_arrays(reference.cache_key(scene, **how), traced)
+    arrays = io.cached_arrays(reference.key_parts(scene, **how), traced)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

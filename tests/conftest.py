@@ -10,7 +10,7 @@ from jaxtyping import install_import_hook
 
 from diffshadow import collect_rarely, use_all_cores
 
-_ARRAYS = ("_misc", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
+_ARRAYS = ("_arithmetic", "_padding", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
 install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "beartype.beartype")
 
 # Of the file system, whatever the tests set DIFFSHADOW_CACHE to.

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from optimistix import RESULTS
 
-from diffshadow._misc import as_array, as_float
+from diffshadow._arithmetic import as_array, as_float
 from diffshadow.fit import TechniqueProblem, with_values
 from diffshadow.fit._solve import Solution
 from diffshadow.fit.problems._stack import Stack

@@ -15,7 +15,7 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
-COMMON = {"_types", "_misc", "_checks", "_pictures", "settings"}
+COMMON = {"_types", "_device", "_padding", "_arithmetic", "_checks", "_pictures", "settings"}
 # Their modules are public, and they need neither JAX nor pydantic.
 SETTINGS = "settings"
 OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
@@ -172,19 +172,19 @@ def module_name(path: str) -> str:
 
 def test_package_keeps_to_the_order_of_its_subpackages():
     sources = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in sorted(ROOT.rglob("*.py"))}
-    assert {"_types.py", "_misc.py", "geometry/__init__.py"} <= sources.keys()
+    assert {"_types.py", "_arithmetic.py", "geometry/__init__.py"} <= sources.keys()
     assert breaches(sources) == []
 
 
 SOUND = {
     "__init__.py": "",
     "_types.py": "from numpy import ndarray\n",
-    "_misc.py": "from ._types import Array\n",
+    "_arithmetic.py": "from ._types import Array\n",
     "settings/__init__.py": "from ._settings import Setting\n",
     "settings/_settings.py": "from dataclasses import dataclass\nfrom annotated_types import Ge\n",
     "settings/filters.py": "from ._settings import Setting\n",
     "geometry/__init__.py": "from ._mesh import Mesh as Mesh\n",
-    "geometry/_mesh.py": "from .._misc import dot\n",
+    "geometry/_mesh.py": "from .._arithmetic import dot\n",
     "raster/__init__.py": "",
     "shadow/__init__.py": "from . import filters\n",
     "shadow/_bias.py": "from ..raster import draw\n",
@@ -234,7 +234,7 @@ SOUND = {
             "from . import Mesh",
             "circular import: diffshadow.geometry -> diffshadow.geometry._mesh",
         ),
-        ("_types.py", "from ._misc import dot", "circular import: diffshadow._misc -> diffshadow._types"),
+        ("_types.py", "from ._arithmetic import dot", "circular import: diffshadow._arithmetic -> diffshadow._types"),
         ("study/files/_run.py", "from ..runs import draw", "imports runs, which comes after files in study"),
         ("helpers/__init__.py", "", "helpers is not a subpackage of the design"),
     ],

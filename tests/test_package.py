@@ -1,9 +1,13 @@
 """The files that the package consists of, as it is published."""
 
+import inspect
 import re
 import tomllib
 import zipfile
+from collections import Counter
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 from hatchling.builders.wheel import WheelBuilder
 
@@ -28,3 +32,22 @@ def test_citation_names_the_version_of_the_package():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert diffshadow.__version__ == version
     assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+
+
+def public_names() -> dict[str, object]:
+    """Each public name, by its path, with what it stands for."""
+    found: dict[str, object] = {}
+    for name in ("", *(f".{part}" for part in (*diffshadow._SUBPACKAGES, "settings"))):
+        module = import_module(f"diffshadow{name}")
+        assert dir(module) == sorted(module.__all__), name
+        found |= {f"{module.__name__}.{each}": getattr(module, each) for each in module.__all__}
+    return {name: value for name, value in found.items() if not isinstance(value, ModuleType)}
+
+
+def test_public_names_are_few_documented_and_each_has_one_path():
+    names = public_names()
+    assert len(names) < 300
+    own = {name: value for name, value in names.items() if getattr(value, "__module__", "").startswith("diffshadow")}
+    described = {name: value for name, value in own.items() if inspect.isclass(value) or inspect.isfunction(value)}
+    assert [name for name, value in described.items() if not (value.__doc__ or "").strip()] == []
+    assert [value for value, count in Counter(map(id, described.values())).items() if count > 1] == []

@@ -12,7 +12,7 @@ _LONGEST_SHOWN = 60
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """Where something was written: `source` is a file or an override; lines and columns count from 1."""
 
     source: str
@@ -31,14 +31,14 @@ class Origin:
     """
 
     source: str = "configuration"
-    places: Mapping[KeyPath, Place] = field(default_factory=dict)
+    places: Mapping[KeyPath, Location] = field(default_factory=dict)
 
-    def place(self, path: KeyPath) -> Place:
+    def place(self, path: KeyPath) -> Location:
         """Where `path` was written; otherwise, where its nearest enclosing section was."""
         for length in range(len(path), -1, -1):
             if path[:length] in self.places:
                 return self.places[path[:length]]
-        return Place(self.source)
+        return Location(self.source)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Origin)
@@ -56,7 +56,7 @@ class Mistake:
     - `message`: what was given; what was expected; how to mend it.
     """
 
-    place: Place
+    place: Location
     key: str
     message: str
 

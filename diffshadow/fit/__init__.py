@@ -1,36 +1,58 @@
 """Fitting shadow-mapping settings, lights and casters to a reference by gradient."""
 
-from ._anneal import Anneal as Anneal
-from ._arrangement import Arrangement as Arrangement
-from ._arrangement import MeshPose as MeshPose
-from ._bounds import AtBound as AtBound
-from ._fit import FitResult as FitResult
+from ._anneal import Anneal
+from ._arrangement import Arrangement, MeshPose
+from ._bounds import AtBound
+from ._fit import FitResult, fit
 from ._fit import check_loss as check_loss
-from ._fit import fit as fit
-from ._front import FrontPoint as FrontPoint
-from ._history import Step as Step
-from ._how import Search as Search
-from ._how import Sureness as Sureness
-from ._loss import Loss as Loss
-from ._parameters import Parameter as Parameter
-from ._parameters import Parameters as Parameters
+from ._front import FrontPoint
+from ._history import Step
+from ._how import Search, Sureness
+from ._loss import Loss
+from ._parameters import Parameter, Parameters, with_values
 from ._parameters import parameter_names as parameter_names
 from ._parameters import resolve as resolve
 from ._parameters import with_parameters as with_parameters
-from ._parameters import with_values as with_values
-from ._precision import Precision as Precision
-from ._profile import Bound as Bound
-from ._profile import End as End
-from ._profile import Interval as Interval
-from ._profile import Profile as Profile
-from ._run import Outcome as Outcome
-from ._run import Start as Start
-from ._train import Training as Training
-from ._train import TrainingPhase as TrainingPhase
-from ._train import mean_square_error as mean_square_error
-from ._train import train as train
-from .problems import AbstractProblem as AbstractProblem
-from .problems import PoseProblem as PoseProblem
-from .problems import TechniqueProblem as TechniqueProblem
+from ._precision import Precision
+from ._profile import Bound, End, Interval, Profile
+from ._run import Outcome, Start
+from ._train import Training, TrainingPhase, mean_square_error, train
+from .problems import AbstractProblem, PoseProblem, TechniqueProblem
 from .problems import cone_fraction as cone_fraction
-from .solvers import Solver as Solver
+from .solvers import Solver
+
+__all__ = [
+    "AbstractProblem",
+    "Anneal",
+    "Arrangement",
+    "AtBound",
+    "Bound",
+    "End",
+    "FitResult",
+    "FrontPoint",
+    "Interval",
+    "Loss",
+    "MeshPose",
+    "Outcome",
+    "Parameter",
+    "Parameters",
+    "PoseProblem",
+    "Precision",
+    "Profile",
+    "Search",
+    "Solver",
+    "Start",
+    "Step",
+    "Sureness",
+    "TechniqueProblem",
+    "Training",
+    "TrainingPhase",
+    "fit",
+    "mean_square_error",
+    "train",
+    "with_values",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_float, safe_norm
+from .._arithmetic import as_float, safe_norm
 from .._types import Vec3
 from ..geometry import AbstractLight, LightPose, Mesh, Vector
 from ..shadow import ShadowMapping

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._arithmetic import as_float
 from .._checks import check_instance
-from .._misc import as_float
 from .._pictures import as_html
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
@@ -22,7 +22,7 @@ from ._parameters import Parameter, Parameters
 from ._phases import phases_of
 from ._precision import Precision
 from ._profile import Profile, Profiler
-from ._run import Outcome, Path, Run, Start, Values, root
+from ._run import Outcome, Run, Start, Trajectory, Values, root
 from ._starts import starts_within
 from .problems import AbstractProblem, Joint, check_problem
 from .solvers import OptimistixSolver, Solver
@@ -156,7 +156,9 @@ def fit(
     return _with_offsets(result, offsets) if any(offsets) else result
 
 
-def _result(run: Run, path: Path, tried: list[Start], parameters: Sequence[Parameter], sureness: Sureness) -> FitResult:
+def _result(
+    run: Run, path: Trajectory, tried: list[Start], parameters: Sequence[Parameter], sureness: Sureness
+) -> FitResult:
     """What a run found along its best path, and what it finds out about the values near the best."""
     best = path.chosen(run.solver.noise or 0.0)
     values, least, profiles = _chosen(run, path.values[best], parameters, sureness)

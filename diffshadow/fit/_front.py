@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from .._types import HostArray
 from ..settings.fit import FEWEST_POINTS
 from ._run import Run, Values
@@ -62,7 +62,7 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
 
     **Returns** at most `count` settings. There are fewer if no more were found whose errors differ.
     """
-    found = _Found(run)
+    found = _Settings(run)
     found.add(best)
     found.spread()
     for ratio in (_MAX_RATIO, 1 / _MAX_RATIO):
@@ -73,7 +73,7 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
     return [point._replace(is_knee=i == knee) for i, point in enumerate(points)]
 
 
-class _Found:
+class _Settings:
     """The settings that were found, and their errors.
 
     - `settled`: the settings where a fit has ended, or began in vain.

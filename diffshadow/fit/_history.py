@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_int
+from .._arithmetic import as_int
 from ..shadow import Overflow
 from ._parameters import Parameters
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arithmetic import as_float, as_number, concrete
 from .._checks import CheckedModule
-from .._misc import as_float, as_number, concrete
 from .._types import Scalar
 from ..settings.fit import Loss as Settings
 from ..settings.fit import Over

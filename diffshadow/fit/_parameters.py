@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from .._misc import as_float, concrete
+from .._arithmetic import as_float, concrete
 
 # A fit starts at least this far inside its bounds, as a fraction of their distance: on a bound itself the change of
 # variables has no slope.

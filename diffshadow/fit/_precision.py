@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.ndimage import gaussian_filter
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from .._types import HostArray
 from .problems import REACH_OF_BLUR, Joint
 

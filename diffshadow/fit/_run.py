@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .._misc import as_float, as_int
+from .._arithmetic import as_float, as_int
 from ._history import Reporter, Step
 from ._loss import Errors, Loss
 from ._parameters import Parameter, Parameters
@@ -77,7 +77,7 @@ class Start(NamedTuple):
     loss: float
 
 
-class Path(NamedTuple):
+class Trajectory(NamedTuple):
     """The course of one start: free values, values and the judge's losses at the start and after each phase.
 
     `ends` holds the phases so far and their solutions, none for a search.
@@ -130,7 +130,7 @@ class Run:
         self._samples: Samples = {}
         self._atlases: Atlases = {}
 
-    def through(self, spread: Float[Array, "s p"]) -> tuple[Path, list[Start]]:
+    def through(self, spread: Float[Array, "s p"]) -> tuple[Trajectory, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
         shared = [i for i, phase in enumerate(self.phases) if phase.shared]
         rest = [i for i, phase in enumerate(self.phases) if not phase.shared]
@@ -143,7 +143,7 @@ class Run:
         self.reporter.start = best
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
-    def precision(self, path: Path, chosen: int) -> Precision | None:
+    def precision(self, path: Trajectory, chosen: int) -> Precision | None:
         """How well the chosen phase determines what it fitted; none if it was a search, or the start was better than
         all phases, or under a user's loss."""
         phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
@@ -157,12 +157,12 @@ class Run:
         slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
         return precision_of(names, differences, slopes, phase.blurs, span)
 
-    def flat(self, path: Path) -> list[str]:
+    def flat(self, path: Trajectory) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""
         rests = np.all(np.asarray(path.free) == np.asarray(path.free[0]), axis=0)
         return [name for name, slope, rest in zip(self.names, self.slopes, rests, strict=True) if slope == 0 and rest]
 
-    def _start(self, initial: Float[Array, " p"]) -> Path:
+    def _start(self, initial: Float[Array, " p"]) -> Trajectory:
         loss, _ = self._judged(initial)
         if not np.isfinite(loss):
             raise ValueError(
@@ -173,14 +173,14 @@ class Run:
             raise ValueError(
                 f"the loss is {loss:.4g} at the initial values; expected 0 or more: add a constant, as in 1 - SSIM"
             )
-        return Path([self.parameters.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
+        return Trajectory([self.parameters.to_free(initial)], [tuple(initial.tolist())], [loss], [], [])
 
-    def _along(self, numbers: Sequence[int], path: Path) -> Path:
+    def _along(self, numbers: Sequence[int], path: Trajectory) -> Trajectory:
         for number in numbers:
             path = self._continued(number, path)
         return path
 
-    def _continued(self, number: int, path: Path) -> Path:
+    def _continued(self, number: int, path: Trajectory) -> Trajectory:
         """`path`, and one phase more from its end."""
         if self.phases[number].searched:
             return self._searched(number, path)
@@ -196,7 +196,7 @@ class Run:
         values = self.parameters.to_bounded(free)
         loss, hard_loss = self._judged(values)
         outcome = _outcome(solution, phase, hard_loss, values)
-        return Path(
+        return Trajectory(
             [*path.free, free],
             [*path.values, outcome.values],
             [*path.losses, loss],
@@ -204,7 +204,7 @@ class Run:
             [*path.ends, (self.phases[number], solution)],
         )
 
-    def _searched(self, number: int, path: Path) -> Path:
+    def _searched(self, number: int, path: Trajectory) -> Trajectory:
         """`path`, and a search from its end."""
         phase, free, values = self.phases[number], path.free[-1], as_float(path.values[-1])
         active = np.asarray(phase.active)
@@ -232,7 +232,7 @@ class Run:
         loss, hard_loss = self._judged(values)
         at_end = tuple(values.tolist())
         outcome = Outcome(0.0, found.evaluations, "successful", 0.0, hard_loss, at_end, searched=phase.searched)
-        return Path(
+        return Trajectory(
             [*path.free, free],
             [*path.values, at_end],
             [*path.losses, loss],

@@ -11,7 +11,7 @@ from .._types import HostArray
 Box = Float64[HostArray, " a"]
 
 
-class Found(NamedTuple):
+class Least(NamedTuple):
     """The least error of a search, where it is, (a,), and how many were evaluated."""
 
     error: float
@@ -21,7 +21,7 @@ class Found(NamedTuple):
 
 def search(
     error: Callable[[Box], float], start: Box, lower: Box, upper: Box, evaluations: int, part: float = 1.0
-) -> Found:
+) -> Least:
     """The least of about `evaluations` errors within the bounds, and of that at `start`.
 
     It is found by DIRECT (Jones, Perttunen & Stuckman 1993; Gablonsky & Kelley 2001), which divides the box into ever
@@ -46,4 +46,4 @@ def search(
     box = list(zip(middle - half, middle + half, strict=True))
     direct(evaluate, box, maxfun=evaluations, maxiter=evaluations, vol_tol=0, len_tol=0)
     least, values = min(tried, key=lambda one: one[0])
-    return Found(least, values, len(tried))
+    return Least(least, values, len(tried))

@@ -52,7 +52,7 @@ class _Own(NamedTuple):
     columns: Float[Array, "n a"]
 
 
-_Found = tuple[Images, Stacks, Float[Array, " v"]] | _Own
+_Evaluated = tuple[Images, Stacks, Float[Array, " v"]] | _Own
 """What is found at one place: differences, slopes and roots as in `Solution`, or rows and columns of a user's loss."""
 
 
@@ -61,7 +61,7 @@ def _solve(
 ) -> Solution:
     is_scalar = joint.own is not None and joint.own.is_scalar
 
-    def evaluated(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Found, Overflow]:
+    def evaluated(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Evaluated, Overflow]:
         # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
         # once for each; here it is a matrix, found once together with the residuals.
         joint, parameters, scale = args
@@ -72,7 +72,7 @@ def _solve(
         # Optimistix minimises half the sum of squares.
         return scale**2 * found[0] / 2 if is_scalar else scale * found, known, overflow
 
-    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Found]:
+    def residual(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Evaluated]:
         found, known, overflow = evaluated(y, args)
         if joint.moves:
             report_overflow(token, overflow, y)
@@ -107,7 +107,7 @@ def _solve(
 
 def _rows(
     joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
-) -> tuple[Float[Array, " n"], _Found, Overflow]:
+) -> tuple[Float[Array, " n"], _Evaluated, Overflow]:
     """The residuals at the fractions `fixed` + `change`, to first order in the latter, and what is found at `fixed`."""
     differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
     compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
@@ -122,7 +122,7 @@ def _rows(
 
 def _rows_of_own(
     joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
-) -> tuple[Float[Array, " n"], _Found, Overflow]:
+) -> tuple[Float[Array, " n"], _Evaluated, Overflow]:
     """As `_rows`, of a user's loss; or instead of residuals its value, (1,)."""
 
     def rows(fraction: Array) -> tuple[Array, Overflow]:

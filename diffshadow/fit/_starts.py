@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from ._parameters import Parameters
 
 

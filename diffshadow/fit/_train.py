@@ -16,7 +16,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
 from ._anneal import Anneal

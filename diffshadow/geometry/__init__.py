@@ -1,27 +1,14 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
-from ..settings.techniques import CascadeSelection as CascadeSelection
-from ._camera import AbstractCamera as AbstractCamera
-from ._camera import MatrixCamera as MatrixCamera
-from ._camera import OrthographicCamera as OrthographicCamera
-from ._camera import PinholeCamera as PinholeCamera
-from ._camera import orbit_eye as orbit_eye
+from ..settings.techniques import CascadeSelection
+from ._camera import AbstractCamera, MatrixCamera, OrthographicCamera, PinholeCamera, orbit_eye
 from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
-from ._edges import Edges as Edges
+from ._edges import Edges
 from ._edges import share_vertices as share_vertices
-from ._library import LIBRARY as LIBRARY
-from ._library import OptionError as OptionError
-from ._library import library_mesh as library_mesh
-from ._mesh import Mesh as Mesh
-from ._mesh import MeshLike as MeshLike
-from ._mesh import as_mesh as as_mesh
-from ._mesh import face_normals as face_normals
-from ._mesh import merge as merge
-from ._normals import crease_normals as crease_normals
-from ._normals import weld as weld
-from ._origin import WORLD as WORLD
-from ._origin import Origin as Origin
-from ._origin import PrecisionWarning as PrecisionWarning
+from ._library import LIBRARY, OptionError, library_mesh
+from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge
+from ._normals import crease_normals, weld
+from ._origin import WORLD, Origin, PrecisionWarning
 from ._origin import origin_of as origin_of
 from ._origin import step_of as step_of
 from ._pages import Pages as Pages
@@ -29,28 +16,70 @@ from ._pages import Tile as Tile
 from ._pages import cell_of as cell_of
 from ._pages import finest_of as finest_of
 from ._pages import side_of as side_of
-from ._placement import drop_to_ground as drop_to_ground
-from ._placement import fit_to_size as fit_to_size
-from ._scene import Scene as Scene
-from ._transforms import frame as frame
+from ._placement import drop_to_ground, fit_to_size
+from ._scene import Scene
+from ._transforms import (
+    frame,
+    look_at,
+    orthographic,
+    perspective,
+    rotation,
+    scaling,
+    transform_points,
+    transform_vectors,
+    translation,
+)
 from ._transforms import infinite_far as infinite_far
-from ._transforms import look_at as look_at
-from ._transforms import orthographic as orthographic
-from ._transforms import perspective as perspective
-from ._transforms import rotation as rotation
-from ._transforms import scaling as scaling
 from ._transforms import tangents as tangents
-from ._transforms import transform_points as transform_points
-from ._transforms import transform_vectors as transform_vectors
-from ._transforms import translation as translation
-from ._view import View as View
+from ._view import View
 from ._warp import Warp as Warp
-from .lights import AbstractLight as AbstractLight
-from .lights import DirectionalLight as DirectionalLight
+from .lights import AbstractLight, DirectionalLight, LightPose, MatrixLight, PointLight, RectangleLight, SpotLight
 from .lights import Domain as Domain
-from .lights import LightPose as LightPose
-from .lights import MatrixLight as MatrixLight
-from .lights import PointLight as PointLight
-from .lights import RectangleLight as RectangleLight
-from .lights import SpotLight as SpotLight
 from .lights import Vector as Vector
+
+__all__ = [
+    "LIBRARY",
+    "WORLD",
+    "AbstractCamera",
+    "AbstractLight",
+    "CascadeSelection",
+    "DirectionalLight",
+    "Edges",
+    "LightPose",
+    "MatrixCamera",
+    "MatrixLight",
+    "Mesh",
+    "MeshLike",
+    "OptionError",
+    "Origin",
+    "OrthographicCamera",
+    "PinholeCamera",
+    "PointLight",
+    "PrecisionWarning",
+    "RectangleLight",
+    "Scene",
+    "SpotLight",
+    "View",
+    "as_mesh",
+    "crease_normals",
+    "drop_to_ground",
+    "face_normals",
+    "fit_to_size",
+    "frame",
+    "library_mesh",
+    "look_at",
+    "merge",
+    "orbit_eye",
+    "orthographic",
+    "perspective",
+    "rotation",
+    "scaling",
+    "transform_points",
+    "transform_vectors",
+    "translation",
+    "weld",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

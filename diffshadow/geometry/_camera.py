@@ -11,8 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._arithmetic import array_module, as_float, as_number, concrete
 from .._checks import CheckedModule, as_tuple, check_value, listed
-from .._misc import array_module, as_float, as_number, concrete
 from .._types import Mat4, Resolution, Scalar, Vec3
 from ..settings import scene
 from ..settings.quantities import Position

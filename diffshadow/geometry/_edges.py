@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .._misc import as_array, as_int, concrete, padded_to, shared_size
+from .._arithmetic import as_array, as_int, concrete
+from .._padding import padded_to, shared_size
 from .._types import HostArray
 from ._mesh import Mesh, MeshLike, as_mesh
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._misc import as_float, concrete
+from .._arithmetic import as_float, concrete
 from .._types import HostArray, Mat4, Scalar, Vec3
 from ._view import View
 

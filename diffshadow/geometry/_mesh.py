@@ -10,8 +10,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._arithmetic import array_module, as_float, as_int, concrete, normalize
 from .._checks import check_instance, listed
-from .._misc import array_module, as_float, as_int, concrete, normalize, padded_to, shared_mesh_size
+from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, Mat4, Vertices
 from ..settings import Setting

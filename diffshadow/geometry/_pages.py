@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take
+from .._arithmetic import take
 
 Whole = Int[Array, "*n"]
 Broadcast = Int[Array, "*#n"]

@@ -4,7 +4,7 @@ from typing import Any
 
 import equinox as eqx
 
-from .._misc import array_module, as_float, concrete
+from .._arithmetic import array_module, as_float, concrete
 from .._types import Scalar
 from ._mesh import Mesh, MeshLike, as_mesh
 

@@ -9,8 +9,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
+from .._arithmetic import as_float, concrete
 from .._checks import check_instance, shown_with_values
-from .._misc import as_float, concrete
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
 from ._camera import AbstractCamera

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._misc import as_float, dot, normalize
+from .._arithmetic import as_float, dot, normalize
 from .._types import Mat4, Scalar, Vec3
 
 

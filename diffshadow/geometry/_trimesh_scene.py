@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from .._types import HostArray
 from ._camera import PinholeCamera
 from .lights import AbstractLight, DirectionalLight, PointLight, SpotLight

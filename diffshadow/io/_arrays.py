@@ -23,7 +23,7 @@ _KINDS = {"f": "real numbers", "i": "whole numbers", "u": "whole numbers", "b": 
 _LONGEST = 1 << 24
 
 
-class Layout(NamedTuple):
+class ArrayLayout(NamedTuple):
     """What an array must look like.
 
     - `kinds`: the accepted `kind` letters of its dtype: `f` real, `i` and `u` whole, `b` boolean.
@@ -52,7 +52,7 @@ class Layout(NamedTuple):
         return f"has the shape {' × '.join(map(str, shape)) or '()'}; expected {words}"
 
 
-def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, Layout]) -> dict[str, HostArray]:
+def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, ArrayLayout]) -> dict[str, HostArray]:
     """Reads the arrays named in `layouts` from the `.npz` archive `path` and ignores all others.
 
     Types and shapes are checked against `layouts` and against the sizes of the archive's members before memory is
@@ -97,7 +97,7 @@ def read_header(stream: IO[bytes] | BufferedIOBase, what: str) -> tuple[tuple[in
     return _READ_HEADER[version](stream)
 
 
-def _array(archive: zipfile.ZipFile, name: str, layout: Layout | None = None) -> HostArray:
+def _array(archive: zipfile.ZipFile, name: str, layout: ArrayLayout | None = None) -> HostArray:
     try:
         info = archive.getinfo(f"{name}{_SUFFIX}")
     except KeyError:

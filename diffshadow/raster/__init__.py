@@ -1,30 +1,44 @@
 """Rasterization: the face that each pixel sees, and its depth and attributes."""
 
-from ..settings.maps import Cull as Cull
-from ._counts import count_fragments as count_fragments
-from ._depth_test import DepthTest as DepthTest
-from ._fixed import SUBPIXELS as SUBPIXELS
+from ..settings.maps import Cull
+from ._counts import count_fragments
+from ._depth_test import DepthTest
+from ._fixed import SUBPIXELS
 from ._fixed import at_steps as at_steps
 from ._grid_crossings import GridCrossings as GridCrossings
 from ._grid_crossings import count_crossings as count_crossings
 from ._grid_crossings import grid_crossings as grid_crossings
-from ._interpolate import Barycentrics as Barycentrics
+from ._interpolate import Barycentrics, barycentrics, interpolate, interpolate_corners, interpolate_depth, visible_depth
 from ._interpolate import Rows as Rows
-from ._interpolate import barycentrics as barycentrics
 from ._interpolate import by_bands as by_bands
-from ._interpolate import interpolate as interpolate
-from ._interpolate import interpolate_corners as interpolate_corners
-from ._interpolate import interpolate_depth as interpolate_depth
-from ._interpolate import visible_depth as visible_depth
 from ._irregular import hidden_points as hidden_points
 from ._irregular import seen_points as seen_points
 from ._items import Items as Items
-from ._rasterize import NO_FACE as NO_FACE
-from ._rasterize import Fragments as Fragments
-from ._rasterize import rasterize as rasterize
-from ._rasterize import rasterize_depth as rasterize_depth
+from ._rasterize import NO_FACE, Fragments, rasterize, rasterize_depth
 from ._silhouettes import Silhouettes as Silhouettes
 from ._silhouettes import light_sides as light_sides
 from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
-from ._surface import Surface as Surface
-from ._surface import draw_surface as draw_surface
+from ._surface import Surface, draw_surface
+
+__all__ = [
+    "NO_FACE",
+    "SUBPIXELS",
+    "Barycentrics",
+    "Cull",
+    "DepthTest",
+    "Fragments",
+    "Surface",
+    "barycentrics",
+    "count_fragments",
+    "draw_surface",
+    "interpolate",
+    "interpolate_corners",
+    "interpolate_depth",
+    "rasterize",
+    "rasterize_depth",
+    "visible_depth",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

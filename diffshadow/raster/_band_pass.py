@@ -14,7 +14,8 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from .._misc import is_on_gpu, take
+from .._arithmetic import take
+from .._device import is_on_gpu
 from .._types import ClipVertices, Faces, Resolution, Viewport
 from ._bins import CLIPPED, LARGE, Box, Corners, Facing, classify
 from ._compact import Groups

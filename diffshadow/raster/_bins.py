@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take
+from .._arithmetic import take
 from .._types import ClipVertices, Faces, Viewport
 from ..settings.maps import Cull
 from ._clip import needs_clipping

@@ -7,7 +7,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from .._misc import is_on_gpu, take
+from .._arithmetic import take
+from .._device import is_on_gpu
 
 # Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
 # six classes into one integer.

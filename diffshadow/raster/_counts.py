@@ -17,8 +17,9 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from .._arithmetic import as_array
 from .._checks import check_value
-from .._misc import as_array, padded_to
+from .._padding import padded_to
 from .._types import ClipVertices, DepthMap, Faces
 from ._bins import FACING, bin_triangles
 from ._coverage import EdgeForm, window_depth

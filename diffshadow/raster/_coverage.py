@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import safe_divide
+from .._arithmetic import safe_divide
 from .._types import Viewport
 from ._bins import Corners, WindowCoordinates
 from ._depth_test import DepthTest

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._misc import as_float
+from .._arithmetic import as_float
 from .._types import Resolution
 from ..settings.quantities import MAX_VIRTUAL
 

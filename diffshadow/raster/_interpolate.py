@@ -18,7 +18,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import chunk_size, is_on_gpu, safe_divide, take, take_in_runs, with_gradient_of
+from .._arithmetic import safe_divide, take, take_in_runs, with_gradient_of
+from .._device import chunk_size, is_on_gpu
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
 from ..geometry import Tile
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import dot, in_float64, safe_divide, take
+from .._arithmetic import dot, in_float64, safe_divide, take
 from ..geometry import AbstractLight, Mesh, View
 from ._items import Items
 from ._span import extent

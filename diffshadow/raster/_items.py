@@ -7,7 +7,8 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Int
 
-from .._misc import is_on_gpu, take
+from .._arithmetic import take
+from .._device import is_on_gpu
 
 # With no more owners than this to an item, a CPU takes less time to mark where each one's items end than to search.
 _MAX_MARKS = 8

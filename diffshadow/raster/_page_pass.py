@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take
+from .._arithmetic import take
 from .._types import ClipVertices, Faces
 from ..geometry import Pages
 from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Facing, Triangles, classify

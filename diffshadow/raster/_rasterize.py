@@ -11,8 +11,9 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from .._arithmetic import as_float
 from .._checks import check_value
-from .._misc import as_float, padded_to, shared_mesh_size
+from .._padding import padded_to, shared_mesh_size
 from .._types import Faces, Resolution
 from ..geometry import Pages
 from ..settings import maps

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from .._misc import dot
+from .._arithmetic import dot
 from ..geometry import AbstractLight, Edges, Mesh
 
 

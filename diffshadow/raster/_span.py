@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._misc import safe_divide
+from .._arithmetic import safe_divide
 from ..settings.quantities import MAX_VIRTUAL
 from ._bins import Corners
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, first_centre, last_centre

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import take
+from .._arithmetic import take
 
 BLOCK = 16
 """Points in a block."""

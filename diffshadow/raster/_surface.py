@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._arithmetic import dot, normalize
 from .._checks import check_instance
-from .._misc import dot, normalize
 from .._pictures import as_html, is_known, lit
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
 from ..geometry import AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals

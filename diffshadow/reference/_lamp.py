@@ -5,7 +5,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Float64
 
-from .._misc import as_float, in_float64, round_up_to_power_of_two
+from .._arithmetic import as_float, in_float64
+from .._padding import round_up_to_power_of_two
 from .._types import HostArray
 from ..geometry import AbstractLight
 from ._rays import Triangles

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from .._misc import in_float64
+from .._arithmetic import in_float64
 from .._types import HostArray
 from ..geometry import AbstractCamera, Mesh, View
 

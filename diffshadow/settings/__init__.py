@@ -13,13 +13,21 @@ Nothing here needs JAX or pydantic, so that the command can refuse a configurati
 """
 
 from ._settings import MISSING as MISSING
-from ._settings import At as At
-from ._settings import Fitted as Fitted
+from ._settings import At, Fitted, Limits, LongerThan, Setting, Settings, Unit
 from ._settings import Form as Form
-from ._settings import Limits as Limits
-from ._settings import LongerThan as LongerThan
-from ._settings import Setting as Setting
-from ._settings import Settings as Settings
-from ._settings import Unit as Unit
 from ._settings import bare as bare
 from ._settings import is_union as is_union
+
+__all__ = [
+    "At",
+    "Fitted",
+    "Limits",
+    "LongerThan",
+    "Setting",
+    "Settings",
+    "Unit",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,6 +1,16 @@
 """Shading: from visibility to the image of a lit scene."""
 
-from ._abstract import AbstractShading as AbstractShading
-from ._modulated import ModulatedShadow as ModulatedShadow
-from ._phong import Attenuation as Attenuation
-from ._phong import Phong as Phong
+from ._abstract import AbstractShading
+from ._modulated import ModulatedShadow
+from ._phong import Attenuation, Phong
+
+__all__ = [
+    "AbstractShading",
+    "Attenuation",
+    "ModulatedShadow",
+    "Phong",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

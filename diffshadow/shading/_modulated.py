@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._misc import as_number
+from .._arithmetic import as_number
 from .._types import Scalar, VectorMap
 from ..geometry import AbstractCamera
 from ..raster import Surface

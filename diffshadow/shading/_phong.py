@@ -13,8 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arithmetic import as_float, as_number, dot, normalize, safe_norm
 from .._checks import CheckedModule
-from .._misc import as_float, as_number, dot, normalize, safe_norm
 from .._types import Scalar, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface

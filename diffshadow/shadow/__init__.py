@@ -1,86 +1,138 @@
 """Shadow mapping, its biases, compares and filters; shadow volumes, irregular z-buffers and projective shadows."""
 
-from ..settings.engines import BabylonFilter as BabylonFilter
-from ..settings.engines import BabylonQuality as BabylonQuality
-from ..settings.maps import SoftKernel as SoftKernel
-from ..settings.patterns import DiskMapping as DiskMapping
-from ..settings.techniques import LevelNorm as LevelNorm
-from ..settings.techniques import WarpMethod as WarpMethod
-from ._aliasing import Aliasing as Aliasing
-from ._aliasing import aliasing as aliasing
-from ._compare import AbstractCompare as AbstractCompare
-from ._compare import HardCompare as HardCompare
-from ._compare import SoftCompare as SoftCompare
-from ._glsl import to_glsl as to_glsl
-from ._irregular import IrregularScene as IrregularScene
-from ._irregular import IrregularZBuffer as IrregularZBuffer
-from ._lookup import Lookup as Lookup
-from ._lookup import look_up as look_up
-from ._map import MapPlan as MapPlan
-from ._map import MapSettings as MapSettings
-from ._map import Overflow as Overflow
-from ._map import ShadowMap as ShadowMap
-from ._map import draw_shadow_map as draw_shadow_map
-from ._map import plan_crossings as plan_crossings
-from ._projective import ProjectiveShadow as ProjectiveShadow
-from ._projective import ProjectiveTexture as ProjectiveTexture
-from ._receiver import Receiver as Receiver
-from ._receiver import receiver as receiver
-from ._shadow_mapping import ShadowMapping as ShadowMapping
-from ._technique import AbstractTechnique as AbstractTechnique
-from ._technique import FittableTechnique as FittableTechnique
-from ._technique import Side as Side
-from ._volumes import ShadowVolumes as ShadowVolumes
-from ._volumes import Volumes as Volumes
-from ._volumes import VolumeScene as VolumeScene
-from ._volumes import shadow_volumes as shadow_volumes
-from .biases import AbstractBias as AbstractBias
-from .biases import AdaptiveBias as AdaptiveBias
-from .biases import Bias as Bias
-from .biases import BiasTerms as BiasTerms
-from .biases import ConstantBias as ConstantBias
-from .biases import LinearBias as LinearBias
-from .biases import NormalOffset as NormalOffset
-from .biases import PerceptronBias as PerceptronBias
-from .biases import ReceiverPlane as ReceiverPlane
-from .biases import SlopeBias as SlopeBias
-from .engines import AbstractEngineShadows as AbstractEngineShadows
-from .engines import BabylonJs as BabylonJs
-from .engines import EngineLight as EngineLight
-from .engines import EngineMap as EngineMap
+from ..settings.engines import BabylonFilter, BabylonQuality
+from ..settings.maps import SoftKernel
+from ..settings.patterns import DiskMapping
+from ..settings.techniques import LevelNorm, WarpMethod
+from ._aliasing import Aliasing, aliasing
+from ._compare import AbstractCompare, HardCompare, SoftCompare
+from ._glsl import to_glsl
+from ._irregular import IrregularScene, IrregularZBuffer
+from ._lookup import Lookup, look_up
+from ._map import MapPlan, MapSettings, Overflow, ShadowMap, draw_shadow_map, plan_crossings
+from ._projective import ProjectiveShadow, ProjectiveTexture
+from ._receiver import Receiver, receiver
+from ._shadow_mapping import ShadowMapping
+from ._technique import AbstractTechnique, FittableTechnique, Side
+from ._volumes import ShadowVolumes, Volumes, VolumeScene, shadow_volumes
+from .biases import (
+    AbstractBias,
+    AdaptiveBias,
+    Bias,
+    BiasTerms,
+    ConstantBias,
+    LinearBias,
+    NormalOffset,
+    PerceptronBias,
+    ReceiverPlane,
+    SlopeBias,
+)
+from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, ThreeJs, engine_code, engine_settings
 from .engines import EngineSetting as EngineSetting
-from .engines import ThreeJs as ThreeJs
-from .engines import engine_code as engine_code
-from .engines import engine_settings as engine_settings
-from .filters import AbstractFilter as AbstractFilter
-from .filters._castano import Castano as Castano
-from .filters._exponential import ExponentialShadowMap as ExponentialShadowMap
-from .filters._exponential_variance import ExponentialVarianceShadowMap as ExponentialVarianceShadowMap
-from .filters._four_tap import FourTap as FourTap
-from .filters._moments import MomentShadowMap as MomentShadowMap
-from .filters._pcf import PercentageCloser as PercentageCloser
-from .filters._pcss import PercentageCloserSoft as PercentageCloserSoft
-from .filters._random_disk import RandomDisk as RandomDisk
-from .filters._separable import Separable as Separable
-from .filters._single import Bilinear as Bilinear
-from .filters._single import Nearest as Nearest
-from .filters._tent import Tent as Tent
-from .filters._variance import VarianceShadowMap as VarianceShadowMap
-from .kernels import Atlas as Atlas
-from .kernels import mean_of_taps as mean_of_taps
-from .layouts import AbstractLayout as AbstractLayout
-from .layouts import Cascades as Cascades
+from .filters import AbstractFilter
+from .filters._castano import Castano
+from .filters._exponential import ExponentialShadowMap
+from .filters._exponential_variance import ExponentialVarianceShadowMap
+from .filters._four_tap import FourTap
+from .filters._moments import MomentShadowMap
+from .filters._pcf import PercentageCloser
+from .filters._pcss import PercentageCloserSoft
+from .filters._random_disk import RandomDisk
+from .filters._separable import Separable
+from .filters._single import Bilinear, Nearest
+from .filters._tent import Tent
+from .filters._variance import VarianceShadowMap
+from .kernels import Atlas, mean_of_taps
+from .layouts import AbstractLayout, Cascades, PerspectiveWarp, ResolutionMatched, SingleMap
 from .layouts import Choice as Choice
 from .layouts import LayerFigure as LayerFigure
 from .layouts import MapFigure as MapFigure
-from .layouts import PerspectiveWarp as PerspectiveWarp
-from .layouts import ResolutionMatched as ResolutionMatched
-from .layouts import SingleMap as SingleMap
-from .patterns import Pattern as Pattern
-from .patterns import halton as halton
-from .patterns import poisson_disk as poisson_disk
-from .patterns import sobol as sobol
-from .patterns import stratified as stratified
-from .patterns import uniform as uniform
-from .patterns import vogel as vogel
-from .silhouettes import SilhouetteMap as SilhouetteMap
+from .patterns import Pattern, halton, poisson_disk, sobol, stratified, uniform, vogel
+from .silhouettes import SilhouetteMap
+
+__all__ = [
+    "AbstractBias",
+    "AbstractCompare",
+    "AbstractEngineShadows",
+    "AbstractFilter",
+    "AbstractLayout",
+    "AbstractTechnique",
+    "AdaptiveBias",
+    "Aliasing",
+    "Atlas",
+    "BabylonFilter",
+    "BabylonJs",
+    "BabylonQuality",
+    "Bias",
+    "BiasTerms",
+    "Bilinear",
+    "Cascades",
+    "Castano",
+    "ConstantBias",
+    "DiskMapping",
+    "EngineLight",
+    "EngineMap",
+    "ExponentialShadowMap",
+    "ExponentialVarianceShadowMap",
+    "FittableTechnique",
+    "FourTap",
+    "HardCompare",
+    "IrregularScene",
+    "IrregularZBuffer",
+    "LevelNorm",
+    "LinearBias",
+    "Lookup",
+    "MapPlan",
+    "MapSettings",
+    "MomentShadowMap",
+    "Nearest",
+    "NormalOffset",
+    "Overflow",
+    "Pattern",
+    "PercentageCloser",
+    "PercentageCloserSoft",
+    "PerceptronBias",
+    "PerspectiveWarp",
+    "ProjectiveShadow",
+    "ProjectiveTexture",
+    "RandomDisk",
+    "Receiver",
+    "ReceiverPlane",
+    "ResolutionMatched",
+    "Separable",
+    "ShadowMap",
+    "ShadowMapping",
+    "ShadowVolumes",
+    "Side",
+    "SilhouetteMap",
+    "SingleMap",
+    "SlopeBias",
+    "SoftCompare",
+    "SoftKernel",
+    "Tent",
+    "ThreeJs",
+    "VarianceShadowMap",
+    "VolumeScene",
+    "Volumes",
+    "WarpMethod",
+    "aliasing",
+    "draw_shadow_map",
+    "engine_code",
+    "engine_settings",
+    "halton",
+    "look_up",
+    "mean_of_taps",
+    "plan_crossings",
+    "poisson_disk",
+    "receiver",
+    "shadow_volumes",
+    "sobol",
+    "stratified",
+    "to_glsl",
+    "uniform",
+    "vogel",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._misc import dot, normalize, safe_divide
+from .._arithmetic import dot, normalize, safe_divide
 from .._types import Mask, TexelMap, VectorMap
 from ..geometry import AbstractCamera
 from ..raster import Surface

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._arithmetic import as_number
 from .._checks import CheckedModule
-from .._misc import as_number
 from .._types import Scalar
 from ..settings import maps
 from ..settings.maps import DepthOperator, SoftKernel

@@ -11,7 +11,8 @@ import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._misc import as_array, as_float, dot, normalize, padded_to
+from .._arithmetic import as_array, as_float, dot, normalize
+from .._padding import padded_to
 from .._types import Mask, Visibility
 from ..geometry import AbstractLight, Mesh, Scene
 from ..raster import Surface, hidden_points, seen_points

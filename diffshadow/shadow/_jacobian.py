@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._misc import safe_divide, safe_norm
+from .._arithmetic import safe_divide, safe_norm
 from .._types import TexelMap, VectorMap
 from ..geometry import AbstractCamera, tangents
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import components
+from .._arithmetic import components
 from .._types import Mask
 from ._map import ShadowMap
 from ._receiver import Receiver, project

@@ -19,8 +19,10 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from .._arithmetic import as_array, with_gradient_of
 from .._checks import as_tuple, check_settings, shown_with_values
-from .._misc import as_array, chunk_size, round_up_to_power_of_two, with_gradient_of
+from .._device import chunk_size
+from .._padding import round_up_to_power_of_two
 from .._pictures import as_html, grey_of, is_known
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, MeshLike, Tile, View, as_mesh

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, normalize, safe_norm, take
+from .._arithmetic import as_float, dot, normalize, safe_norm, take
 from .._types import DepthMap, Mask, Resolution, Scalar, TexelMap, VectorMap
 from ..geometry import View, transform_points, transform_vectors
 from ..raster import DepthTest, Surface

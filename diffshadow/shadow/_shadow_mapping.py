@@ -11,8 +11,8 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Int
 
+from .._arithmetic import in_unit_range
 from .._checks import check_instance
-from .._misc import in_unit_range
 from .._types import Mask, Visibility
 from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ..raster import Cull, Surface, draw_surface

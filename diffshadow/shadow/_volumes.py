@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._misc import as_float, dot, in_float64, normalize
+from .._arithmetic import as_float, dot, in_float64, normalize
 from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Scalar, Vec3, Visibility
 from ..geometry import (
     AbstractCamera,
@@ -133,7 +133,7 @@ class ShadowVolumes(AbstractTechnique):
         """Every pixel with a surface, (h, w)."""
         return surface.mask
 
-    def _count(self, state: VolumeScene) -> "_Found":
+    def _count(self, state: VolumeScene) -> "_SeenCounts":
         # The view is bitwise the view that draws surfaces. All else is in double precision: a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
         view = state.camera.view()
@@ -148,7 +148,7 @@ class ShadowVolumes(AbstractTechnique):
             when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)
             found = drawing.volumes
             counts = count_fragments(found.clip, found.faces, found.weights, at.depth, when)
-            return _Found(sign * counts, at.lit_side, at.seen)
+            return _SeenCounts(sign * counts, at.lit_side, at.seen)
 
 
 def shadow_volumes(
@@ -188,7 +188,7 @@ class _Seen(eqx.Module):
     seen: Mask
 
 
-class _Found(eqx.Module):
+class _SeenCounts(eqx.Module):
     """As `_Seen`, with the number of volumes instead of the depth."""
 
     counts: Int[Array, "h w"]

@@ -3,20 +3,31 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ._report import report as report
-from .imports._import import import_scene as import_scene
-from .pages._compare import compare as compare
+from ._report import report
+from .imports._import import import_scene
+from .pages._compare import compare
 from .runs._check import check as check
-from .runs._convert import convert as convert
-from .runs._fit import run_fit as run_fit
+from .runs._convert import convert
+from .runs._fit import run_fit
 from .runs._pose import pose_problems as pose_problems
-from .runs._render import run_render as run_render
+from .runs._render import run_render
+
+__all__ = [
+    "compare",
+    "convert",
+    "import_scene",
+    "report",
+    "run_advise",
+    "run_fit",
+    "run_render",
+    "run_sweep",
+]
 
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
-    from .advice._advise import run_advise as run_advise
+    from .advice._advise import run_advise
     from .sweeps._run import print_plan as print_plan
-    from .sweeps._run import run_sweep as run_sweep
+    from .sweeps._run import run_sweep
 
 _OF_SWEEPS = {
     "print_plan": ".sweeps._run",
@@ -34,4 +45,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_OF_SWEEPS])
+    return __all__

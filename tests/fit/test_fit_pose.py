@@ -31,7 +31,7 @@ from diffshadow.fit import (
 from diffshadow.fit._phases import Phase, phases_of
 from diffshadow.fit._precision import on_grids, precision_of
 from diffshadow.fit._programs import compiled
-from diffshadow.fit._run import Path, Run
+from diffshadow.fit._run import Run, Trajectory
 from diffshadow.fit._starts import starts_within
 from diffshadow.fit.problems import Joint, blurs_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt, Stop
@@ -418,7 +418,7 @@ def test_what_an_image_cannot_tell_apart_is_named():
 
 
 def test_of_losses_within_the_noise_the_last_phase_is_chosen():
-    path = lambda *losses: Path([], [], list(losses), [], [])
+    path = lambda *losses: Trajectory([], [], list(losses), [], [])
     # Where pixels jump, a start may have a lower loss than the place that the slopes lead to.
     assert path(1.0, 1.2).chosen(0.25) == 1
     assert path(1.0, 1.2, 1.3).chosen(0.25) == 1
@@ -430,13 +430,13 @@ def test_the_start_with_the_least_loss_runs_the_remaining_phases():
 
     def along(phases, path):
         runs.append((phases, path.values[0]))
-        return Path([], path.values, [losses[path.values[0]]], [], [])
+        return Trajectory([], path.values, [losses[path.values[0]]], [], [])
 
     solving = SimpleNamespace(
         phases=[SimpleNamespace(shared=shared) for shared in (True, False, False)],
         reporter=SimpleNamespace(start=None),
         _along=along,
-        _start=lambda initial: Path([], [(float(initial[0]),)], [], [], []),
+        _start=lambda initial: Trajectory([], [(float(initial[0]),)], [], [], []),
     )
     path, tried = Run.through(solving, jnp.array(list(losses)))
     assert [start.loss for start in tried] == [0.7, 0.2, 0.4]

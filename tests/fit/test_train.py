@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import Waves, problem, technique
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 from diffshadow.fit import Anneal, Solver, TechniqueProblem, mean_square_error, train
 from diffshadow.fit._train import _compressed, _loss, _plain, _put, _stacked
 from diffshadow.shadow import Bias, HardCompare, LinearBias, Nearest, Separable, ShadowMapping

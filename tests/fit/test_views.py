@@ -8,7 +8,7 @@ import pytest
 from scenes import Programs, Waves, covered, floor_and_card, lamp, problem, shadows, sun, technique
 from scipy.optimize import minimize_scalar
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 from diffshadow.fit import (
     Anneal,
     Loss,

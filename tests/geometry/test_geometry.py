@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffshadow._misc import shared_size
+from diffshadow._padding import shared_size
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 
 _PAIRS = 1 << 19
 _TINY = 1e-12

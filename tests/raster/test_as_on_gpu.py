@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from triangle_soups import depth_rounding, soup
 
-from diffshadow._misc import padded_to, take, take_in_runs
+from diffshadow._arithmetic import take, take_in_runs
+from diffshadow._padding import padded_to
 from diffshadow.raster import Items, rasterize, visible_depth
 
 RESOLUTION = (59, 83)

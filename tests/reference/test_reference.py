@@ -25,10 +25,10 @@ from diffshadow.geometry import (
 )
 from diffshadow.reference import (
     Reference,
-    cache_key,
     concentric_disk,
     hidden_pixels,
     hides_light,
+    key_parts,
     reference_from_image,
     trace_visibility,
     trace_visibility_exact,
@@ -480,7 +480,7 @@ def test_of_several_lights_each_is_traced_alone():
     for k, light in enumerate(lights):
         alone = trace_visibility(Scene(flat.mesh, flat.camera, light))
         np.testing.assert_array_equal(trace_visibility(both.lit_by(k)).visibility, alone.visibility)
-    for refuse in (trace_visibility, trace_visibility_exact, cache_key):
+    for refuse in (trace_visibility, trace_visibility_exact, key_parts):
         with pytest.raises(ValueError, match=r"has 2 lights.*lit_by\(index\)"):
             refuse(both)
 
@@ -538,7 +538,7 @@ def test_scene_without_extent_is_refused():
         trace_visibility(Scene(point, from_above(), sun()))
 
 
-@pytest.mark.parametrize("trace", [trace_visibility, trace_visibility_exact, cache_key])
+@pytest.mark.parametrize("trace", [trace_visibility, trace_visibility_exact, key_parts])
 def test_bad_sampling_is_refused(trace):
     scene = small_scene("pinhole", "spot", pixels=4)
     with pytest.raises(ValueError, match="samples is 0; expected a whole number at least 1"):
@@ -586,7 +586,7 @@ def test_supersampling_leaves_out_rays_that_see_nothing_and_averages_noise():
         assert found.visibility[row, column] == pytest.approx(mean, abs=1e-6)
         error = np.sqrt(np.sum(blocks(fine.standard_error)[row, column][part] ** 2)) / part.sum()
         assert found.standard_error[row, column] == pytest.approx(error, abs=1e-6)
-    assert cache_key(scene, 64) != cache_key(scene, 64, supersampling=2)
+    assert key_parts(scene, 64) != key_parts(scene, 64, supersampling=2)
 
 
 def test_negative_seed_is_refused():
@@ -622,22 +622,22 @@ def test_cache_key_changes_with_all_that_matters_and_with_nothing_else():
     import equinox as eqx
 
     scene = small_scene("pinhole", "spot", size=0.5, pixels=8)
-    key = cache_key(scene, 16, "sobol", 0)
+    key = key_parts(scene, 16, "sobol", 0)
     assert all(isinstance(leaf, bool | int | float | str | np.ndarray) for leaf in flatten(key))
-    assert same_key(key, cache_key(small_scene("pinhole", "spot", size=0.5, pixels=8), 16, "sobol", 0))
+    assert same_key(key, key_parts(small_scene("pinhole", "spot", size=0.5, pixels=8), 16, "sobol", 0))
     repainted = eqx.tree_at(lambda s: s.mesh.albedo, scene, scene.mesh.albedo * 0)
-    assert same_key(key, cache_key(repainted, 16, "sobol", 0))
+    assert same_key(key, key_parts(repainted, 16, "sobol", 0))
     for other in (
-        cache_key(scene, 17, "sobol", 0),
-        cache_key(scene, 16, "stratified", 0),
-        cache_key(scene, 16, "sobol", 1),
-        cache_key(eqx.tree_at(lambda s: s.light.radius, scene, scene.light.radius * 2), 16, "sobol", 0),
-        cache_key(eqx.tree_at(lambda s: s.camera.eye, scene, scene.camera.eye + 1), 16, "sobol", 0),
-        cache_key(eqx.tree_at(lambda s: s.mesh.vertices, scene, scene.mesh.vertices + 1), 16, "sobol", 0),
-        cache_key(small_scene("pinhole", "spot", size=0.5, pixels=9), 16, "sobol", 0),
+        key_parts(scene, 17, "sobol", 0),
+        key_parts(scene, 16, "stratified", 0),
+        key_parts(scene, 16, "sobol", 1),
+        key_parts(eqx.tree_at(lambda s: s.light.radius, scene, scene.light.radius * 2), 16, "sobol", 0),
+        key_parts(eqx.tree_at(lambda s: s.camera.eye, scene, scene.camera.eye + 1), 16, "sobol", 0),
+        key_parts(eqx.tree_at(lambda s: s.mesh.vertices, scene, scene.mesh.vertices + 1), 16, "sobol", 0),
+        key_parts(small_scene("pinhole", "spot", size=0.5, pixels=9), 16, "sobol", 0),
     ):
         assert not same_key(key, other)
-    lit_by = lambda light: cache_key(Scene(scene.mesh, scene.camera, light), 16, "sobol", 0)
+    lit_by = lambda light: key_parts(Scene(scene.mesh, scene.camera, light), 16, "sobol", 0)
     place, near, far = scene.light.position, scene.light.near, scene.light.far
     bulb = PointLight(place, near, far, scene.light.radius)
     panel = RectangleLight(place, scene.light.direction, (0.5, 0.5), scene.light.outer_angle, near, far)
@@ -649,7 +649,7 @@ def test_cache_key_changes_with_all_that_matters_and_with_nothing_else():
     )
     assert same_key(key, lit_by(narrow))
     hard = small_scene("pinhole", "spot", pixels=8)
-    assert same_key(cache_key(hard, 16, "sobol", 0), cache_key(hard, 64, "stratified", 7))
+    assert same_key(key_parts(hard, 16, "sobol", 0), key_parts(hard, 64, "stratified", 7))
 
 
 def lamp_in_its_bulb(*casts):
@@ -693,8 +693,8 @@ def test_exact_rays_ignore_the_face_they_start_on_among_those_that_block():
 
 def test_cache_key_depends_on_what_blocks():
     closed, bare = lamp_in_its_bulb(), lamp_in_its_bulb(True, False)
-    assert not same_key(cache_key(closed), cache_key(bare))
-    assert same_key(cache_key(closed), cache_key(bare, blockers="all"))
+    assert not same_key(key_parts(closed), key_parts(bare))
+    assert same_key(key_parts(closed), key_parts(bare, blockers="all"))
 
 
 # What matters to a picture's shadows

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow._misc import as_float
+from diffshadow._arithmetic import as_float
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PinholeCamera, PointLight, SpotLight
 from diffshadow.raster import Surface
 from diffshadow.shading import AbstractShading, Attenuation, ModulatedShadow, Phong

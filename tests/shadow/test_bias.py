@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, drawn, floor_and_card, lamp, problem, slopes_of_loss, sun
 
-from diffshadow._misc import as_float, at_least, at_most
+from diffshadow._arithmetic import as_float, at_least, at_most
 from diffshadow.raster import Surface
 from diffshadow.shadow import (
     AdaptiveBias,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import floor_and_card, jacfwd_and_value, quad, seen_by, side_camera, sun, surface_at
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,

@@ -13,7 +13,7 @@ import pytest
 from scenes import apply, lookups_at, marked, quad
 from transformations import CHANGES, with_patterns
 
-from diffshadow._misc import as_float
+from diffshadow._arithmetic import as_float
 from diffshadow.geometry import (
     DirectionalLight,
     OrthographicCamera,

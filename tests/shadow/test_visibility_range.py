@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scenes import apply, drawn, floor_and_card, map_of, marked, random_lookups, shadows, side_camera, sun
 
-from diffshadow._misc import in_unit_range
+from diffshadow._arithmetic import in_unit_range
 from diffshadow.geometry import Edges, Scene
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import (

@@ -22,7 +22,7 @@ from scenes import (
     surface_at,
 )
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 from diffshadow.fit import TechniqueProblem
 from diffshadow.geometry import (
     DirectionalLight,

@@ -21,7 +21,7 @@ from scenes import staying_in
 from stored_runs import TINY
 
 from diffshadow import fit, io, metrics, reference, study
-from diffshadow._misc import as_array, as_float
+from diffshadow._arithmetic import as_array, as_float
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
 from diffshadow.shadow import SoftCompare, ThreeJs, engine_code

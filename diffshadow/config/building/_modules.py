@@ -13,7 +13,7 @@ from ..._checks import text_within
 from ...settings.engines import Engine
 from ...settings.shading import INTENSITY, ModulatedShadow
 from ...settings.techniques import Mapped, OwnTechnique
-from .._errors import ConfigError, KeyPath, Mistake, Place, dotted
+from .._errors import ConfigError, KeyPath, Location, Mistake, dotted
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
@@ -334,7 +334,7 @@ def _blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WOR
         raise ConfigError([Mistake(*_at(config, path), f"{error}{where}")]) from error
 
 
-def _at(config: Config, path: KeyPath) -> tuple[Place, str]:
+def _at(config: Config, path: KeyPath) -> tuple[Location, str]:
     """Where the key at `path` was written, and its name."""
     return config.origin.place(path), dotted(path)
 

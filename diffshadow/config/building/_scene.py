@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, io, shadow
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import Faces, HostArray, Vec3
 from ...settings import scene
 from ...settings.quantities import FARTHEST

@@ -27,7 +27,7 @@ _MAX_TECHNIQUES = 1024
 _OF_ONE_FIT = ("intervals", "prefer", "front")
 
 
-class Technique(NamedTuple):
+class AdvisedTechnique(NamedTuple):
     """A technique of a recommendation.
 
     - `bias`, `filter`: the labels of its entries.
@@ -47,7 +47,7 @@ class Advice(NamedTuple):
 
     settings: AdviseConfig
     sweep: Sweep
-    techniques: tuple[Technique, ...]
+    techniques: tuple[AdvisedTechnique, ...]
 
 
 def load_advice(
@@ -78,7 +78,9 @@ def load_advice(
         data["fit"] = {key: value for key, value in draft.data["fit"].items() if key not in _OF_ONE_FIT}
     runs = SweepRuns(axes, draft._replace(data=data, origin=Origin(draft.origin.source, places)))
     runs.check(progress)
-    techniques = tuple(Technique(bias[LABEL], kind[LABEL], size) for (_, bias), (_, kind) in pairs for size in sizes)
+    techniques = tuple(
+        AdvisedTechnique(bias[LABEL], kind[LABEL], size) for (_, bias), (_, kind) in pairs for size in sizes
+    )
     return Advice(settings, Sweep(axes, runs, draft.origin.source, tuple(overrides)), techniques)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .._errors import ConfigError, KeyPath, Mistake, Origin, Place, dotted
+from .._errors import ConfigError, KeyPath, Location, Mistake, Origin, dotted
 from ..sections._axes import LABEL, SUN, AxesConfig, PathConfig, QuasiRandomConfig, SunConfig
 from ..sections._sweep import SweepConfig
 from ._draft import Draft
@@ -87,7 +87,7 @@ def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
     for key, value in choice.values.items():
         # JSON is YAML, so an override preserves the value.
         override = f"{key}={json.dumps(value, ensure_ascii=False)}"
-        passed, place = Place(f"override {override!r}"), origin.place(choice.paths[key])
+        passed, place = Location(f"override {override!r}"), origin.place(choice.paths[key])
         mistakes += [
             replace(mistake, place=place) if mistake.place == passed else mistake
             for mistake in apply_overrides(data, places, [override])

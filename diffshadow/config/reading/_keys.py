@@ -53,7 +53,7 @@ ROOT = Slot(Config)
 
 
 @dataclass(frozen=True)
-class Found:
+class FollowedPath:
     """The result of `follow`: the path of keys, the value's slot in the schema, and the section that holds it.
 
     `slot` is `None` for a key that is not in the schema. `section` is `None` if a list or a dict holds the value. If
@@ -66,7 +66,7 @@ class Found:
     variants: tuple[type[Section], ...]
 
 
-def follow(location: Sequence[str | int]) -> Found:
+def follow(location: Sequence[str | int]) -> FollowedPath:
     """Resolves one of pydantic's locations, which contain the names of variants between keys."""
     path: KeyPath = ()
     slot: Slot | None = ROOT
@@ -83,7 +83,7 @@ def follow(location: Sequence[str | int]) -> Found:
         variants = (slot.siblings or among) if slot is not None else ()
         path = (*path, step)
         slot = None if slot is None else _inside(slot, step)
-    return Found(path, slot, section, variants)
+    return FollowedPath(path, slot, section, variants)
 
 
 def keys_of(section: type[Section]) -> list[str]:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from ...settings.scene import PIECES
-from .._errors import ConfigError, KeyPath, Mistake, Origin, Place, dotted, show
+from .._errors import ConfigError, KeyPath, Location, Mistake, Origin, dotted, show
 from ..sections._paths import path_of
 from ..sections._scene import BUILTIN
 from ..whole._between import data_faults_of_fit, fit_faults
@@ -79,12 +79,12 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         message = f"holds the byte 0x{error.object[error.start]:02x}; expected UTF-8 text; save the file as UTF-8"
-        raise ConfigError([Mistake(Place(str(path), line), "", message)]) from None
+        raise ConfigError([Mistake(Location(str(path), line), "", message)]) from None
     except OSError as error:
-        raise ConfigError([Mistake(Place(str(path)), "", _unreadable(file, error))]) from None
+        raise ConfigError([Mistake(Location(str(path)), "", _unreadable(file, error))]) from None
     except ValueError:  # a null character
         message = "is not the name of a file; expected a configuration in YAML; check the path"
-        raise ConfigError([Mistake(Place(str(path)), "", message)]) from None
+        raise ConfigError([Mistake(Location(str(path)), "", message)]) from None
     return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
 
 
@@ -92,8 +92,8 @@ def parse_draft(
     text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
 ) -> Draft:
     """Reads YAML `text` and applies `overrides`, without checking the result. Arguments are as for `parse_config`."""
-    data, places, mistakes = read_yaml(text, lambda line, column: Place(source, line, column))
-    places = {**places, (): Place(source, 1, 1)}
+    data, places, mistakes = read_yaml(text, lambda line, column: Location(source, line, column))
+    places = {**places, (): Location(source, 1, 1)}
     if data is None:
         data = {}
     if not isinstance(data, dict):

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from .._errors import KeyPath, Mistake, Origin, did_you_mean, dotted, listing, nearest, show
 from ..sections._section import FAULT, Conflict, fault, type_of, value_at
-from ._keys import ROOT, Found, Slot, follow, keys_of, places_of
+from ._keys import ROOT, FollowedPath, Slot, follow, keys_of, places_of
 
 _NUMBER_IN_TEXT = re.compile(r"[-+]?(\d[\d_]*)?[.,]?\d+([eE][-+]?\d+)?")
 # Beyond this, not every whole number is a float.
@@ -46,7 +46,7 @@ def _explain(details: Any, origin: Origin) -> tuple[KeyPath, str]:
             return path, _wrong_value(details["input"], slot)
 
 
-def _unknown_key(found: Found, origin: Origin) -> str:
+def _unknown_key(found: FollowedPath, origin: Origin) -> str:
     key, section = str(found.path[-1]), dotted(found.path[:-1])
     holder = found.section or ROOT.variants[0]
     keys = keys_of(holder)

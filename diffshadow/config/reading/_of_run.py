@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import from_json
 
-from .._errors import ConfigError, Mistake, Place
+from .._errors import ConfigError, Location, Mistake
 from ..whole._schema import Config
 from ._dump import dump_resolved
 from ._load import parse_config
@@ -115,4 +115,4 @@ def _result(folder: Path, path: str) -> Mapping[str, Any]:
 
 
 def _mistake(path: str, what: str) -> ConfigError:
-    return ConfigError([Mistake(Place(path), "", what)])
+    return ConfigError([Mistake(Location(path), "", what)])

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from .._errors import ConfigError, KeyPath, Mistake, Place, dotted, show
+from .._errors import ConfigError, KeyPath, Location, Mistake, dotted, show
 from ..sections._axes import QuasiRandomAxisConfig
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths
@@ -13,7 +13,7 @@ from ..sections._section import is_index, value_at
 from ._yaml import has_surrogate, read_yaml
 
 
-def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], overrides: Sequence[str]) -> list[Mistake]:
+def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Location], overrides: Sequence[str]) -> list[Mistake]:
     """Writes `overrides`, each `key=value` with a dotted key and a YAML value, into `data`. Later ones win.
 
     Missing sections are created. Whether the keys exist in the schema is checked later.
@@ -26,7 +26,7 @@ def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], override
     """
     mistakes = []
     for override in overrides:
-        place = Place(f"override {override!r}")
+        place = Location(f"override {override!r}")
         try:
             mistakes += _apply(data, places, override, place)
         except ConfigError as error:
@@ -34,7 +34,7 @@ def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Place], override
     return mistakes
 
 
-def _apply(data: dict[str, Any], places: dict[KeyPath, Place], override: str, place: Place) -> list[Mistake]:
+def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str, place: Location) -> list[Mistake]:
     key, equals, text = override.partition("=")
     words = key.strip().split(".")
     if not equals or not all(words):
@@ -96,7 +96,7 @@ def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], 
     return len(words) - (len(words) > 1 and words[-1] in keys)
 
 
-def _step(holder: Any, path: KeyPath, word: str, place: Place) -> Any:
+def _step(holder: Any, path: KeyPath, word: str, place: Location) -> Any:
     """The key or index of `word` in `holder`, the value at `path`."""
     key = dotted((*path, word))
     if isinstance(holder, dict):

@@ -15,7 +15,7 @@ from ..sections._scene import BUILTIN
 from ..sections._section import is_number, value_at
 from ..sections._views import ViewsConfig
 from ..whole._costs import MAX_PIXELS
-from ..whole._schema import Config, View
+from ..whole._schema import Config, FitView
 from ._axes import Choice, levels_of, written
 from ._draft import Draft
 
@@ -25,7 +25,7 @@ _MAX_VIEWS = 4096
 # What tells views apart.
 _COMPARED = {"scene", "reference", "shadow_map"}
 
-Views = tuple[View, ...]
+Views = tuple[FitView, ...]
 
 
 def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> tuple[Views, Views]:
@@ -82,7 +82,7 @@ def _views(
             changed = base
             for choice in choices:
                 changed = written(changed, choice, draft.origin)
-            views.append(View(name, check(changed)))
+            views.append(FitView(name, check(changed)))
         except ConfigError as error:
             named = [replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
             # A fault of all views is said once, for the first.
@@ -129,7 +129,7 @@ def _name(choice: Choice, short: bool) -> str:
     return ", ".join(shown(key, value) for key, value in choice.values.items())
 
 
-def _described(view: View) -> Any:
+def _described(view: FitView) -> Any:
     return view.config.model_dump(mode="json", include=_COMPARED, warnings=False)
 
 

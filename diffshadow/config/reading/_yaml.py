@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from .._errors import ConfigError, KeyPath, Mistake, Place, dotted, show
+from .._errors import ConfigError, KeyPath, Location, Mistake, dotted, show
 
 _NULL = re.compile(r"~|null|Null|NULL|")
 _TRUE = re.compile(r"true|True|TRUE")
@@ -56,11 +56,11 @@ class Document(NamedTuple):
     """
 
     data: Any
-    places: dict[KeyPath, Place]
+    places: dict[KeyPath, Location]
     mistakes: list[Mistake]
 
 
-def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
+def read_yaml(text: str, locate: Callable[[int, int], Location]) -> Document:
     """Reads YAML `text`.
 
     **Arguments:**
@@ -90,9 +90,9 @@ def read_yaml(text: str, locate: Callable[[int, int], Place]) -> Document:
 class _Reader:
     """Converts nodes to data, and collects `places` and `mistakes`."""
 
-    def __init__(self, locate: Callable[[int, int], Place]):
+    def __init__(self, locate: Callable[[int, int], Location]):
         self.locate = locate
-        self.places: dict[KeyPath, Place] = {}
+        self.places: dict[KeyPath, Location] = {}
         self.mistakes: list[Mistake] = []
         self.count = 0
 
@@ -148,7 +148,7 @@ class _Reader:
             return None
         return plain_scalar(text)
 
-    def place(self, node: yaml.Node) -> Place:
+    def place(self, node: yaml.Node) -> Location:
         return self.locate(node.start_mark.line + 1, node.start_mark.column + 1)
 
     def report(self, node: yaml.Node, path: KeyPath, message: str) -> None:
@@ -181,7 +181,7 @@ def plain_scalar(text: str) -> str | int | float | bool | None:
     return text
 
 
-def _syntax_error(error: yaml.MarkedYAMLError, locate: Callable[[int, int], Place]) -> ConfigError:
+def _syntax_error(error: yaml.MarkedYAMLError, locate: Callable[[int, int], Location]) -> ConfigError:
     mark = error.problem_mark or error.context_mark
     place = locate(1, 1) if mark is None else locate(mark.line + 1, mark.column + 1)
     message = error.problem or error.context or "cannot be read"

@@ -13,7 +13,7 @@ from ._between import data_faults_of_fit, fit_faults, run_faults
 from ._parts import Parts
 
 
-class View(NamedTuple):
+class FitView(NamedTuple):
     """A scene that a fit sees, or that it is validated on.
 
     - `name`: what tells it from the others.
@@ -27,16 +27,16 @@ class View(NamedTuple):
 class Config(Parts):
     """The configuration of a run, with all checks across sections."""
 
-    _views: tuple[View, ...] = PrivateAttr(default=())
-    _validation: tuple[View, ...] = PrivateAttr(default=())
+    _views: tuple[FitView, ...] = PrivateAttr(default=())
+    _validation: tuple[FitView, ...] = PrivateAttr(default=())
 
     @property
-    def views(self) -> tuple[View, ...]:
+    def views(self) -> tuple[FitView, ...]:
         """The views of `fit.views`."""
         return self._views
 
     @property
-    def validation(self) -> tuple[View, ...]:
+    def validation(self) -> tuple[FitView, ...]:
         """The views of `fit.validation`."""
         return self._validation
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arithmetic import array_module, as_array
 from ..._checks import check_again, check_instance
-from ..._misc import array_module, as_array
 from ..._types import Scalar
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge
 from ...raster import Surface, draw_surface

@@ -10,7 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_array, as_int, chunk_size
+from ..._arithmetic import as_array, as_int
+from ..._device import chunk_size
 from ...shadow import Atlas, ShadowMap
 from .._own_loss import Seen
 from ._abstract import AbstractProblem

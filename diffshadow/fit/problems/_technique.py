@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_array, as_float
 from ..._checks import check_instance
-from ..._misc import as_array, as_float
 from ..._types import Mask, Resolution, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface

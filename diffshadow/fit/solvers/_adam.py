@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, as_int
+from ..._arithmetic import as_float, as_int
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.9, 0.99
 _LEAST = 1e-8

@@ -9,8 +9,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..._arithmetic import array_module, as_float, as_number, concrete, normalize
 from ..._checks import check_points, listed
-from ..._misc import array_module, as_float, as_number, concrete, normalize
 from ..._types import Scalar, Vec2, Vec3
 from ...settings.scene import UP
 from ...settings.scene import DirectionalLight as Settings

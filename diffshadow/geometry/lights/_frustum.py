@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._arithmetic import array_module, as_float, dot, normalize
 from ..._checks import check_points, check_value, listed
-from ..._misc import array_module, as_float, dot, normalize
 from ..._types import Scalar, Vec3
 from ...settings.quantities import NARROWEST
 from ...settings.scene import OuterAngle

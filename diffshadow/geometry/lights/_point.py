@@ -10,8 +10,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._arithmetic import as_float, as_number, normalize, safe_norm, safe_sqrt
 from ..._checks import check_points
-from ..._misc import as_float, as_number, normalize, safe_norm, safe_sqrt
 from ..._types import Resolution, Scalar, Vec3
 from ...settings.scene import PointLight as Settings
 from .._camera import check_near_far

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_number, normalize
+from ..._arithmetic import as_number, normalize
 from ..._types import Scalar, Vec3
 
 

@@ -7,7 +7,7 @@ import equinox as eqx
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, as_number
+from ..._arithmetic import as_float, as_number
 from ..._types import Scalar, Vec2, Vec3
 from ...settings.scene import RectangleLight as Settings
 from .._view import View

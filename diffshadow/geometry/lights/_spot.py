@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float, as_number, dot, normalize
+from ..._arithmetic import as_float, as_number, dot, normalize
 from ..._types import Scalar, Vec3
 from ...settings.scene import UP
 from ...settings.scene import SpotLight as Settings

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ..._misc import as_number, dot
+from ..._arithmetic import as_number, dot
 from ..._types import Scalar
 from ...settings.biases import AdaptiveBias as Settings
 from .._receiver import Receiver

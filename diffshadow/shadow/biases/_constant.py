@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_number
+from ..._arithmetic import as_number
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import safe_norm, safe_sqrt
+from ..._arithmetic import safe_norm, safe_sqrt
 from .._receiver import Receiver
 
 # Blockers farther away than this count as this far away, in texels.

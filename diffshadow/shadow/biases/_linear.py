@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_float, at_least
 from ..._checks import check_value
-from ..._misc import as_float, at_least
 from ..._types import Scalar
 from ...settings.biases import Terms as Settings
 from .._receiver import Receiver

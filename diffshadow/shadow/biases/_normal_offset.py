@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..._misc import as_number, concrete
+from ..._arithmetic import as_number, concrete
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import OffsetProfile

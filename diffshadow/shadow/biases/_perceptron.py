@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_float, at_least, concrete
 from ..._checks import check_value
-from ..._misc import as_float, at_least, concrete
 from ...settings.biases import Number
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._misc import as_number, at_most
+from ..._arithmetic import as_number, at_most
 from ..._types import Scalar
 from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver

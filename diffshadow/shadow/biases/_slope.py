@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_number, at_least, at_most
+from ..._arithmetic import as_number, at_least, at_most
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit, SlopeProfile

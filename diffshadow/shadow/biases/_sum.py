@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from ..._misc import as_numbers, concrete
+from ..._arithmetic import as_numbers, concrete
 from ..._types import Scalar
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver

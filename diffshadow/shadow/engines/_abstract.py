@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._arithmetic import as_float, concrete, dot, normalize
 from ..._checks import check_instance, check_value
-from ..._misc import as_float, concrete, dot, normalize
 from ..._types import HostArray, Mask, Resolution, Scalar
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
 from ...raster import Surface

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._checks import as_tuple
-from ..._misc import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import HostArray, Scalar
 from ...settings.engines import BabylonQuality
 from ._babylon_maps import MAX_EXPONENT

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import as_array, as_float
+from ..._arithmetic import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
 from ...raster import Surface, at_steps, rasterize_depth

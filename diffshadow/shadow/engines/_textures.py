@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import with_gradient_of
+from ..._arithmetic import with_gradient_of
 from ..._types import HostArray
 from ._engine_map import CUBE
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_number, in_unit_range, safe_norm
 from ..._checks import as_tuple
-from ..._misc import as_number, in_unit_range, safe_norm
 from ..._types import Resolution, Scalar, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, safe_sqrt
+from ..._arithmetic import as_float, safe_sqrt
 from ..._types import HostArray
 from ._textures import as_half, mix, rounded
 

@@ -4,8 +4,8 @@ import abc
 
 import numpy as np
 
+from ..._arithmetic import concrete
 from ..._checks import CheckedModule
-from ..._misc import concrete
 from ..._types import Visibility
 from ...settings.filters import Filter
 from .._compare import AbstractCompare

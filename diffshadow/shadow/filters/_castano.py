@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import Scalar, Visibility
 from ...settings.filters import Castano as Settings
 from ...settings.filters import KernelSize

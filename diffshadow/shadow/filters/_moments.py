@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_number, safe_divide, safe_sqrt
+from ..._arithmetic import as_number, safe_divide, safe_sqrt
 from ..._types import DepthMap, Scalar, Visibility
 from ...settings.filters import MomentShadowMap as Settings
 from ._prefilter import AbstractPrefiltered

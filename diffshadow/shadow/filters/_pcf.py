@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..._misc import at_least, at_most
+from ..._arithmetic import at_least, at_most
 from ...settings.filters import PercentageCloser as Settings
 from .._lookup import Lookup
 from ..kernels import MIN_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span

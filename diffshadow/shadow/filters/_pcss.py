@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._misc import as_number, safe_sqrt
+from ..._arithmetic import as_number, safe_sqrt
 from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
 from ...settings.filters import PercentageCloserSoft as Settings

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_float, as_numbers
+from ..._arithmetic import as_float, as_numbers
 from ..._types import Scalar, Visibility
 from ...settings.filters import Separable as Settings
 from .._compare import AbstractCompare

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from ..._misc import as_number
+from ..._arithmetic import as_number
 from ..._types import Scalar, Visibility
 from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from ..._misc import at_most
+from ..._arithmetic import at_most
 from ...settings.filters import Tent as Settings
 from ..kernels import AbstractRow, SeparableRow
 from ._sized import AbstractSizedFilter

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_int
+from ..._arithmetic import as_int
 from .._map import ShadowMap
 from ._padded_map import PaddedMap, pad
 

@@ -13,8 +13,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..._arithmetic import at_most, concrete, sums_along, take
 from ..._checks import check_order, check_value
-from ..._misc import at_most, concrete, sums_along, take
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
 from ...settings.filters import Shape
 from ._separable import weight_between

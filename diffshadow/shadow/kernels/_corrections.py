@@ -21,7 +21,8 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import chunk_size, for_any, take
+from ..._arithmetic import for_any, take
+from ..._device import chunk_size
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from ..silhouettes import Rectangle

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from ..._misc import take
+from ..._arithmetic import take
 from .._lookup import Lookup
 from ..silhouettes import NO_SILHOUETTE, Rectangle, SilhouetteMap
 

@@ -11,7 +11,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from ..._misc import chunk_size, for_any, round_up_to_power_of_two, take
+from ..._arithmetic import for_any, take
+from ..._device import chunk_size
+from ..._padding import round_up_to_power_of_two
 from .._compare import AbstractCompare
 from .._lookup import Lookup, rearranged
 from .._map import ShadowMap

@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._misc import as_float, as_number, as_numbers, concrete
+from ..._arithmetic import as_float, as_number, as_numbers, concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface

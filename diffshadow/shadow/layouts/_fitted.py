@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import equinox as eqx
 
+from ..._arithmetic import concrete
 from ..._checks import check_again
-from ..._misc import concrete
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface

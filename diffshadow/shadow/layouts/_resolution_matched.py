@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import as_float, as_number, dot, normalize
+from ..._arithmetic import as_float, as_number, dot, normalize
 from ..._types import Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface

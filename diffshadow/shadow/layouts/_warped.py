@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..._misc import as_number, concrete, safe_divide, safe_norm
+from ..._arithmetic import as_number, concrete, safe_divide, safe_norm
 from ..._types import Resolution, Scalar, Vec2
 from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_points, transform_vectors
 from ...raster import Surface

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arithmetic import as_float
 from ..._checks import check_arguments, check_value
-from ..._misc import as_float
 from ..._types import HostArray
 from ...settings.patterns import MAX_PATTERN_TAPS, PatternSamples
 from ...settings.patterns import Pattern as Settings

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ...settings.patterns import Pattern as Settings
 from ._disk import to_disk
 from ._pattern import EARLY_SAMPLES, Pattern, check_counts, outer_first

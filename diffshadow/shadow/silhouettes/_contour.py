@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import normalize, take
+from ..._arithmetic import normalize, take
 from ._crossings import BOTTOM, RIGHT, TOP, Grid, OutlineCrossings
 from ._half_planes import HalfPlanes
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import normalize
+from ..._arithmetic import normalize
 from ...raster import grid_crossings
 from ._outline import Outline
 

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._misc import take
+from ..._arithmetic import take
 from ._contour import find_contours
 from ._crossings import Grid, find_crossings
 from ._half_planes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import fit, raster
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ...config import Config, build_fit, build_technique, fit_paths
 from ..remarks._verdict import unexplained_verdict
 from ..runs import _record as record

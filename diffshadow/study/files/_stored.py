@@ -179,26 +179,26 @@ def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None
             )
 
 
-def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.Layout]:
+def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.ArrayLayout]:
     """The layouts of the arrays that reports and figures need."""
     height, width = config.scene.camera.resolution
     lights = len(result["metrics"]["lights"])
     images = (height, width) if lights == 1 else (lights, height, width)
     states = [name for _, name in KINDS[result["kind"]]]
     layouts = {
-        **dict.fromkeys(("reference", *states), io.Layout("f", images, bytes=4)),
-        "mask": io.Layout("b", images),
+        **dict.fromkeys(("reference", *states), io.ArrayLayout("f", images, bytes=4)),
+        "mask": io.ArrayLayout("b", images),
         **{
-            f"shaded_{name}": io.Layout("u", (height, width, 3), required=False, bytes=1)
+            f"shaded_{name}": io.ArrayLayout("u", (height, width, 3), required=False, bytes=1)
             for name in ("reference", *states)
         },
     }
     if result["kind"] == "fit":
         layouts |= {
-            "history_phase": io.Layout("iu", (None,)),
-            "history_start": io.Layout("iu", (None,), required=False),
-            "history_loss": io.Layout("f", (None,), bytes=4),
-            "history_values": io.Layout("f", (None, len(result["fitted"]))),
+            "history_phase": io.ArrayLayout("iu", (None,)),
+            "history_start": io.ArrayLayout("iu", (None,), required=False),
+            "history_loss": io.ArrayLayout("f", (None,), bytes=4),
+            "history_values": io.ArrayLayout("f", (None, len(result["fitted"]))),
         }
     return layouts
 

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import geometry, io
-from ...config import ConfigError, Mistake, Place, dump, parse_config
+from ...config import ConfigError, Location, Mistake, dump, parse_config
 from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table
 from ._lamp import mesh_of
@@ -99,7 +99,7 @@ def _check(text: str, file: Path, folder: Path) -> None:
     except ConfigError as error:
         said = "it is taken from the scene: change it there"
         raise ConfigError(
-            [Mistake(Place(str(file)), each.key, f"{each.message} ({said})") for each in error.mistakes]
+            [Mistake(Location(str(file)), each.key, f"{each.message} ({said})") for each in error.mistakes]
         ) from error
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from ... import geometry, reference
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config
 from ...raster import Surface

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ... import reference, shadow
-from ..._misc import dot, normalize
+from ..._arithmetic import dot, normalize
 from ..._types import HostArray
 from ...config import Config
 from ...geometry import Edges, Scene, face_normals

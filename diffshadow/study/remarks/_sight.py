@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import geometry, raster
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config
 

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from rich.console import Console
 
 from ... import fit, shadow
-from ..._misc import as_array, as_float
+from ..._arithmetic import as_array, as_float
 from ..._types import HostArray
 from ...config import Config, FitPlan, build_fit, build_fittable
 from .._drawn import Drawn

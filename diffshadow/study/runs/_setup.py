@@ -197,7 +197,7 @@ def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.
         found = reference.trace_visibility(scene, **how, progress=show)
         return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 
-    arrays = io.cached_arrays(reference.cache_key(scene, **how), trace)
+    arrays = io.cached_arrays(reference.key_parts(scene, **how), trace)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

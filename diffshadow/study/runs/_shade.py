@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ... import metrics
-from ..._misc import as_float
+from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
 from .._drawn import Drawn

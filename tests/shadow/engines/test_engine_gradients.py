@@ -11,7 +11,7 @@ from engine_states import scene_of, surface_of
 from golden_engines import engine_golden
 from scenes import jacfwd_and_value
 
-from diffshadow._misc import in_float64
+from diffshadow._arithmetic import in_float64
 from diffshadow.shadow import BabylonJs, SoftCompare, ThreeJs
 
 # Pictures whose lights and meshes are used.

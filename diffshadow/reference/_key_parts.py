@@ -17,7 +17,7 @@ _ALGORITHM = 2
 _OF_SHADING = {"inner_angle"}
 
 
-def cache_key(
+def key_parts(
     scene: Scene,
     samples: int = Settings.samples,
     sampler: Sampler = Settings.sampler,
