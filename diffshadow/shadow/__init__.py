@@ -6,10 +6,11 @@ from ..settings.patterns import DiskMapping
 from ..settings.techniques import LevelNorm, WarpMethod
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare, SoftCompare
+from ._draw_map import MapPlan, MapSettings, draw_shadow_map, plan_crossings
 from ._glsl import to_glsl
 from ._irregular import IrregularScene, IrregularZBuffer
 from ._lookup import Lookup, look_up
-from ._map import MapPlan, MapSettings, Overflow, ShadowMap, draw_shadow_map, plan_crossings
+from ._map import Overflow, ShadowMap
 from ._projective import ProjectiveShadow, ProjectiveTexture
 from ._receiver import Receiver, receiver
 from ._shadow_mapping import ShadowMapping

@@ -18,8 +18,9 @@ from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ..raster import Cull, Surface, draw_surface
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
+from ._draw_map import MapPlan, MapSettings, plan_crossings
 from ._lookup import Lookup, look_up, within_frustum
-from ._map import MapPlan, MapSettings, ShadowMap, plan_crossings
+from ._map import ShadowMap
 from ._receiver import receiver
 from ._technique import AbstractTechnique, Side, of_casters
 from .biases import AbstractBias

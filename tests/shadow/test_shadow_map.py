@@ -36,7 +36,7 @@ from diffshadow.shadow import (
     look_up,
     receiver,
 )
-from diffshadow.shadow._map import _midpoint
+from diffshadow.shadow._map_depths import midpoint
 from diffshadow.shadow._receiver import project
 
 # A map and an image of one size share what is compiled. Nothing in an image of this size is too large for a window.
@@ -322,7 +322,7 @@ def test_fixed_point_maps_round_to_the_nearest_step(depth_format, steps, layer):
 
 def test_the_middle_of_fixed_point_depths_is_rounded_again():
     nearest, second, steps = np.array([3, 4, 10, 65535]), np.array([4, 6, 15, 65535]), 65535
-    middle = _midpoint(np.float32(nearest / steps), np.float32(second / steps), DepthTest("unorm16"))
+    middle = midpoint(np.float32(nearest / steps), np.float32(second / steps), DepthTest("unorm16"))
     found = np.asarray(middle, np.float64) * steps
     np.testing.assert_allclose(found, np.round(found), atol=1e-2)
     np.testing.assert_allclose(found, (nearest + second) / 2, atol=0.51)

@@ -50,8 +50,9 @@ from diffshadow.shadow import (
     plan_crossings,
     stratified,
 )
+from diffshadow.shadow._draw_map import _silhouettes
 from diffshadow.shadow._lookup import Lookup, look_up
-from diffshadow.shadow._map import _about_corners, _silhouettes
+from diffshadow.shadow._map_depths import _about_corners
 from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds

@@ -1,0 +1,279 @@
+"""Draws a shadow map."""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+
+from .._arithmetic import with_gradient_of
+from .._checks import as_tuple, check_settings
+from .._padding import round_up_to_power_of_two
+from .._types import Faces, Resolution
+from ..geometry import AbstractLight, Edges, Mesh, MeshLike, View, as_mesh
+from ..raster import (
+    DepthTest,
+    Fragments,
+    rasterize,
+)
+from ..settings.maps import Cull, DepthFormat, DepthLayer
+from ..settings.maps import ShadowMap as Settings
+from ..settings.quantities import MAX_TEXELS
+from ._map import Overflow, ShadowMap
+from ._map_depths import depth_at_centres, midpoint, unwarped_depth, with_corners
+from .silhouettes import Outline, SilhouetteMap, find_silhouettes
+
+
+def draw_shadow_map(
+    mesh: MeshLike,
+    light: AbstractLight,
+    resolution: Resolution,
+    *,
+    depth_layer: DepthLayer = Settings.depth_layer,
+    cull: Cull = Settings.cull,
+    depth_format: DepthFormat = Settings.depth_format,
+    polygon_offset: tuple[float, float] | None = Settings.polygon_offset,
+    edges: Edges | None = None,
+    crossings: int | None = None,
+    raises: bool = True,
+    shift: Float[Array, "2"] | None = None,
+    buffer: Resolution | None = None,
+) -> ShadowMap:
+    """The shadow map of `mesh` under `light`.
+
+    Depth is differentiable with respect to vertices and light, with the face that each texel sees held constant. With
+    `edges`, the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend
+    on bias or filter: if the light is fixed, draw it once.
+
+    **Arguments:**
+
+    - `resolution`: (height, width) in texels.
+    - `depth_layer`: which surface each texel holds. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow Depth Map
+        Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the nearest and
+        the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces meet.
+        `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
+    - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway; light
+        leaks where another surface lies close behind the unlit faces. It is for closed meshes only: an open mesh loses
+        casters.
+    - `depth_format`: how depths are stored. Fixed-point depths are rounded to the nearest step, and receivers are
+        compared with them at a depth clamped to [0, 1].
+    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias stored in the map. Each face is stored deeper
+        by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
+        that the format is guaranteed to resolve.
+    - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
+    - `crossings`: how many crossings of silhouettes with the sides of texels there is memory for; a static number, by
+        default from `plan_crossings`. Under a trace, it is required with `edges`.
+    - `raises`: whether more crossings than that are an error. Otherwise the map's `overflow` says whether there are
+        more: throw such a map away, and draw again with more memory.
+    - `shift`: (2,), how far the grid of texels is moved, in texels: points lie so much further along x and y of the
+        map. It stays within a texel, since the window moves with the grid. None to leave it where the light has it.
+    - `buffer`: as for `rasterize`; ignored with `edges`.
+
+    **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
+    `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
+    `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
+    raises; and a runtime error if the silhouettes have more `crossings`.
+    """
+    mesh = as_mesh(mesh)
+    # It checks them.
+    settings = MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
+    view = light.view() if shift is None else light.view().shifted(shift, resolution)
+    if polygon_offset is not None and view.warp is not None:
+        raise ValueError(
+            "the shadow map is warped, and polygon_offset was given; expected none: leave it out, or use a layout "
+            "without a warp"
+        )
+    if edges is None:
+        depth = _depths(mesh.padded(), view, settings, buffer)
+        return ShadowMap(depth, light, depth_format, view=view)
+    _check_allows_edges(view, settings)
+    if crossings is None:
+        crossings = plan_crossings(mesh, light, resolution, edges)
+    mesh = mesh.padded()
+    depth, silhouettes, overflow = _outlined(mesh, light, view, settings, edges.padded(mesh.faces.shape[0]), crossings)
+    if not raises:
+        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow)
+    silhouettes = eqx.error_if(
+        silhouettes,
+        overflow,
+        f"the shadow map has memory for {crossings} crossings of silhouettes with the sides of texels, and these edges "
+        "have more; expected memory for all: pass crossings=plan_crossings(...), or a plan with a greater margin",
+    )
+    return ShadowMap(depth, light, depth_format, silhouettes, view=view)
+
+
+def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution | None) -> Float[Array, "*l h w"]:
+    """The depths of a map without silhouettes, of the layer that `settings` ask for."""
+    clip = view.clip_vertices(mesh.vertices)
+    # Pages have places in virtual maps of their own; other layers show the virtual map that begins at their corner.
+    viewports = None if view.tile is None or view.pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
+    test = DepthTest(settings.depth_format)
+
+    def draw(behind: Int[Array, "*l h w"] | None = None) -> Fragments:
+        return rasterize(
+            clip,
+            mesh.faces,
+            settings.resolution,
+            cull=settings.cull,
+            depth_test=test if view.warp is None else DepthTest(),
+            polygon_offset=settings.polygon_offset,
+            behind=behind,
+            pages=view.pages,
+            viewports=viewports,
+            buffer=buffer,
+        )
+
+    def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:
+        if view.warp is not None:
+            return unwarped_depth(seen.face, clip, view.unwarped.clip_vertices(mesh.vertices), mesh.faces, test)
+        return _stored(seen, clip, mesh.faces, view, settings)
+
+    seen = draw()
+    depth = depth_of(seen)
+    if settings.depth_layer == "nearest":
+        return depth
+    second = depth_of(draw(seen.face))
+    return second if settings.depth_layer == "second" else midpoint(depth, second, test)
+
+
+def _outlined(
+    mesh: Mesh, light: AbstractLight, view: View, settings: "MapSettings", edges: Edges, crossings: int
+) -> tuple[Float[Array, "*l h w"], SilhouetteMap, Overflow]:
+    """The depths and silhouettes of a map, and whether silhouettes are missing."""
+    clip, test = view.clip_vertices(mesh.vertices), DepthTest(settings.depth_format)
+    seen, corners = with_corners(clip, mesh.faces, settings.resolution, test, settings.polygon_offset)
+    depth = _stored(seen, clip, mesh.faces, view, settings)
+    return depth, *_silhouettes(depth, corners, clip, mesh, light, edges, crossings)
+
+
+def _stored(
+    seen: Fragments, clip: Float[Array, "*l v 4"], faces: Faces, view: View, settings: "MapSettings"
+) -> Float[Array, "*l h w"]:
+    """The depths that the buffer stores, with the derivatives of the faces that are seen."""
+    depth = depth_at_centres(seen.face, clip, faces, view.tile)
+    is_plain = settings.depth_format == "float32" and settings.polygon_offset is None
+    return depth if is_plain else with_gradient_of(depth, seen.depth)
+
+
+def _check_allows_edges(view: View, settings: "MapSettings") -> None:
+    """**Raises** `ValueError` for a map that cannot have silhouettes."""
+    if max(settings.resolution) >= MAX_TEXELS:
+        raise ValueError(
+            f"edges were given for a map of {settings.resolution} texels, (height, width); expected at most "
+            f"{MAX_TEXELS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
+            "the resolution"
+        )
+    if settings.depth_layer != "nearest" or settings.cull != "none":
+        raise ValueError(
+            f"edges were given with depth_layer {settings.depth_layer!r} and cull {settings.cull!r}; expected "
+            '"nearest" and "none": leave edges out, or change depth_layer and cull'
+        )
+    if not view.has_even_texels:
+        layout = "pages" if view.pages is not None else "cascades of several sizes"
+        raise ValueError(
+            f"edges were given for a map with {layout if view.warp is None else 'a warp'}, which has no silhouettes; "
+            "expected no edges: leave them out, or use another layout"
+        )
+
+
+# Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
+_MAX_SHARED = 2049
+
+
+@dataclasses.dataclass(frozen=True)
+class MapSettings:
+    """How a shadow map is drawn; see `draw_shadow_map`.
+
+    - `silhouettes`: whether the map holds silhouettes. With `None`, it does if lights or meshes are fitted, because
+        derivatives with respect to these need them.
+
+    **Raises** `ValueError` for a value that is not allowed.
+    """
+
+    settings: ClassVar = Settings
+
+    resolution: Resolution = Settings.resolution
+    depth_layer: DepthLayer = Settings.depth_layer
+    cull: Cull = Settings.cull
+    depth_format: DepthFormat = Settings.depth_format
+    polygon_offset: tuple[float, float] | None = Settings.polygon_offset
+    silhouettes: bool | None = Settings.silhouettes
+
+    def __post_init__(self):
+        # Lists could not be part of a compiled program.
+        for name in ("resolution", "polygon_offset"):
+            object.__setattr__(self, name, as_tuple(getattr(self, name)))
+        check_settings(self)
+
+    def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
+        """The shadow map of `casters` under `light`; `edges`, `crossings`, `raises` and `shift` as for
+        `draw_shadow_map`."""
+        given = {name: value for name, value in vars(self).items() if name != "silhouettes"}
+        return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
+
+    def buffer(self, image: Resolution) -> Resolution | None:
+        """The buffer for `draw_surface` with which an `image` of this size and the map are drawn by one program.
+
+        **Returns** `None` if the image does not fit in, if the map is so large that sharing would not pay, or if its
+        depths are stored otherwise than an image's, which takes another program.
+        """
+        if self.depth_format != "float32" or self.polygon_offset is not None:
+            return None
+        height, width = self.resolution
+        # With silhouettes, as in fits of lights or meshes, the corners of texels are drawn too.
+        size = (height, width) if self.silhouettes is False else (height + 1, width + 1)
+        return size if all(n <= side <= _MAX_SHARED for n, side in zip(image, size, strict=True)) else None
+
+
+class MapPlan(eqx.Module):
+    """What a technique must know of a scene before it draws a shadow map inside `jax.jit`.
+
+    - `edges`: of the casters; none for a map without silhouettes.
+    - `crossings`, `raises`: as for `draw_shadow_map`.
+    """
+
+    edges: Edges | None = None
+    crossings: int | None = eqx.field(static=True, default=None)
+    raises: bool = eqx.field(static=True, default=True)
+
+
+def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edges: Edges) -> int:
+    """How many sides of texels this map's silhouettes cross, rounded up to a power of two.
+
+    **Arguments:** as for `draw_shadow_map`.
+
+    **Raises** `ValueError` under a trace.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((mesh, light, edges))):
+        raise ValueError(
+            "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
+            "number, since shapes must be known there: call plan_crossings(...) outside, and pass its result to "
+            "draw_shadow_map as crossings"
+        )
+    mesh = mesh.padded()
+    return round_up_to_power_of_two(int(_crossings(mesh, light, edges.padded(mesh.faces.shape[0]), resolution)))
+
+
+@eqx.filter_jit
+def _crossings(mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution) -> Int[Array, ""]:
+    return jnp.sum(Outline.of(light.view().clip_vertices(mesh.vertices), mesh, light, edges, resolution).counts)
+
+
+@eqx.filter_jit
+def _silhouettes(
+    depth: Float[Array, "*l h w"],
+    corners: Float[Array, "*l H W"],
+    clip: Float[Array, "*l v 4"],
+    mesh: Mesh,
+    light: AbstractLight,
+    edges: Edges,
+    crossings: int,
+) -> tuple[SilhouetteMap, Overflow]:
+    """The silhouettes in a map, and whether some are missing."""
+    height, width = depth.shape[-2:]
+    outline = Outline.of(clip, mesh, light, edges, (height, width))
+    found = find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings)
+    return found, jnp.sum(outline.counts) > crossings
