@@ -262,6 +262,7 @@ def test_a_users_loss_and_the_solver_have_to_suit_each_other(load):
         load("fit.loss={type: own_pieces:absolute, over: worst}")
 
 
+@pytest.mark.exhaustive
 def test_a_users_technique_is_drawn(load):
     config = load("technique={type: own_pieces:Lit, level: 0.5}")
     scene = build_scene(config)

@@ -351,7 +351,7 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("name", marked(GRIDS, {"cascades", "point"}))
+@pytest.mark.parametrize("name", marked(GRIDS, {"cascades", "point", "warped"}))
 def test_other_grids_have_their_texels_elsewhere(name):
     kind, layout, is_even = GRIDS[name]
     one = problem(LIGHTS[kind], silhouettes=is_even)
@@ -370,6 +370,7 @@ def test_other_grids_have_their_texels_elsewhere(name):
         np.testing.assert_allclose(found[1:], found[:1].repeat(4, axis=0), atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_grid_whose_silhouettes_exceed_their_memory_is_left_out():
     joint = Joint.of(dataclasses.replace(problem(SUN), crossings=1))
     own, _ = joint.differences(joint.subject)

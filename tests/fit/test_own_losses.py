@@ -136,6 +136,7 @@ def test_gradients_of_a_number_are_reported_truly(least_absolute, known):
     assert phase.gradient_norm == pytest.approx(float(np.linalg.norm(slope)), rel=0.01, abs=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_residuals_of_the_mean_square_error_find_what_that_finds(by_residuals, known):
     result = by_residuals
     assert result.fitted["filter.radius"] == pytest.approx(3.2, abs=0.15)

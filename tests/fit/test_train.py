@@ -123,6 +123,7 @@ def test_compressed_residuals_have_the_loss_and_its_gradient(views):
         assert np.abs(gradient).min() > 1e-4
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("solver", [Solver("adam", 30, learning_rate=0.05), Solver("dogleg", 10)], ids=lambda s: s.name)
 def test_other_solvers_get_better_too(views, solver):
     found = train(views, numbers, solver=solver, anneal=Anneal(0.3, 0.3, 1))

@@ -314,6 +314,7 @@ def test_all_worst_views_are_all(views):
     assert all_of_them.fitted["filter.radius"] == pytest.approx(mean.fitted["filter.radius"], abs=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_factors_of_signs_move_the_bias_to_their_side(views):
     wanting = lambda view, bias: eqx.tree_at(
         lambda p: p.reference, view, shadows(disk(2.0, bias), view.shadow_map, view.surface)
@@ -389,7 +390,8 @@ def test_views_are_sampled_only_where_more_pixels_count(views, programs, monkeyp
     np.testing.assert_allclose(sampled.shares, joint.shares, rtol=1e-5)
 
 
-@pytest.mark.parametrize("over", ["worst", pytest.param("cvar", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("over", ["worst", "cvar"])
 def test_samples_for_the_worst_views_have_the_errors_of_whole_images(over, waved, programs, monkeypatch):
     check_samples_for_the_worst(over, waved, [FIRST, SECOND], monkeypatch)
 

@@ -37,6 +37,7 @@ def slope(clip, faces, face):
     return jax.grad(lambda clip: jnp.sum(visible_depth(face, clip, faces) ** 2))(clip)
 
 
+@pytest.mark.exhaustive
 def test_the_same_pixels_and_derivatives(triangles, on):
     on("gpu")
     found = jax.jit(draw)(*triangles)

@@ -46,6 +46,7 @@ def whole(clips, faces, viewports=None):
         return rasterize(clips, faces, RESOLUTION, viewports=viewports)
 
 
+@pytest.mark.exhaustive
 def test_depths_are_the_same_under_vmap(clips, faces, in_bands):
     found = jax.jit(jax.vmap(lambda clip: rasterize_depth(clip, faces, RESOLUTION)))(clips)
     np.testing.assert_allclose(found, whole(clips, faces).depth, rtol=0, atol=depth_rounding())

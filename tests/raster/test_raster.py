@@ -83,7 +83,8 @@ def test_soups_of_every_kind_see_the_nearest_face(seed):
         assert (depth[face < 0] == 1).all()
 
 
-@pytest.mark.parametrize("cull", ["back", pytest.param("front", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("cull", ["back", "front"])
 @settings(deadline=None, max_examples=4)
 @given(seed=seeds)
 def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
@@ -414,6 +415,7 @@ def test_vertices_are_placed_at_whole_steps_but_for_those_behind_the_eye():
     np.testing.assert_allclose(steps(placed), np.round(steps(clip)), atol=0.01)
 
 
+@pytest.mark.exhaustive
 def test_a_surface_at_coarse_steps_is_interpolated_between_the_steps():
     """In a parallel view that is two units high, 32 pixels with 2 steps each place vertices at whole 32nds."""
     vertices = np.array([[-0.83, -0.91, 0], [0.87, -0.79, 0], [0.11, 0.93, 0]])

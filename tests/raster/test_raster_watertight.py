@@ -59,6 +59,7 @@ def to_clip(rng, xy, spread):
     return from_window(xy, rng.uniform(0.1, 0.9, len(xy)), np.exp(rng.uniform(-spread, spread, len(xy))), RESOLUTION)
 
 
+@pytest.mark.exhaustive
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), to_centres=st.booleans(), turned=st.booleans())
 def test_a_jittered_grid_covers_every_pixel_once(seed, to_centres, turned):
