@@ -35,7 +35,7 @@ gallery: $(STAMP) ## draw every technique into docs/gallery.md (takes minutes)
 	$(BIN)/python experiments/gallery.py configs/gallery.yaml $(ARGS)
 
 docs: $(DOCS_STAMP) ## build the documentation site into site/ (read it with `python -m http.server -d site`)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet $(ARGS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build $(ARGS)
 
 test: $(STAMP) ## run the tests (ARGS="-k pcf")
 	$(BIN)/python -m pytest $(ARGS)
