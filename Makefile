@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Written last, so that a set-up that was cut short never counts as done.
 STAMP := $(VENV)/.complete
+DOCS_STAMP := $(VENV)/.complete-docs
 CONFIG := configs/quickstart.yaml
 ARGS :=
 N := 10000
@@ -12,16 +13,17 @@ CASE :=
 # Tried in this order: the pinned packages are tested on 3.12 first.
 PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
+COMPILE := pip compile --universal --python-version 3.12 --upgrade --quiet --no-annotate --no-header --no-emit-index-url
 # pyright's launcher otherwise remarks on releases newer than the pinned one.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Python keeps its bytecode in __pycache__, even where the shell forbids it: every process would compile it again.
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit gallery test test-rest test-all fuzz faults lint types constraints clean
+.PHONY: help setup fit gallery docs test test-rest test-all fuzz faults lint types dist dist-check constraints clean
 
 help: ## list these targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
 
 setup: $(STAMP) ## make .venv with the pinned packages and diffshadow itself
 	@:
@@ -31,6 +33,9 @@ fit: $(STAMP) ## run the quickstart fit (CONFIG=another.yaml)
 
 gallery: $(STAMP) ## draw every technique into docs/gallery.md (takes minutes)
 	$(BIN)/python experiments/gallery.py configs/gallery.yaml $(ARGS)
+
+docs: $(DOCS_STAMP) ## build the documentation site into site/ (read it with `python -m http.server -d site`)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build $(ARGS)
 
 test: $(STAMP) ## run the tests (ARGS="-k pcf")
 	$(BIN)/python -m pytest $(ARGS)
@@ -54,17 +59,26 @@ lint: $(STAMP) ## check style and formatting
 types: $(STAMP) ## check types
 	$(BIN)/pyright
 
-constraints: ## pin the newest packages that fit together into constraints.txt (needs uv)
+dist: $(STAMP) ## build the sdist and the wheel into dist/
+	rm -rf dist
+	$(BIN)/hatchling build -d dist
+
+dist-check: dist ## install the wheel outside of the clone, and run README's example and a fit there
+	$(BIN)/python tests/wheel/run.py dist/*.whl
+
+constraints: ## pin the newest packages that fit together into constraints*.txt (needs uv)
 	@$(UV) --version >/dev/null 2>&1 || { \
 	    echo "make constraints needs uv, which is not on the PATH: see docs.astral.sh/uv for how to install it." >&2; exit 2; }
-	$(UV) pip compile pyproject.toml --group dev --group build --universal --python-version 3.12 --upgrade --quiet \
-	    --no-annotate --no-header --no-emit-index-url --output-file constraints.txt.new
-	@if grep -n '://' constraints.txt.new; then \
-	    echo "constraints.txt would hold the addresses above; it is left as it was." >&2; rm -f constraints.txt.new; exit 1; fi
+	$(UV) $(COMPILE) pyproject.toml --group dev --group build --output-file constraints.txt.new
+	$(UV) $(COMPILE) --group docs --constraint constraints.txt.new --output-file constraints-docs.txt.new
+	@if grep -n '://' constraints*.txt.new; then \
+	    echo "constraints*.txt would hold the addresses above; they are left as they were." >&2; \
+	    rm -f constraints*.txt.new; exit 1; fi
 	@mv constraints.txt.new constraints.txt
+	@mv constraints-docs.txt.new constraints-docs.txt
 
 clean: ## remove .venv and all caches
-	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist constraints.txt.new
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist site constraints*.txt.new
 	find diffshadow docs experiments notebooks tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # With uv if there is one that works, else with the first Python that is new enough. A complete .venv is brought up to
@@ -123,3 +137,13 @@ $(STAMP): pyproject.toml constraints.txt
 	$$check || failed "constraints.txt does not fit pyproject.toml: make constraints"; \
 	touch $@; \
 	echo "$(VENV) is ready."
+
+# The packages of the site alone: the everyday set-up is spared them.
+$(DOCS_STAMP): $(STAMP) constraints-docs.txt
+	@rm -f $@; \
+	if $(UV) --version >/dev/null 2>&1; then \
+	    $(UV) pip install --quiet --python $(BIN)/python --no-build --requirement constraints-docs.txt; \
+	else \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --requirement constraints-docs.txt; \
+	fi || { echo "The packages of the site were not installed; the message above says why." >&2; exit 1; }
+	@touch $@

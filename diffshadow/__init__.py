@@ -13,6 +13,27 @@ before JAX makes its first array, sets the process up for fast work. It calls th
 - `keep_freed_memory()` spares large arrays fresh pages.
 - `collect_rarely()` spares imports and traces the garbage collector.
 - `io.keep_compiled_programs()` keeps what JAX compiles for the next process.
+
+!!! Example
+
+    The examples of all pages use these names.
+
+    ```python
+    import jax.numpy as jnp
+    import numpy as np
+    import optimistix
+    from diffshadow import config, fit, geometry, io, metrics, raster, reference, shading, shadow
+
+    meshes = [geometry.library_mesh("torus"), geometry.library_mesh("plane", size=4.0)]
+    camera = geometry.PinholeCamera((1.6, 2.0, 2.0), (0.0, 0.3, 0.0), fov_y=40, near=0.1, far=10, resolution=(32, 32))
+    light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), geometry.merge(meshes).vertices, angular_radius=1.0)
+    scene = geometry.Scene(meshes, camera, light)
+    technique = shadow.ShadowMapping(shadow.Bilinear(), shadow.Bias(constant=1.0), map=shadow.MapSettings((64, 64)))
+    state = technique.prepare(scene)
+    surface = raster.draw_surface(scene.mesh, camera)
+    visibility = technique.visibility(state, surface)
+    truth = reference.trace_visibility(scene, samples=4)
+    ```
 """
 
 from importlib import import_module

@@ -28,10 +28,12 @@ def test_wheel_has_the_mark_of_typed_packages_and_all_that_is_no_python(tmp_path
     assert others <= packed
 
 
-def test_citation_names_the_version_of_the_package():
+def test_version_is_stated_once():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert diffshadow.__version__ == version
-    assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    again = re.compile(rf"(?<![\d.]){re.escape(version)}(?![\d.])|^ *version *[:=]", re.MULTILINE)
+    for name in ("CITATION.cff", "README.md", "mkdocs.yml", "diffshadow/__init__.py"):
+        assert not again.search((ROOT / name).read_text(encoding="utf-8")), name
 
 
 def public_names() -> dict[str, object]:

@@ -17,6 +17,12 @@ class Anneal:
     A single phase has the width `end`.
 
     **Raises** `ValueError` for a value that is not allowed, or `end` above `start`.
+
+    !!! Example
+
+        ```python
+        fit.Anneal(start=1.0, end=0.25, phases=3).widths  # [1.0, 0.5, 0.25]
+        ```
     """
 
     settings: ClassVar = Settings

@@ -132,6 +132,16 @@ def fit(
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
     loss less than 0 at the start, the loss is a number and the solver needs residuals, or the number of silhouettes
     never settles; and `TypeError` for objects of another kind.
+
+    !!! Example
+
+        ```python
+        problem = fit.TechniqueProblem.of(scene, technique, truth)
+        bounds = [fit.Parameter("bias.constant", 1.0, 0.0, 30.0)]
+        result = fit.fit(problem, bounds, solver=fit.Solver(max_steps=10), anneal=fit.Anneal(phases=2))
+        result.errors[1] <= result.errors[0]  # True
+        sorted(result.fitted)  # ['bias.constant']
+        ```
     """
     began = time.perf_counter()
     anneal, search, sureness = anneal or Anneal(), search or Search(), sureness or Sureness()

@@ -29,6 +29,13 @@ class Parameter(eqx.Module):
         the parameter's value less the offset. A value far from 0 keeps its digits in this way.
 
     **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
+
+    !!! Example
+
+        ```python
+        radius = fit.Parameter("filter.radius", 2.0, lower=0.0, upper=16.0)
+        radius.upper, radius.unit  # (16.0, 'texels')
+        ```
     """
 
     name: str = eqx.field(static=True)
@@ -176,7 +183,15 @@ def _listed(module: PyTree) -> str:
 
 
 def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]) -> PyTree:
-    """`module` with the numbers that `names` mean replaced by `values` (p,)."""
+    """`module` with the numbers that `names` mean replaced by `values` (p,).
+
+    !!! Example
+
+        ```python
+        moved = fit.with_values(technique, ["bias.constant"], jnp.array([2.0]))
+        moved.bias.constant.value  # 2.0
+        ```
+    """
     for name in names:
         resolve(module, name)
     where = lambda module: [jax.tree.leaves(_follow(module, name))[0] for name in names]

@@ -22,6 +22,7 @@ _BETTER, _RESTARTS = 1e-3, 4
 _MIN_ERROR = 1e-5
 
 Bound = Literal["lower", "upper"]
+"""One of the two bounds of a parameter."""
 
 
 class End(NamedTuple):

@@ -66,7 +66,15 @@ class AbstractCamera(CheckedModule):
 
 
 class PinholeCamera(AbstractCamera):
-    """A perspective camera; `fov_y` is its full vertical field of view in degrees."""
+    """A perspective camera; `fov_y` is its full vertical field of view in degrees.
+
+    !!! Example
+
+        ```python
+        wide = geometry.PinholeCamera((0, 1, 4), (0, 0, 0), fov_y=40, near=0.1, far=10, resolution=(32, 64))
+        wide.aspect  # 2.0
+        ```
+    """
 
     settings: ClassVar = scene.PinholeCamera
 

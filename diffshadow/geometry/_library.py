@@ -267,6 +267,14 @@ def library_mesh(name: str, /, **options: Any) -> Mesh:
 
     **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option or the option's value
     is not valid.
+
+    !!! Example
+
+        ```python
+        torus = geometry.library_mesh("torus", segments=24, sides=12)
+        torus.faces.shape  # (576, 3)
+        sorted(geometry.LIBRARY)  # the names
+        ```
     """
     if name not in LIBRARY:
         raise ValueError(

@@ -49,6 +49,13 @@ class Mesh(eqx.Module):
 
     **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo is
     out of its range, or an array has another shape or type.
+
+    !!! Example
+
+        ```python
+        triangle = geometry.Mesh([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)], [(0, 1, 2)])
+        geometry.face_normals(triangle)  # [[0. 1. 0.]]
+        ```
     """
 
     vertices: Vertices
@@ -219,7 +226,15 @@ def _face_normals(vertices: Vertices, faces: Faces) -> Float[Array, "f 3"]:
 
 
 def merge(meshes: Sequence[MeshLike]) -> Mesh:
-    """One mesh that holds the triangles of all `meshes`, in their order."""
+    """One mesh that holds the triangles of all `meshes`, in their order.
+
+    !!! Example
+
+        ```python
+        one = geometry.merge([geometry.library_mesh("plane"), geometry.library_mesh("box")])
+        one.faces.shape  # (14, 3)
+        ```
+    """
     meshes = [as_mesh(mesh) for mesh in meshes]
     if not meshes:
         raise ValueError("got no meshes to merge; expected at least one")

@@ -13,6 +13,7 @@ import numpy as np
 from .._types import HostArray
 
 Origin = tuple[float, float, float]
+"""A world point that coordinates are counted from, in world units."""
 
 WORLD: Origin = (0.0, 0.0, 0.0)
 """The world's own origin."""

@@ -21,6 +21,14 @@ def fit_to_size(mesh: MeshLike, size: Scalar | float | int) -> Mesh:
     height.
 
     **Raises** `ValueError` if `size` is not positive, or the mesh has no extent.
+
+    !!! Example
+
+        ```python
+        torus = geometry.fit_to_size(geometry.library_mesh("torus"), 2.0)
+        low, high = torus.bounds
+        float((high - low).max())  # 2.0
+        ```
     """
     mesh, known_size = as_mesh(mesh), concrete(size)
     if known_size is not None and not 0 < known_size < float("inf"):
@@ -42,6 +50,13 @@ def drop_to_ground(mesh: MeshLike, height: Scalar | float | int = 0.0) -> Mesh:
     """The mesh moved up or down so that its lowest vertex lies at y = `height`, world units.
 
     **Raises** `ValueError` if `height` is not finite.
+
+    !!! Example
+
+        ```python
+        torus = geometry.drop_to_ground(geometry.library_mesh("torus"), 0.5)
+        float(torus.vertices[:, 1].min())  # 0.5
+        ```
     """
     mesh, known = as_mesh(mesh), concrete(height)
     if known is not None and not abs(known) < float("inf"):

@@ -52,6 +52,14 @@ class Scene(eqx.Module):
 
     **Warns** with `PrecisionWarning` if the meshes are so far from their origin that single precision cannot hold their
     shape.
+
+    !!! Example
+
+        ```python
+        lamp = geometry.SpotLight.around((1.0, 3.0, 1.0), geometry.merge(meshes).vertices)
+        two_lights = geometry.Scene(meshes, camera, [light, lamp], casts=[True, False])
+        two_lights.lit_by(1).light is lamp  # True
+        ```
     """
 
     meshes: tuple[Mesh, ...]

@@ -63,6 +63,13 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
     vertices that are not finite; and without a `crease_angle` if it has no normals, or some that are not finite.
+
+    !!! Example
+
+        ```python
+        io.write_ply("triangle.ply", np.eye(3, dtype=np.float32), np.array([[0, 1, 2]]))
+        io.load_mesh("triangle.ply").faces.shape  # (1, 3)
+        ```
     """
     file = existing_file(path, "mesh")
     try:

@@ -23,7 +23,14 @@ def mae(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = No
 
 
 def rmse(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Root mean square difference over the mask, in [0, 1]. Arguments and errors are as for `mae`."""
+    """Root mean square difference over the mask, in [0, 1]. Arguments and errors are as for `mae`.
+
+    !!! Example
+
+        ```python
+        metrics.rmse(visibility, truth.visibility, truth.mask) < 0.3  # True
+        ```
+    """
     image, truth, inside = as_images(visibility, reference, mask)
     return float(np.sqrt(np.mean((image - truth)[inside] ** 2)))
 

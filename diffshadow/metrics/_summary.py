@@ -32,6 +32,13 @@ def measure_errors(
     `band` is the width in pixels of the band along shadow outlines that the two rates leave out.
 
     **Raises** `ValueError` if shapes differ, the mask is empty, a value in it is not finite, or `band` is negative.
+
+    !!! Example
+
+        ```python
+        errors = metrics.measure_errors(visibility, truth.visibility, truth.mask)
+        errors.rmse, errors.false_shadow_rate, errors.false_light_rate  # all from 0 to 1
+        ```
     """
     return ShadowErrors(
         rmse=rmse(visibility, reference, mask),

@@ -82,6 +82,13 @@ def draw_surface(
         vertices themselves.
 
     **Raises** `ValueError` unless `subpixels` is a positive whole number.
+
+    !!! Example
+
+        ```python
+        surface = raster.draw_surface(scene.mesh, camera)
+        surface.position.shape, surface.mask.shape  # ((32, 32, 3), (32, 32))
+        ```
     """
     check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
     mesh = as_mesh(mesh).padded()

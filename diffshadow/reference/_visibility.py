@@ -60,6 +60,13 @@ def trace_visibility(
 
     **Raises** `ValueError` if the scene has several lights, the camera sees no surface, `samples`, `seed` or
     `supersampling` is out of range, or `sampler` or `blockers` is unknown.
+
+    !!! Example
+
+        ```python
+        truth = reference.trace_visibility(scene, samples=4)
+        truth.visibility.shape, truth.mask.shape  # ((32, 32), (32, 32))
+        ```
     """
     return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress, supersampling, blockers)
 

@@ -25,6 +25,7 @@ BabylonFilter = Literal[
     "PCF",
     "PCSS",
 ]
+"""A `FILTER_` constant of the shadow generator, without that prefix."""
 BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
 ImportedTechnique = Literal["three.js", "shadow_map"]

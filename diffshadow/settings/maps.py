@@ -6,6 +6,7 @@ from ._settings import Form, Limits, Settings, Unit
 from .quantities import MAX_FACTOR, MAX_TEXELS, Size
 
 Cull = Literal["none", "back", "front"]
+"""Which faces are not drawn."""
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
 DepthLayer = Literal["nearest", "midpoint", "second"]
 DepthOperator = Literal["less_equal", "less"]

@@ -14,6 +14,7 @@ CascadeFit = Literal["cascade", "scene"]
 CascadeSelection = Literal["interval", "map"]
 """Which cascade a point falls in: by its depth, or the first whose map contains it."""
 WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
+"""How a light's view is warped: light space perspective, perspective, or trapezoidal shadow maps."""
 LevelNorm = Literal["area", "worst"]
 """Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
 VolumeMethod = Literal["z_fail", "z_pass"]

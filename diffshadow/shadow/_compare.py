@@ -44,6 +44,13 @@ class HardCompare(AbstractCompare):
     """The compare of graphics hardware: 1 if lit, 0 if shadowed. Its gradient is zero everywhere.
 
     - `operator`: `"less_equal"`, lit where `receiver <= stored`, or `"less"`, lit where `receiver < stored`.
+
+    !!! Example
+
+        ```python
+        hard = shadow.HardCompare("less")
+        hard(jnp.array([0.5, 0.5]), jnp.array([0.4, 0.5]), jnp.ones(2))  # [1. 0.]
+        ```
     """
 
     settings: ClassVar = maps.HardCompare
@@ -92,6 +99,13 @@ class SoftCompare(AbstractCompare):
     - `kernel`: `"logistic"`, 1 / (1 + exp(-t)); `"gaussian"`, the normal CDF with standard deviation `width`;
         `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"`, min(1, exp(t)), as in exponential
         shadow maps (Annen et al. 2008).
+
+    !!! Example
+
+        ```python
+        soft = shadow.SoftCompare(0.5)  # texels; visibility then has a derivative by the bias
+        soft(jnp.array([0.5]), jnp.array([0.5]), jnp.ones(1))  # [0.5]
+        ```
     """
 
     settings: ClassVar = maps.SoftCompare

@@ -76,6 +76,13 @@ def draw_shadow_map(
     `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
     `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
     raises; and a runtime error if the silhouettes have more `crossings`.
+
+    !!! Example
+
+        ```python
+        shadow_map = shadow.draw_shadow_map(scene.casters, light, (64, 64))
+        shadow_map.depth.shape  # (64, 64)
+        ```
     """
     mesh = as_mesh(mesh)
     # It checks them.
@@ -191,6 +198,13 @@ class MapSettings:
         derivatives with respect to these need them.
 
     **Raises** `ValueError` for a value that is not allowed.
+
+    !!! Example
+
+        ```python
+        settings = shadow.MapSettings((64, 64), depth_format="unorm16", cull="back")
+        technique = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(constant=2.0), map=settings)
+        ```
     """
 
     settings: ClassVar = Settings

@@ -42,6 +42,12 @@ def to_glsl(part: AbstractBias | AbstractFilter) -> str:
         `Bias` of these, a `Separable` or a `Castano`.
 
     **Raises** `ValueError` for any other, or one in window depth.
+
+    !!! Example
+
+        ```python
+        print(shadow.to_glsl(shadow.Bias(constant=0.5, slope=1.0)))
+        ```
     """
     if isinstance(part, AbstractFilter):
         return _filter(part)

@@ -44,6 +44,15 @@ class ShadowMapping(AbstractTechnique):
 
     **Raises** `ValueError` if the filter and the bias read further than the layout's margin, and `TypeError` for parts
     of another kind.
+
+    !!! Example
+
+        ```python
+        settings = shadow.MapSettings((64, 64))
+        technique = shadow.ShadowMapping(shadow.PercentageCloser(2.5), shadow.Bias(1.0), map=settings)
+        state = technique.prepare(scene)  # a ShadowMap, which no bias and no filter changes
+        technique.visibility(state, surface).shape  # (32, 32)
+        ```
     """
 
     filter: AbstractFilter

@@ -63,6 +63,13 @@ def build_scene(config: Config) -> geometry.Scene:
 
     **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with its key, and for an open mesh that
     casts if only back faces cast.
+
+    !!! Example
+
+        ```python
+        settings = config.parse_config("scene: {meshes: [{path: builtin:torus}], camera: {resolution: [32, 32]}}")
+        config.build_scene(settings).camera.resolution  # (32, 32)
+        ```
     """
     placed = _meshes_of(config)
     origin = geometry.origin_of(np.concatenate([mesh.bounds for mesh in placed]))

@@ -63,6 +63,14 @@ def parse_config(
     - `fitting`, `files`: as in `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
+
+    !!! Example
+
+        ```python
+        text = "scene: {meshes: [{path: builtin:torus}]}"
+        settings = config.parse_config(text, ["shadow_map.resolution=[64, 64]"])
+        settings.shadow_map.resolution  # (64, 64)
+        ```
     """
     draft = parse_draft(text, overrides, source=source, folder=folder, name=name)
     return _single(checked(draft, fitting=fitting, files=files))

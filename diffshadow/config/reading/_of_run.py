@@ -12,10 +12,14 @@ from ..whole._schema import Config
 from ._dump import dump_resolved
 from ._load import parse_config
 
-CONFIG_FILE, RESULT_FILE = "config.yaml", "result.json"
-"""Files in a run's folder: what it started from, and its numbers."""
-FITTED_FILE, RECOMMENDED_FILE = "fitted.yaml", "recommended.yaml"
-"""Configurations in the folders of a fit and of a recommendation: what was fitted, and what was chosen."""
+CONFIG_FILE = "config.yaml"
+"""The configuration that a run started from, in the run's folder."""
+RESULT_FILE = "result.json"
+"""The numbers of a run, in its folder."""
+FITTED_FILE = "fitted.yaml"
+"""The configuration with the fitted values, in the folder of a fit."""
+RECOMMENDED_FILE = "recommended.yaml"
+"""The configuration of the chosen technique, in the folder of a recommendation."""
 # Significant digits of a fitted value: as many as float32 has.
 _DIGITS = 8
 _COPY = "copy config.yaml to another folder, set the values of result.json in it, and give that file"

@@ -45,6 +45,13 @@ class PoseProblem(AbstractProblem):
         cover a texel of the map as the camera sees it.
     - `shift`: (2,), how far the map's grid of texels is moved, as for `draw_shadow_map`; none to leave it in place.
         Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
+
+    !!! Example
+
+        ```python
+        problem = fit.PoseProblem.of(scene, technique, truth)
+        azimuth = fit.Parameter("lights.0.azimuth", 50.0, 0.0, 90.0, unit="degrees")
+        ```
     """
 
     arrangement: Arrangement

@@ -34,6 +34,12 @@ class TechniqueProblem(AbstractProblem):
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
     - `weight`: how many pixels each stands for, one number or (h, w); more than 1 in a sample of them.
     - `factor`: of all squared differences; in a sample, it corrects their sum.
+
+    !!! Example
+
+        ```python
+        problem = fit.TechniqueProblem.of(scene, technique, truth)
+        ```
     """
 
     technique: FittableTechnique

@@ -35,6 +35,13 @@ class Solver(CheckedModule):
     - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. It has its own
         tolerances; of the other fields, `max_steps` and `noise` hold for it, and the latter only for the choice between
         phases.
+
+    !!! Example
+
+        ```python
+        adam = fit.Solver("adam", max_steps=60, learning_rate=0.1)
+        own = fit.Solver(method=optimistix.Dogleg(rtol=1e-4, atol=1e-6), max_steps=20)
+        ```
     """
 
     settings: ClassVar = Settings

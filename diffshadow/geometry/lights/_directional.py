@@ -37,6 +37,14 @@ class DirectionalLight(AbstractLight):
 
     **Raises** `ValueError` for a direction or `up` that is zero, an extent that is not positive, `near` not below
     `far`, or an angular radius out of its range.
+
+    !!! Example
+
+        ```python
+        vertices = geometry.merge(meshes).vertices
+        sun = geometry.DirectionalLight.around((0.5, -1.0, -0.3), vertices, angular_radius=0.27)
+        sun.is_directional  # True
+        ```
     """
 
     settings: ClassVar = Settings

@@ -35,6 +35,13 @@ class SpotLight(AbstractLight):
 
     **Raises** `ValueError` for a position that is not finite, a direction or `up` that is zero, an inner angle above
     the outer one, near and far that are not 0 < near < far, or a number out of its range.
+
+    !!! Example
+
+        ```python
+        lamp = geometry.SpotLight((0, 3, 0), (0, -1, 0), outer_angle=40, near=0.5, far=5, radius=0.1, up=(0, 0, 1))
+        lamp.has_size  # True
+        ```
     """
 
     settings: ClassVar = Settings

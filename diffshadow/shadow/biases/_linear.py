@@ -29,6 +29,12 @@ class LinearBias(AbstractBias):
             16.
 
     **Raises** `ValueError` if there is none, one has another name, or a weight is out of its range.
+
+    !!! Example
+
+        ```python
+        bias = shadow.Bias(constant=0.5, plane=shadow.LinearBias({"slope": 1.0, "sine": 0.3}))
+        ```
     """
 
     weights: dict[str, Scalar]

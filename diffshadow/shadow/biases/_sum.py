@@ -27,6 +27,13 @@ class Bias(AbstractBias):
         multiplied there. Biases are in texels of their own layer with or without it.
 
     **Raises** `ValueError` when called with `factors` for a map without layers.
+
+    !!! Example
+
+        ```python
+        bias = shadow.Bias(constant=0.5, slope=1.0, normal_offset=0.5)
+        bias.slope.value  # 1.0
+        ```
     """
 
     settings: ClassVar = Settings

@@ -53,6 +53,13 @@ class ThreeJs(AbstractEngineShadows):
     without graphics hardware. Depths of the map that is drawn here differ from the engine's by up to 1.2e-6. Under VSM
     with a radius of about 1 or less and no bias, all surfaces are compared with themselves, and such last bits of depth
     decide: 95.7 to 100 % of the pixels are then the engine's.
+
+    !!! Example
+
+        ```python
+        engine = shadow.ThreeJs(bias=-0.001, radius=2.0, resolution=(64, 64))
+        engine.visibility(engine.prepare(scene), surface).shape  # (32, 32)
+        ```
     """
 
     settings: ClassVar = Settings

@@ -14,7 +14,22 @@ from .._map import ShadowMap
 
 
 class AbstractFilter(CheckedModule):
-    """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted."""
+    """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted.
+
+    !!! Example
+
+        ```python
+        class Corners(shadow.AbstractFilter):
+            radius: float = 1.0
+
+            def __call__(self, shadow_map, lookup, compare):
+                corners = jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+                pattern, radius = shadow.Pattern(corners[:, None, None]), jnp.asarray(self.radius)
+                return shadow.mean_of_taps(shadow_map, lookup, compare, radius, pattern, "bilinear")
+
+        shadow.ShadowMapping(Corners(2.0), shadow.Bias(1.0)).visibility(state, surface).shape  # (32, 32)
+        ```
+    """
 
     @abc.abstractmethod
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:

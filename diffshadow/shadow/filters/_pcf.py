@@ -23,6 +23,13 @@ class PercentageCloser(AbstractSizedFilter):
         rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
+
+    !!! Example
+
+        ```python
+        box = shadow.PercentageCloser(1.5, max_radius=4.0)  # a fit may widen it to 4 texels
+        shadow.ShadowMapping(box, shadow.Bias(1.0)).visibility(state, surface).shape  # (32, 32)
+        ```
     """
 
     settings: ClassVar = Settings

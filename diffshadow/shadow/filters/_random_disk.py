@@ -24,6 +24,13 @@ class RandomDisk(AbstractFilter):
     - `pattern`: where the taps lie; stratified points if left out.
     - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
     - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.
+
+    !!! Example
+
+        ```python
+        disk = shadow.RandomDisk(2.0, shadow.vogel(8))
+        shadow.ShadowMapping(disk, shadow.Bias(1.0)).visibility(state, surface).shape  # (32, 32)
+        ```
     """
 
     settings: ClassVar = Settings

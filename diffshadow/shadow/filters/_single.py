@@ -21,7 +21,14 @@ class Nearest(AbstractFilter):
 
 
 class Bilinear(AbstractFilter):
-    """Compares with the four texels around the receiver and interpolates the results."""
+    """Compares with the four texels around the receiver and interpolates the results.
+
+    !!! Example
+
+        ```python
+        shadow.ShadowMapping(shadow.Bilinear(), shadow.Bias(1.0)).visibility(state, surface).shape  # (32, 32)
+        ```
+    """
 
     settings: ClassVar = filters.Bilinear
 

@@ -1,0 +1,152 @@
+"""Pages of the site: files of the repository at their own paths, executed notebooks, and a page for each subpackage."""
+
+import ast
+import base64
+import re
+from pathlib import Path
+from typing import TypeGuard
+
+import nbformat
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+# What pages link to stands here too.
+KEPT = (
+    *("*.md", "LICENSE", "docs/*.md", "docs/images/**/*.png", "docs/hooks/*.css", "notebooks/README.md"),
+    *("diffshadow/*/README.md", "configs/*.yaml", "experiments/engines/*.mjs"),
+)
+PACKAGE = "diffshadow"
+# In the order of the site's navigation.
+SUBPACKAGES = (
+    *("geometry", "raster", "shadow", "shading", "reference", "metrics", "fit", "io", "config", "study", "settings"),
+)
+# Headings of the names that a page has from folders of its package, and from its modules (``).
+GROUPS = {
+    "diffshadow.shadow": {
+        "": "Techniques and maps",
+        "filters": "Filters",
+        "biases": "Biases",
+        "layouts": "Layouts",
+        "patterns": "Sampling patterns",
+        "engines": "Engines",
+    },
+}
+# Packages with further public names, on the page of their parent.
+FURTHER = {"diffshadow.shadow": ("diffshadow.shadow.kernels",)}
+# Of a package: its docstring without the names in it.
+_TEXT_ALONE = "members: false, show_root_heading: false, show_root_toc_entry: false"
+_FENCES = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
+_FORMULAS = re.compile(r"\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\n]+?)\$", re.DOTALL)
+
+
+class NotebookFile(File):
+    """A page that links reach by the notebook's own name."""
+
+    def is_documentation_page(self) -> bool:
+        return True
+
+
+def public_names(module: str) -> dict[str, str]:
+    """The names in a package's `__all__`, and the module that each comes from.
+
+    A package without `__all__` has those that it imports as themselves. Names from elsewhere, which are types of
+    settings, come last.
+    """
+    tree = ast.parse(ROOT.joinpath(*module.split("."), "__init__.py").read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+    imports.sort(key=lambda node: node.level)
+    public = next((ast.literal_eval(node.value) for node in tree.body if is_all(node)), None)
+    return {
+        alias.name: str(node.module)
+        for node in imports
+        for alias in node.names
+        if (alias.asname is not None if public is None else alias.name in public)
+    }
+
+
+def is_all(node: ast.stmt) -> TypeGuard[ast.Assign]:
+    return isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Replaces the files of `docs_dir` by all that the site has."""
+    for file in [file for file in files if file.src_dir == config.docs_dir]:
+        files.remove(file)
+    for pattern in KEPT:
+        for path in sorted(ROOT.glob(pattern)):
+            files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
+    for path in sorted(ROOT.glob("notebooks/*.ipynb")):
+        for file in notebook_files(path, config):
+            files.append(file)
+    files.append(File.generated(config, "api/README.md", content=reference_page(PACKAGE)))
+    for package in SUBPACKAGES:
+        content = reference_page(f"{PACKAGE}.{package}")
+        files.append(File.generated(config, f"api/{package}.md", content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Doubles the indentation of nested lists, which Python-Markdown expects to be four spaces."""
+    if page.file.src_uri.startswith("api/"):
+        return markdown
+    parts = _FENCES.split(markdown)
+    parts[::2] = [re.sub(r"^( +)", r"\1\1", part, flags=re.MULTILINE) for part in parts[::2]]
+    return "".join(parts)
+
+
+def notebook_files(path: Path, config: MkDocsConfig) -> list[File]:
+    """The page of an executed notebook, and its pictures."""
+    name = path.relative_to(ROOT).as_posix()
+    parts: list[str] = []
+    pictures: list[File] = []
+    for cell in nbformat.read(path, as_version=4).cells:
+        if cell.cell_type == "markdown":
+            parts.append(_FORMULAS.sub(mathml, cell.source))
+            continue
+        parts.append(f"```python\n{cell.source}\n```")
+        for output in cell.outputs:
+            data = output.get("data", {})
+            if "image/png" in data:
+                picture = f"{path.stem}_{len(pictures)}.png"
+                content = base64.b64decode(data["image/png"])
+                pictures.append(File.generated(config, f"notebooks/{picture}", content=content))
+                parts.append(f"![Output of the cell]({picture})")
+            elif "text/html" in data:
+                parts.append(re.sub(r"<style.*?</style>|^\s+", "", data["text/html"], flags=re.DOTALL | re.MULTILINE))
+            else:
+                parts.append(f"```text\n{(output.get('text') or data['text/plain']).rstrip()}\n```")
+    return [NotebookFile.generated(config, name, content="\n\n".join(parts) + "\n"), *pictures]
+
+
+def mathml(formula: re.Match[str]) -> str:
+    """MathML, which browsers draw without a script."""
+    if formula["block"]:
+        return f"\n\n<div>{convert(formula['block'], display='block')}</div>\n\n"
+    return f"<span>{convert(formula['inline'])}</span>"
+
+
+def reference_page(module: str) -> str:
+    """The Markdown of a subpackage's page: each public name with signature, docstring and source."""
+    parts = [f"# `{module}`", entry(module, _TEXT_ALONE)]
+    names, groups = public_names(module), GROUPS.get(module, {"": ""})
+    for folder, title in groups.items():
+        within = [name for name in names if folder == (part if (part := names[name].split(".")[0]) in groups else "")]
+        parts += [f"## {title}"] * bool(title)
+        parts += [entry(f"{module}.{name}", f"heading_level: {3 if title else 2}") for name in within]
+    for further in FURTHER.get(module, ()):
+        parts += [
+            f"## `{further}`",
+            entry(further, _TEXT_ALONE),
+        ]
+        parts += [entry(f"{further}.{name}", "heading_level: 3") for name in public_names(further) if name not in names]
+    if module == PACKAGE:
+        parts += ["## Subpackages", "\n".join(f"- [`{PACKAGE}.{each}`]({each}.md)" for each in SUBPACKAGES)]
+    return "\n\n".join(parts) + "\n"
+
+
+def entry(path: str, options: str) -> str:
+    """The lines that become the documentation of `path`."""
+    return f"::: {path}\n    options: {{{options}}}"
