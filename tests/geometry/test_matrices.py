@@ -81,6 +81,7 @@ def test_light_of_anothers_matrices_casts_the_same_shadow(kind):
     assert visibility.min() == 0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_light_off_the_centre_has_its_part_of_the_map(kind):
     """Of a frustum that is as high, and three quarters as wide with as many fewer texels."""

@@ -238,6 +238,7 @@ def scattered(seed=0):
     return surface_at(points, (0, 1, 0))
 
 
+@pytest.mark.exhaustive
 def test_equal_shares_are_none():
     # Thirds are not exact, and must not cost a texel.
     for max_share, side in ((None, 64), (0.6, 85)):
@@ -251,6 +252,7 @@ def test_equal_shares_are_none():
     assert depth[:, side:].min() == depth[:, :, side:].min() == 1
 
 
+@pytest.mark.exhaustive
 def test_cascades_with_shares_are_those_of_maps_of_their_size():
     # 64² + 16² + 32² + 32² texels are four times 40².
     side, surface, mesh = TEXELS, scattered(), posts()
@@ -509,6 +511,7 @@ def _mean_and_slopes(technique, state, surface, values):
     return value, slopes
 
 
+@pytest.mark.exhaustive
 def test_blend_bias_and_radius_have_the_right_derivatives(grid_map):
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(-2, 2, SIZE), np.zeros(SIZE), -rng.uniform(5, 9, SIZE)], axis=-1)

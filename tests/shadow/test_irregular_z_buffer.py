@@ -147,6 +147,7 @@ def test_visibility_is_that_of_float64_rays(name, light):
     assert_right(scene, trace_visibility_exact(scene, 1))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", EACH_LIGHT)
 def test_pictures_follow_a_change_of_the_scene(light):
     scene = scene_of("soup", light)

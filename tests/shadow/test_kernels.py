@@ -108,6 +108,7 @@ def test_weights_whose_texels_end_with_the_kernel_have_the_slopes_of_a_smaller_o
         np.testing.assert_allclose(slopes, smaller, atol=1e-5)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", [PercentageCloser, Tent])
 def test_a_radius_at_its_greatest_has_the_slope_of_a_smaller_one(kernel):
     with jax.enable_x64(True):

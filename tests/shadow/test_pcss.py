@@ -12,6 +12,7 @@ from scenes import (
     covered,
     lookups_at,
     map_of,
+    marked,
     problem,
     quad,
     random_lookups,
@@ -106,7 +107,7 @@ def check_penumbra(light, height, compare, shadow_map, surface, across):
     assert np.interp(0.5, visibility, across) == pytest.approx(0, abs=0.05 * exact)
 
 
-@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "wide", "spot"])
+@pytest.mark.parametrize("light", marked(["directional", "wide", "spot"], {"directional", "wide"}))
 def test_penumbra_grows_as_the_blocker_rises(light):
     light = LIGHTS[light]
     for height in (0.7, 2.0):
@@ -219,6 +220,7 @@ def test_one_radius_for_all_is_the_random_disk(compare):
     np.testing.assert_allclose(found, apply(RandomDisk(2.0, pattern), shadow_map, lookup, compare), atol=2e-5)
 
 
+@pytest.mark.exhaustive
 def test_lights_without_size_and_empty_maps():
     rng = np.random.default_rng(6)
     shadow_map, lookup = random_map(rng), random_lookups(rng)

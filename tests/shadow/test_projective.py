@@ -170,6 +170,7 @@ def test_blur_has_a_gradient():
     assert backward == pytest.approx(forward, rel=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_receivers_have_a_gradient_within_the_texture():
     slope, _, backward = (found[1] for found in _slopes(1))
     assert abs(slope) > 1e-2

@@ -256,6 +256,7 @@ def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
     assert np.median(extent) > 0.4
 
 
+@pytest.mark.exhaustive
 def test_a_bias_is_raised_until_all_pages_fit_and_every_point_has_a_page():
     scene, surface = ground()
     mask, points = np.asarray(surface.mask), surface.position

@@ -34,6 +34,7 @@ def assert_located(table, at_once, size):
             np.testing.assert_array_equal(part[: len(row) - first], expected[first : first + size])
 
 
+@pytest.mark.exhaustive
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 1 << 30), st.sampled_from([4, 33]), st.sampled_from([0.0, 0.1, 0.9, 1.0]))
 def test_set_bits_are_counted_off_column_by_column(seed, at_once, share):

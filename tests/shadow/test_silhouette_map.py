@@ -580,6 +580,7 @@ def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
     np.testing.assert_allclose(by_points, by_places, rtol=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_texels_are_corrected_where_each_pixel_of_a_tile_taps():
     """A pixel in a tile of four sees what it sees where all pixels have its own offsets."""
     shadow_map, rng = _scene(), np.random.default_rng(0)
@@ -599,6 +600,7 @@ def test_texels_are_corrected_where_each_pixel_of_a_tile_taps():
 _disk = eqx.filter_jit(lambda shadow_map, lookup, filter_: filter_(shadow_map, lookup, HardCompare()))
 
 
+@pytest.mark.exhaustive
 def test_texels_whose_parts_compare_alike_need_no_correction():
     shadow_map, rng = _scene(), np.random.default_rng(0)
     x, y = rng.uniform(4, 44, (2, 120, 120))
@@ -728,6 +730,7 @@ def _variance(shadow_map, surface):
     return share, jax.jvp(visibility, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
 
+@pytest.mark.exhaustive
 def test_variance_maps_hold_the_mean_over_a_texel():
     share, slope = _variance(_scene(), _ground(WIDE))
     # Seen along the light, the square is as large as its shadow times the sine of the light's elevation.

@@ -120,6 +120,7 @@ def test_several_lights_at_once_have_the_derivatives_of_each(seen):
     np.testing.assert_allclose(together, expected, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_map_says_that_a_plan_has_too_little_memory():
     of_margin = lambda margin: OUTLINES.prepare(SCENE, plan=OUTLINES.plan(SCENE, margin=margin, raises=False)).overflow
     assert of_margin(0.1)

@@ -359,6 +359,7 @@ def counted(stencil, when):
     return np.asarray(seen.face) >= 0, np.asarray(count_fragments(clip, volume_faces, weights, seen.depth, when))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("when", WHEN)
 def test_weights_and_windings_add_up(when):
     """A quad in front of half of the depths, one that reaches beyond the far plane, and one that does not count."""

@@ -99,6 +99,7 @@ def test_the_warp_is_a_perspective_that_starts_as_nothing():
     np.testing.assert_allclose(slope, tau * (1 - tau), atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_without_strength_the_map_is_the_box_around_what_the_camera_sees():
     layout = PerspectiveWarp(strength=0.0)
     y = np.tan(np.radians(30)) * np.array([-1, -1, 1, 1])
@@ -163,6 +164,7 @@ def greatest_extent(light, surface, camera):
     return jnp.max(jnp.where(found.mask, found.perspective_extent, 0))
 
 
+@pytest.mark.exhaustive
 def test_no_method_has_a_greater_error_by_default_than_no_warp():
     camera, surface = far_floor()
 
@@ -180,6 +182,7 @@ def warped_to(layout, camera, surface):
     return layout.light(NOON, camera, SIZE, surface)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("method", METHODS)
 def test_a_warp_leaves_the_margin_at_the_far_end(method):
     # From depth 1 to 100, a perspective would have a strength of 99.
@@ -214,6 +217,7 @@ def errors_along(layout):
     return np.abs(found[:, 1, 1]) * SIZE[0] / focal_length
 
 
+@pytest.mark.exhaustive
 def test_errors_along_the_view_are_those_of_each_method():
     found = {method: errors_along(TIGHT[method]) for method in METHODS}
     length = FAR - 1
@@ -300,6 +304,7 @@ def test_maps_of_planes_hold_their_depth(method):
     np.testing.assert_allclose(depth[inside], expected[inside], atol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_fixed_point_and_second_depths_are_those_without_the_warp():
     light = warped(TIGHT["lispsm"])
     mesh = merge([plane(0.0, 0.1), plane(0.0, 0.1)])
@@ -476,6 +481,7 @@ def _blockers(shadow_map, lookup):
     return PercentageCloserSoft(max_radius=400.0).find_blockers(shadow_map, lookup, SoftCompare(1e-3))
 
 
+@pytest.mark.exhaustive
 def test_penumbrae_are_as_wide_as_the_texels_at_the_receiver_say():
     light = warped(PerspectiveWarp(strength=5.0), eqx.tree_at(lambda one: one.angular_radius, NOON, jnp.float32(1.0)))
     shadow_map = ShadowMap(jnp.full(SIZE, np.float32(0.5)), light)
@@ -490,6 +496,7 @@ def test_penumbrae_are_as_wide_as_the_texels_at_the_receiver_say():
     np.testing.assert_allclose(radius * size, 0.01 * 400 * np.tan(np.radians(1)), rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_nothing_is_shadowed_beyond_the_shadow_distance():
     layout = PerspectiveWarp(shadow_distance=20.0)
     camera = PinholeCamera((0, 1, 0), (0, 1, -1), fov_y=60.0, near=1.0, far=FAR, resolution=(24, 32))

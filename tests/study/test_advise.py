@@ -605,6 +605,7 @@ def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     assert "RMSE, fitted views" in (apart / "report.html").read_text()
 
 
+@pytest.mark.exhaustive
 def test_validation_of_a_fit_is_in_the_table_of_its_sweep():
     import pyarrow.parquet
 

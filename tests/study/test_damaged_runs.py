@@ -299,6 +299,7 @@ def swept() -> list[Path]:
     return [folder / "runs" / run.id for run in sweep.runs]
 
 
+@pytest.mark.exhaustive
 def test_sweep_does_a_run_again_whose_result_is_wrong_anywhere(counted):
     places = swept()
     good = json.loads((places[0] / "result.json").read_text())

@@ -69,6 +69,7 @@ LAMP = "scene.light={type: point, position: [1, 1.5, 1]}"
 BULB = "path: builtin:sphere, options: {radius: 0.2}, translate: [1, 1.3, 1]"
 
 
+@pytest.mark.exhaustive
 def test_a_mesh_that_hides_a_light_from_all_is_named_with_the_key(tmp_path):
     (remark,) = remarks(BULB, tmp_path, LAMP)
     assert remark.startswith("scene.light is inside scene.meshes.2 (builtin:sphere), which hides it from all")

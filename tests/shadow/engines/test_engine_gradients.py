@@ -62,8 +62,7 @@ def title(case) -> str:
 
 
 USUAL = [
-    *("three-PCFShadowMap-window", "babylon-POISSONSAMPLING-cube", "babylon-PCSS-spot"),
-    "babylon-BLUREXPONENTIALSHADOWMAP-window",
+    *("three-PCFShadowMap-window", "babylon-POISSONSAMPLING-cube"),
 ]
 """What is tried every time."""
 

@@ -163,6 +163,7 @@ def test_maps_of_a_cubes_faces_are_square():
         ThreeJs(resolution=(32, 64)).prepare(scene)
 
 
+@pytest.mark.exhaustive
 def test_a_mesh_that_receives_nothing_is_lit_and_does_not_count():
     golden = engine_golden("three", "directional_basic_mixed")
     assert not golden.settings["meshes"][3]["receives"]
