@@ -49,6 +49,11 @@ class FitResult(NamedTuple):
     - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
         one's own is less.
     - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
+    - `parameters`, `solver`: what was fitted and by which solver, as given.
+    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` are of a loss of one's own, rather than
+        mean square errors.
+
+    `study.save_fit(result, folder)` writes it with its images and a report, as `diffshadow fit` does.
     """
 
     technique: FittableTechnique
@@ -70,6 +75,9 @@ class FitResult(NamedTuple):
     front: list[FrontPoint] = []  # noqa: RUF012
     at_bounds: list[AtBound] = []  # noqa: RUF012
     errors: tuple[float, float] = (0.0, 0.0)
+    parameters: tuple[Parameter, ...] = ()
+    solver: Solver | None = None
+    is_own_loss: bool = False
 
     def _repr_html_(self) -> str:
         """The fitted values and errors as a table, and the reference of the first problem."""
@@ -143,7 +151,7 @@ def fit(
     sureness.check(joint, [p.name for p in parameters])
     check_problem(joint, fitted)
     chosen = _solver_for(joint, solver).for_problem(joint.moves)
-    offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
+    offsets, given, parameters = [p.offset for p in parameters], tuple(parameters), [p.counted() for p in parameters]
     spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
@@ -152,7 +160,8 @@ def fit(
     with run.reporter:
         path, tried = run.through(spread)
     result = _result(run, path, tried, parameters, sureness)
-    result = result._replace(seconds_running=time.perf_counter() - began - run.seconds_compiling)
+    seconds = time.perf_counter() - began - run.seconds_compiling
+    result = result._replace(seconds_running=seconds, parameters=given, solver=chosen)
     return _with_offsets(result, offsets) if any(offsets) else result
 
 
@@ -184,6 +193,7 @@ def _result(
         front=points,
         at_bounds=at_bounds(run, parameters, values),
         errors=(root(path.losses[0]), run.error(least)),
+        is_own_loss=run.judge.own is not None,
     )
 
 
