@@ -9,12 +9,13 @@ import numpy as np
 from .._arithmetic import as_float
 from .._checks import check_instance
 from .._pictures import as_html
+from .._progress import showing
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement
 from ._bounds import AtBound, at_bounds
 from ._front import FrontPoint, front_of
-from ._history import Step
+from ._history import Step, shown_steps
 from ._how import Search, Sureness
 from ._loss import Loss
 from ._own_loss import LossFunction, OwnLoss
@@ -134,7 +135,7 @@ def fit(
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
-        then repeated with memory for more silhouettes.
+        then repeated with memory for more silhouettes. Left out, `diffshadow.setup` decides whether a line shows them.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -155,11 +156,13 @@ def fit(
     spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
-    watch = _from_offsets(on_step, offsets)
-    run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
-    with run.reporter:
-        path, tried = run.through(spread)
-    result = _result(run, path, tried, parameters, sureness)
+    with showing("fit", unless=on_step is not None) as update:
+        watch = on_step if update is None else shown_steps(update, phases, search.starts, joint.own is not None)
+        watch = _from_offsets(watch, offsets)
+        run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
+        with run.reporter:
+            path, tried = run.through(spread)
+        result = _result(run, path, tried, parameters, sureness)
     seconds = time.perf_counter() - began - run.seconds_compiling
     result = result._replace(seconds_running=seconds, parameters=given, solver=chosen)
     return _with_offsets(result, offsets) if any(offsets) else result

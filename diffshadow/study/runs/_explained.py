@@ -137,7 +137,9 @@ def _alien(images: Sequence[Fitted]) -> Iterator[tuple[Fitted, Sequence[Image], 
 
 def _traced(scene: Scene) -> tuple[Image, Image]:
     """What rays see all over the pixels, and at their centres."""
-    trace = lambda side: reference.trace_visibility(scene, _SUPERSAMPLING**2, supersampling=side).visibility
+    # A run shows its own progress.
+    how: Any = {"samples": _SUPERSAMPLING**2, "progress": lambda _: None}
+    trace = lambda side: reference.trace_visibility(scene, **how, supersampling=side).visibility
     return trace(_SUPERSAMPLING), trace(1)
 
 
