@@ -6,7 +6,10 @@ Row 0 of an image is its *bottom* row, as in OpenGL's window coordinates. World 
 Depth is window depth in [0, 1] unless its name says otherwise.
 """
 
-from jaxtyping import Array, Bool, Float, Int
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from numpy import ndarray
 
 Scalar = Float[Array, ""]
@@ -33,3 +36,46 @@ Viewport = tuple[int | Int[Array, ""], int | Int[Array, ""]]
 
 HostArray = ndarray
 """An array in the host's memory, where files and Embree want it."""
+
+if TYPE_CHECKING:
+    # A field with a converter takes more than it holds. Type checkers know that of fields that are descriptors; not all
+    # know it of converters.
+    class AsScalar:
+        """A field that holds a scalar, and takes any number."""
+
+        def __get__(self, instance: Any, owner: Any) -> Scalar: ...
+
+        def __set__(self, instance: Any, value: ArrayLike) -> None: ...
+
+    class AsOptional:
+        """A field that holds a scalar or none, and takes any number or none."""
+
+        def __get__(self, instance: Any, owner: Any) -> Scalar | None: ...
+
+        def __set__(self, instance: Any, value: ArrayLike | None) -> None: ...
+
+    class AsVector:
+        """A field that holds a vector, and takes any sequence of numbers."""
+
+        def __get__(self, instance: Any, owner: Any) -> Array: ...
+
+        def __set__(self, instance: Any, value: ArrayLike | Sequence[float | Scalar]) -> None: ...
+
+    class AsScalars:
+        """A field that holds scalars, and takes any numbers."""
+
+        def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...]: ...
+
+        def __set__(self, instance: Any, value: Sequence[float | Scalar]) -> None: ...
+
+    class AsOptionalScalars:
+        """A field that holds scalars or none, and takes any numbers or none."""
+
+        def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...] | None: ...
+
+        def __set__(self, instance: Any, value: Sequence[float | Scalar] | None) -> None: ...
+
+    AsVec2 = AsVec3 = AsVector
+else:
+    AsScalar, AsOptional, AsVec2, AsVec3 = Scalar, Scalar | None, Vec2, Vec3
+    AsScalars, AsOptionalScalars = tuple[Scalar, ...], tuple[Scalar, ...] | None

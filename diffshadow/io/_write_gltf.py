@@ -50,10 +50,10 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
     Meshes have the normals of their corners and their albedo: one colour as the material's, several as colours of
     vertices (`COLOR_0`, linear). Vertices are repeated where corners have other normals or colours. Cameras are
     perspective or orthographic. A directional, point or spot light is one of KHR_lights_punctual with the intensity 1.
-    A rectangle light is a point light there, and a light of matrices a directional or a spot light. All fields of cameras
-    and lights that glTF has no place for, such as near and far of a shadow map, are in the `extras` of their nodes, under
-    `diffshadow`. There, meshes say whether they cast and receive shadows. `read_scene` reads meshes, cameras and
-    lights back, and so do `diffshadow import` and other programs.
+    A rectangle light is a point light there, and a light of matrices a directional or a spot light. The `extras` of the
+    nodes of cameras and lights have all of their fields under `diffshadow`, such as near and far of a shadow map, and
+    the `extras` of meshes say whether they cast and receive shadows. `read_scene` and `diffshadow import` read meshes,
+    cameras and lights back.
 
     **Arguments:**
 
@@ -191,9 +191,8 @@ def _light(light: AbstractLight) -> tuple[dict[str, Any], dict[str, Any]]:
         place = _known(light.center) if isinstance(light, DirectionalLight) else None
         return {"type": "directional", **plain}, {"matrix": _placed(view, place)}
     if isinstance(light, SpotLight):
-        outer, inner = (
-            0.0 if a is None else math.radians(float(_known(a))) for a in (light.outer_angle, light.inner_angle)
-        )
+        angles = light.outer_angle, 0.0 if light.inner_angle is None else light.inner_angle
+        outer, inner = (math.radians(float(_known(angle))) for angle in angles)
         place = _known(light.position)
     else:
         # Around the whole of its frustum.
@@ -236,7 +235,7 @@ def _json(document: Mapping[str, Any]) -> bytes:
         return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"the extras hold what JSON cannot ({error}); expected finite numbers, texts, lists and dictionaries of these"
+            f"the extras hold what JSON cannot ({error}); expected numbers, texts, and lists and dictionaries of these"
         ) from error
 
 
