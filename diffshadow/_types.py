@@ -7,7 +7,7 @@ Depth is window depth in [0, 1] unless its name says otherwise.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from numpy import ndarray
@@ -37,9 +37,10 @@ Viewport = tuple[int | Int[Array, ""], int | Int[Array, ""]]
 HostArray = ndarray
 """An array in the host's memory, where files and Embree want it."""
 
-if TYPE_CHECKING:
-    # A field with a converter takes more than it holds. Type checkers know that of fields that are descriptors; not all
-    # know it of converters.
+# Only mypy takes this for true.
+MYPY = False
+if MYPY:
+    # A field with a converter takes more than it holds. Pyright knows converters. To mypy, such fields are descriptors.
     class AsScalar:
         """A field that holds a scalar, and takes any number."""
 
@@ -77,5 +78,10 @@ if TYPE_CHECKING:
 
     AsVec2 = AsVec3 = AsVector
 else:
-    AsScalar, AsOptional, AsVec2, AsVec3 = Scalar, Scalar | None, Vec2, Vec3
-    AsScalars, AsOptionalScalars = tuple[Scalar, ...], tuple[Scalar, ...] | None
+    # As explicit aliases, which pyright takes rather than the classes.
+    AsScalar: TypeAlias = Scalar  # noqa: UP040
+    AsOptional: TypeAlias = Scalar | None  # noqa: UP040
+    AsVec2: TypeAlias = Vec2  # noqa: UP040
+    AsVec3: TypeAlias = Vec3  # noqa: UP040
+    AsScalars: TypeAlias = tuple[Scalar, ...]  # noqa: UP040
+    AsOptionalScalars: TypeAlias = tuple[Scalar, ...] | None  # noqa: UP040
