@@ -80,7 +80,7 @@ if MYPY:
 else:
     # As explicit aliases, which pyright takes rather than the classes.
     AsScalar: TypeAlias = Scalar  # noqa: UP040
-    AsOptional: TypeAlias = Scalar | None  # noqa: UP040
+    AsOptional: TypeAlias = Scalar | None  # noqa: UP040  # pyright: ignore[reportOperatorIssue]
     AsVec2: TypeAlias = Vec2  # noqa: UP040
     AsVec3: TypeAlias = Vec3  # noqa: UP040
     AsScalars: TypeAlias = tuple[Scalar, ...]  # noqa: UP040

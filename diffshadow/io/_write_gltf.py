@@ -121,7 +121,11 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
         its = {"extras": {EXTRAS: _fields(light)}, "extensions": {LIGHTS: {"light": i}}}
         nodes.append({"name": f"light {i}", **place, **its})
     # In double precision, while what stands in arrays is counted from the origin.
-    root = {"name": "scene", "children": list(range(len(nodes))), "translation": list(map(float, scene.origin))}
+    root = {
+        "name": "scene",
+        "children": list(range(len(nodes))),
+        "translation": [float(value) for value in scene.origin],
+    }
     return {
         "asset": {"version": "2.0", "generator": "diffshadow"},
         "scene": 0,
@@ -154,7 +158,7 @@ def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, A
     }
     if not is_plain:
         attributes["COLOR_0"] = arrays.add(np.repeat(albedo, 3, axis=0)[first])
-    colour = [*map(float, albedo[0]), 1.0] if is_plain else [1.0] * 4
+    colour = [*albedo[0].tolist(), 1.0] if is_plain else [1.0] * 4
     look = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 1.0}
     material = {"pbrMetallicRoughness": look, "doubleSided": True}
     return {"attributes": attributes, "indices": arrays.add(corner.ravel())}, material
