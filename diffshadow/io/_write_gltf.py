@@ -124,7 +124,7 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
     root = {
         "name": "scene",
         "children": list(range(len(nodes))),
-        "translation": [float(value) for value in scene.origin],
+        "translation": [float(x) for x in scene.origin],
     }
     return {
         "asset": {"version": "2.0", "generator": "diffshadow"},
@@ -147,7 +147,7 @@ def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, A
     is_plain = bool((albedo == albedo[0]).all())
     corners = _known(mesh.corner_normals).reshape(-1, 3).astype(np.float32)
     # A face without area has none, and the format wants unit vectors.
-    corners = np.where(np.abs(corners).sum(axis=1, keepdims=True) > 0, corners, np.float32([0, 0, 1]))
+    corners = np.where(np.abs(corners).sum(axis=1, keepdims=True) > 0, corners, np.asarray([0, 0, 1], np.float32))
     columns = [faces.reshape(-1, 1).astype(np.float64), corners]
     if not is_plain:
         columns.append(np.repeat(albedo, 3, axis=0))
