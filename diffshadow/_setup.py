@@ -2,12 +2,19 @@
 
 import os
 
+from ._display import display
 from ._memory import collect_rarely, keep_freed_memory
+from ._progress import show_with
 from ._xla import use_all_cores
 
 
 def setup(
-    *, cores: bool = True, memory: bool = True, collector: bool = True, programs: bool | str | os.PathLike[str] = True
+    *,
+    cores: bool = True,
+    memory: bool = True,
+    collector: bool = True,
+    programs: bool | str | os.PathLike[str] = True,
+    progress: bool = True,
 ) -> None:
     """Sets this process up as the command `diffshadow` does: call it right after the imports.
 
@@ -21,6 +28,10 @@ def setup(
     - `collector`: Python's garbage collector runs less often, see `collect_rarely`.
     - `programs`: compiled programs are kept for the next process, see `io.keep_compiled_programs`; a folder to keep
         them in another than its own. This loads JAX.
+    - `progress`: `fit.fit`, `fit.train` and `reference.trace_visibility` show how far they are, in one line that
+        vanishes at their end: in notebooks, and where stderr is a terminal. To turn it off, call
+        `setup(progress=False)`, also later, or set the environment variable `DIFFSHADOW_PROGRESS=0`. A call with an
+        `on_step`, `on_phase` or `progress` of your own shows no line of its own.
 
     **Warns** with a `RuntimeWarning` if JAX's backend already runs: `cores` then has no effect in this process.
     """
@@ -30,6 +41,7 @@ def setup(
         keep_freed_memory()
     if collector:
         collect_rarely()
+    show_with(display if progress and os.environ.get("DIFFSHADOW_PROGRESS") != "0" else None)
     if programs is not False:
         # Loads JAX, which the other parts do without.
         from .io import keep_compiled_programs

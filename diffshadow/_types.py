@@ -6,7 +6,10 @@ Row 0 of an image is its *bottom* row, as in OpenGL's window coordinates. World 
 Depth is window depth in [0, 1] unless its name says otherwise.
 """
 
-from jaxtyping import Array, Bool, Float, Int
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from numpy import ndarray
 
 Scalar = Float[Array, ""]
@@ -33,3 +36,52 @@ Viewport = tuple[int | Int[Array, ""], int | Int[Array, ""]]
 
 HostArray = ndarray
 """An array in the host's memory, where files and Embree want it."""
+
+# Only mypy takes this for true.
+MYPY = False
+if MYPY:
+    # A field with a converter takes more than it holds. Pyright knows converters. To mypy, such fields are descriptors.
+    class AsScalar:
+        """A field that holds a scalar, and takes any number."""
+
+        def __get__(self, instance: Any, owner: Any) -> Scalar: ...
+
+        def __set__(self, instance: Any, value: ArrayLike) -> None: ...
+
+    class AsOptional:
+        """A field that holds a scalar or none, and takes any number or none."""
+
+        def __get__(self, instance: Any, owner: Any) -> Scalar | None: ...
+
+        def __set__(self, instance: Any, value: ArrayLike | None) -> None: ...
+
+    class AsVector:
+        """A field that holds a vector, and takes any sequence of numbers."""
+
+        def __get__(self, instance: Any, owner: Any) -> Array: ...
+
+        def __set__(self, instance: Any, value: ArrayLike | Sequence[float | Scalar]) -> None: ...
+
+    class AsScalars:
+        """A field that holds scalars, and takes any numbers."""
+
+        def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...]: ...
+
+        def __set__(self, instance: Any, value: Sequence[float | Scalar]) -> None: ...
+
+    class AsOptionalScalars:
+        """A field that holds scalars or none, and takes any numbers or none."""
+
+        def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...] | None: ...
+
+        def __set__(self, instance: Any, value: Sequence[float | Scalar] | None) -> None: ...
+
+    AsVec2 = AsVec3 = AsVector
+else:
+    # As explicit aliases, which pyright takes rather than the classes.
+    AsScalar: TypeAlias = Scalar  # noqa: UP040
+    AsOptional: TypeAlias = Scalar | None  # noqa: UP040  # pyright: ignore[reportOperatorIssue]
+    AsVec2: TypeAlias = Vec2  # noqa: UP040
+    AsVec3: TypeAlias = Vec3  # noqa: UP040
+    AsScalars: TypeAlias = tuple[Scalar, ...]  # noqa: UP040
+    AsOptionalScalars: TypeAlias = tuple[Scalar, ...] | None  # noqa: UP040

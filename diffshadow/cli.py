@@ -392,7 +392,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     after an interrupt. Any other error is a bug, and keeps its traceback.
     """
     # Without JAX, which `_start_jax` loads.
-    setup(programs=False)
+    setup(programs=False, progress=False)
     errors = Console(stderr=True)
     for stream in (sys.stdout, sys.stderr):
         # The stream's encoding may lack characters of names.
@@ -513,7 +513,7 @@ def _start_jax() -> None:
 
     **Raises** `ValueError` if it cannot run on the platforms that the environment names.
     """
-    setup(cores=False, memory=False, collector=False)
+    setup(cores=False, memory=False, collector=False, progress=False)
     platforms = os.environ.get("JAX_PLATFORMS")
     if not platforms:
         return

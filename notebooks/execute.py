@@ -6,6 +6,7 @@
 Neither times nor random numbers are written, so that a notebook changes only where its text or its outputs do.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parent
 _KERNEL = {"name": "python3", "display_name": "Python 3", "language": "python"}
+# Of kernels: the lines that show progress would stay as empty outputs.
+os.environ["DIFFSHADOW_PROGRESS"] = "0"
 _SECONDS = 600
 """That a cell may take."""
 

@@ -15,7 +15,7 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
-COMMON = {"_types", "_device", "_padding", "_arithmetic", "_checks", "_pictures", "settings"}
+COMMON = {"_types", "_device", "_padding", "_arithmetic", "_checks", "_pictures", "_progress", "settings"}
 # Their modules are public, and they need neither JAX nor pydantic.
 SETTINGS = "settings"
 OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
@@ -31,13 +31,14 @@ FOLDERS = {
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
-ASIDE_IMPORTS |= {"_setup": {"_xla", "_memory", "io"}}
+ASIDE_IMPORTS |= {"_display": set(), "_setup": {"_display", "_xla", "_memory", "io"}}
 IMPORTED_BY = {
     "reference": {"fit", "study"},
     "metrics": {"study"},
     "io": {"config", "study", "cli"},
     "_xla": {"study"},
     "_memory": {"study"},
+    "_display": set(),
     "_setup": {"cli"},
 }
 PURE = {*COMMON, *ORDER[: ORDER.index("fit") + 1], "reference", "metrics"}

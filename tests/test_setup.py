@@ -1,16 +1,20 @@
 """How a process is set up for fast work."""
 
 import atexit
+import contextlib
 import gc
 import os
+import pty
 import subprocess
 import sys
+import types
 import warnings
 
 import jax.numpy as jnp
 import pytest
 
 import diffshadow
+from diffshadow import _display
 
 FRESH = """
 import os
@@ -55,6 +59,77 @@ def test_one_call_sets_a_process_up_and_each_part_has_a_switch(tmp_path):
     run = [sys.executable, "-W", "error", "-c", SET_UP, str(tmp_path / "programs")]
     subprocess.run(run, env=without, check=True)
     assert (tmp_path / "programs").is_dir()
+
+
+SHOWS = """
+import os, signal, sys, time
+import diffshadow
+from diffshadow._progress import showing
+
+diffshadow.setup(cores=False, memory=False, collector=False, programs=False)
+assert "rich" not in sys.modules
+with showing("work [1]") as update:
+    with showing("inner") as inner:
+        assert inner is None
+    if update is not None:
+        update("half [2]", 0.5)
+        time.sleep(0.3)
+    if sys.argv[1] == "interrupt":
+        os.kill(os.getpid(), signal.SIGINT)
+diffshadow.setup(cores=False, memory=False, collector=False, programs=False, progress=False)
+with showing("work") as update:
+    assert update is None
+"""
+# What a terminal takes as: hide the cursor, show it, and erase the line.
+HIDE, SHOW, ERASE = b"\x1b[?25l", b"\x1b[?25h", b"\x1b[2K"
+
+
+def shown_in_terminal(*arguments, **more):
+    """What the script writes to a terminal's stderr."""
+    left_out = {"PYTEST_CURRENT_TEST", "TERM", "NO_COLOR"}
+    environment = {name: value for name, value in os.environ.items() if name not in left_out}
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", SHOWS, *arguments]
+    process = subprocess.Popen(command, stderr=theirs, env={**environment, "TERM": "xterm", **more})
+    os.close(theirs)
+    told = b""
+    # Reading fails once the other end is closed.
+    with contextlib.suppress(OSError):
+        while part := os.read(ours, 4096):
+            told += part
+    os.close(ours)
+    return told, process.wait()
+
+
+@pytest.mark.parametrize("end", ["done", "interrupt"])
+def test_a_terminal_shows_one_line_that_vanishes(end):
+    told, code = shown_in_terminal(end)
+    assert (code == 0) == (end == "done"), told
+    assert b"work [1]" in told
+    assert b"half [2]" in told
+    assert told.index(HIDE) < told.index(b"half") < told.index(SHOW) < told.rindex(ERASE)
+    left = told[told.rindex(ERASE) + len(ERASE) :]
+    assert left == b"" if end == "done" else b"KeyboardInterrupt" in left
+
+
+def test_progress_is_shown_to_no_pipe_and_not_where_it_is_turned_off():
+    assert shown_in_terminal("done", DIFFSHADOW_PROGRESS="0") == (b"", 0)
+    assert shown_in_terminal("done", PYTEST_CURRENT_TEST="here") == (b"", 0)
+    ran = subprocess.run([sys.executable, "-c", SHOWS, "done"], capture_output=True, check=True)
+    assert ran.stderr == b""
+
+
+def test_a_notebook_shows_one_line_that_vanishes(monkeypatch):
+    told = []
+    handle = types.SimpleNamespace(update=lambda html: told.append(html.data))
+    ipython = pytest.importorskip("IPython.display")
+    monkeypatch.setattr(ipython, "display", lambda html, display_id: told.append(html.data) or handle)
+    monkeypatch.setattr(_display, "_is_notebook", lambda: True)
+    monkeypatch.setattr(_display, "_PAUSE", -1.0)
+    with contextlib.suppress(KeyboardInterrupt), _display.display("<work>") as update:
+        update("half", 0.5)
+        raise KeyboardInterrupt
+    assert told == ["&lt;work&gt; <progress></progress> ", '&lt;work&gt; <progress value="0.500"></progress> half', ""]
 
 
 def test_all_cores_come_too_late_once_jax_runs(monkeypatch):

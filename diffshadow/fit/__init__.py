@@ -1,4 +1,15 @@
-"""Fitting shadow-mapping settings, lights and casters to a reference by gradient."""
+"""Fitting shadow-mapping settings, lights and casters to a reference by gradient.
+
+`fit` is this package, and `fit.fit` its function: after `from diffshadow import fit`, call `fit.fit(problem, ...)`.
+
+There are two ways to fit:
+
+- `fit.fit` finds up to some tens of numbers that have names and bounds, such as `bias.constant`, `filter.radius` or
+  `lights.0.azimuth`, and says how sure they are. Its problems are a `TechniqueProblem` (the map stays) or a
+  `PoseProblem` (lights or meshes move), one or several. `study.save_fit` writes its result with a report.
+- `fit.train` finds all numbers in a part of a technique, such as the weights of a network, which have no names, from
+  any number of views.
+"""
 
 from ._anneal import Anneal
 from ._arrangement import Arrangement, MeshPose

@@ -1,5 +1,6 @@
 """What a fit of poses may change: a technique's numbers, the lights, and the meshes."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_float, safe_norm
 from .._types import Vec3
-from ..geometry import AbstractLight, LightPose, Mesh, Vector
+from ..geometry import AbstractLight, LightPose, Mesh, Scene, Vector
 from ..shadow import ShadowMapping
 
 
@@ -99,6 +100,17 @@ class Arrangement(eqx.Module):
         """Everything as it stands."""
         poses = (mesh if isinstance(mesh, MeshPose) else MeshPose.of(mesh) for mesh in meshes)
         return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
+
+    def placed(self, scene: Scene) -> Scene:
+        """`scene`, whose lights and meshes the arrangement is of, as they are arranged.
+
+        Lights that can be refitted have the frustum of their shadow map fitted to the meshes. `io.write_gltf` writes
+        such a scene for other programs.
+        """
+        meshes = [pose.placed(mesh) for pose, mesh in zip(self.meshes, scene.meshes, strict=True)]
+        points = jnp.concatenate([mesh.vertices for mesh in meshes])
+        lights = [light.at(pose).refitted(points) for pose, light in zip(self.lights, scene.lights, strict=True)]
+        return dataclasses.replace(scene, meshes=meshes, lights=lights)
 
 
 def is_of_technique(path: str) -> bool:

@@ -9,12 +9,13 @@ import numpy as np
 from .._arithmetic import as_float
 from .._checks import check_instance
 from .._pictures import as_html
+from .._progress import showing
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement
 from ._bounds import AtBound, at_bounds
 from ._front import FrontPoint, front_of
-from ._history import Step
+from ._history import Step, shown_steps
 from ._how import Search, Sureness
 from ._loss import Loss
 from ._own_loss import LossFunction, OwnLoss
@@ -49,6 +50,11 @@ class FitResult(NamedTuple):
     - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
         one's own is less.
     - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
+    - `parameters`, `solver`: what was fitted and by which solver, as given.
+    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` are of a loss of one's own, rather than
+        mean square errors.
+
+    `study.save_fit(result, folder)` writes it with its images and a report, as `diffshadow fit` does.
     """
 
     technique: FittableTechnique
@@ -70,6 +76,9 @@ class FitResult(NamedTuple):
     front: list[FrontPoint] = []  # noqa: RUF012
     at_bounds: list[AtBound] = []  # noqa: RUF012
     errors: tuple[float, float] = (0.0, 0.0)
+    parameters: tuple[Parameter, ...] = ()
+    solver: Solver | None = None
+    is_own_loss: bool = False
 
     def _repr_html_(self) -> str:
         """The fitted values and errors as a table, and the reference of the first problem."""
@@ -126,7 +135,7 @@ def fit(
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
-        then repeated with memory for more silhouettes.
+        then repeated with memory for more silhouettes. Left out, `diffshadow.setup` decides whether a line shows them.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -153,16 +162,19 @@ def fit(
     sureness.check(joint, [p.name for p in parameters])
     check_problem(joint, fitted)
     chosen = _solver_for(joint, solver).for_problem(joint.moves)
-    offsets, parameters = [p.offset for p in parameters], [p.counted() for p in parameters]
+    offsets, given, parameters = [p.offset for p in parameters], tuple(parameters), [p.counted() for p in parameters]
     spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
-    watch = _from_offsets(on_step, offsets)
-    run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
-    with run.reporter:
-        path, tried = run.through(spread)
-    result = _result(run, path, tried, parameters, sureness)
-    result = result._replace(seconds_running=time.perf_counter() - began - run.seconds_compiling)
+    with showing("fit", unless=on_step is not None) as update:
+        watch = on_step if update is None else shown_steps(update, phases, search.starts, joint.own is not None)
+        watch = _from_offsets(watch, offsets)
+        run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
+        with run.reporter:
+            path, tried = run.through(spread)
+        result = _result(run, path, tried, parameters, sureness)
+    seconds = time.perf_counter() - began - run.seconds_compiling
+    result = result._replace(seconds_running=seconds, parameters=given, solver=chosen)
     return _with_offsets(result, offsets) if any(offsets) else result
 
 
@@ -194,6 +206,7 @@ def _result(
         front=points,
         at_bounds=at_bounds(run, parameters, values),
         errors=(root(path.losses[0]), run.error(least)),
+        is_own_loss=run.judge.own is not None,
     )
 
 

@@ -1,8 +1,8 @@
 """The steps of a fit, reported while it runs."""
 
 import itertools
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_int
+from .._progress import Update
 from ..shadow import Overflow
 from ._parameters import Parameters
 
@@ -28,6 +29,19 @@ class Step(NamedTuple):
     loss: float
     values: tuple[float, ...]
     start: int = 0
+
+
+def shown_steps(update: Update, phases: Sequence[Any], starts: int, is_own_loss: bool) -> Callable[[Step], None]:
+    """Tells `update` of each step: of `phases`, those that all of several `starts` run have no known number."""
+    count = len(phases) * starts if starts == 1 or all(phase.shared for phase in phases) else None
+
+    def show(step: Step) -> None:
+        start = f"start {step.start + 1} of {starts}, " if starts > 1 else ""
+        error = f"loss {step.loss:.5g}" if is_own_loss else f"RMSE {max(step.loss, 0) ** 0.5:.5f}"
+        done = None if count is None else (step.start * len(phases) + step.phase) / count
+        update(f"{start}phase {step.phase + 1} of {len(phases)}, step {step.step}, {error}", done)
+
+    return show
 
 
 class Report(eqx.Module):

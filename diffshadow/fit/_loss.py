@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_float, as_number, concrete
 from .._checks import CheckedModule
-from .._types import Scalar
+from .._types import AsScalar, Scalar
 from ..settings.fit import Loss as Settings
 from ..settings.fit import Over
 
@@ -45,9 +45,9 @@ class Loss(CheckedModule):
     settings: ClassVar = Settings
 
     over: Over = eqx.field(static=True, default=Settings.over)
-    fraction: Scalar = eqx.field(converter=as_number, default=Settings.fraction)
-    false_shadow: Scalar = eqx.field(converter=as_number, default=Settings.false_shadow)
-    false_light: Scalar = eqx.field(converter=as_number, default=Settings.false_light)
+    fraction: AsScalar = eqx.field(converter=as_number, default=Settings.fraction)
+    false_shadow: AsScalar = eqx.field(converter=as_number, default=Settings.false_shadow)
+    false_light: AsScalar = eqx.field(converter=as_number, default=Settings.false_light)
     power: Scalar | None = None
 
     def _check_rules(self):

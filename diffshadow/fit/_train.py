@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_float
+from .._progress import showing
 from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
 from ._anneal import Anneal
@@ -80,7 +81,7 @@ def train(
         structure of what `where` returns or its upper part.
     - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
         pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
-    - `on_phase`: called after each phase.
+    - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
 
     **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, or a number starts below
     its least value.
@@ -99,14 +100,18 @@ def train(
     if not _count(groups) > 0:
         raise ValueError("no pixel of any view counts; expected cameras and lights to see the same part of the scene")
     values, losses, phases = [start], [float(_loss(groups, technique, start, where))], []
-    for width in anneal.widths:
-        soft = _with_compare(technique, SoftCompare(width, anneal.kernel))
-        found, loss, steps = _phase(groups, soft, values[-1], as_float(least), where, solver)
-        values.append(found if np.isfinite(found).all() else values[-1])
-        losses.append(float(_loss(groups, technique, values[-1], where)))
-        phases.append(TrainingPhase(width, int(steps), float(loss), losses[-1]))
-        if on_phase is not None:
-            on_phase(phases[-1])
+    with showing("training", unless=on_phase is not None) as update:
+        for number, width in enumerate(anneal.widths):
+            if update is not None:
+                state = f"phase {number + 1} of {anneal.phases}, RMSE {losses[-1] ** 0.5:.5f}"
+                update(state, number / anneal.phases)
+            soft = _with_compare(technique, SoftCompare(width, anneal.kernel))
+            found, loss, steps = _phase(groups, soft, values[-1], as_float(least), where, solver)
+            values.append(found if np.isfinite(found).all() else values[-1])
+            losses.append(float(_loss(groups, technique, values[-1], where)))
+            phases.append(TrainingPhase(width, int(steps), float(loss), losses[-1]))
+            if on_phase is not None:
+                on_phase(phases[-1])
     best = int(np.nanargmin(losses))
     return Training(_put(technique, where, values[best]), losses[0], losses[best], phases, best - 1)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from .._arithmetic import array_module, as_float, as_number, concrete
 from .._checks import CheckedModule, as_tuple, check_value, listed
-from .._types import Mat4, Resolution, Scalar, Vec3
+from .._types import AsScalar, AsVec3, Mat4, Resolution, Scalar, Vec3
 from ..settings import scene
 from ..settings.quantities import Position
 from ..settings.scene import Camera
@@ -78,12 +78,12 @@ class PinholeCamera(AbstractCamera):
 
     settings: ClassVar = scene.PinholeCamera
 
-    eye: Vec3 = eqx.field(converter=as_number)
-    target: Vec3 = eqx.field(converter=as_number)
-    up: Vec3 = eqx.field(converter=as_number, default=Camera.up)
-    fov_y: Scalar = eqx.field(converter=as_number, default=scene.PinholeCamera.fov_y)
-    near: Scalar = eqx.field(converter=as_number, default=0.1)
-    far: Scalar = eqx.field(converter=as_number, default=100.0)
+    eye: AsVec3 = eqx.field(converter=as_number)
+    target: AsVec3 = eqx.field(converter=as_number)
+    up: AsVec3 = eqx.field(converter=as_number, default=Camera.up)
+    fov_y: AsScalar = eqx.field(converter=as_number, default=scene.PinholeCamera.fov_y)
+    near: AsScalar = eqx.field(converter=as_number, default=0.1)
+    far: AsScalar = eqx.field(converter=as_number, default=100.0)
     resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Camera.resolution)
 
     def projection(self) -> Mat4:
@@ -93,12 +93,12 @@ class PinholeCamera(AbstractCamera):
 class OrthographicCamera(AbstractCamera):
     """A parallel camera; `height` is the height of what it sees, in world units."""
 
-    eye: Vec3 = eqx.field(converter=as_number)
-    target: Vec3 = eqx.field(converter=as_number)
-    up: Vec3 = eqx.field(converter=as_number, default=Camera.up)
-    height: Scalar = eqx.field(converter=as_number, default=2.0)
-    near: Scalar = eqx.field(converter=as_number, default=0.1)
-    far: Scalar = eqx.field(converter=as_number, default=100.0)
+    eye: AsVec3 = eqx.field(converter=as_number)
+    target: AsVec3 = eqx.field(converter=as_number)
+    up: AsVec3 = eqx.field(converter=as_number, default=Camera.up)
+    height: AsScalar = eqx.field(converter=as_number, default=2.0)
+    near: AsScalar = eqx.field(converter=as_number, default=0.1)
+    far: AsScalar = eqx.field(converter=as_number, default=100.0)
     resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Camera.resolution)
 
     def projection(self) -> Mat4:

@@ -1,4 +1,4 @@
-"""Reads meshes, scenes and images; writes meshes, images and cached results."""
+"""Reads meshes, scenes and images; writes meshes, scenes, images and cached results."""
 
 from ._arrays import ArrayLayout as ArrayLayout
 from ._arrays import read_arrays as read_arrays
@@ -15,6 +15,7 @@ from ._images import read_visibility, write_png, write_visibility
 from ._meshes import coarse_steps as coarse_steps
 from ._meshes import load_mesh
 from ._ply import write_ply
+from ._write_gltf import write_gltf
 from .scenes._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow
 from .scenes._read import read_scene
 
@@ -36,6 +37,7 @@ __all__ = [
     "load_mesh",
     "read_scene",
     "read_visibility",
+    "write_gltf",
     "write_ply",
     "write_png",
     "write_visibility",

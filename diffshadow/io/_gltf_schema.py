@@ -19,6 +19,8 @@ _Index = Annotated[int, Field(ge=0)]
 _Extensions = Mapping[str, Any]
 DRACO = "KHR_draco_mesh_compression"
 LIGHTS = "KHR_lights_punctual"
+EXTRAS = "diffshadow"
+"""The key of this package's values in the `extras` of a node."""
 VISIBILITY = "KHR_node_visibility"
 INSTANCES = "EXT_mesh_gpu_instancing"
 UNLIT = "KHR_materials_unlit"
@@ -163,6 +165,7 @@ class Node(_Part):
     scale: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
     translation: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     extensions: _Extensions = {}
+    extras: Any = None
 
 
 class Scene(_Part):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
+from .._progress import showing
 from .._types import HostArray
 from ..geometry import AbstractLight, Scene
 from ..settings.reference import Blockers, Sampler
@@ -50,7 +51,8 @@ def trace_visibility(
     - `samples`: shadow rays per pixel, 1 to 65536. A light without size gets a single ray, to its centre.
     - `sampler`: `"sobol"` or `"stratified"`.
     - `seed`: seed of the sample points, an integer of 0 or more. The same arguments give the same image, bit for bit.
-    - `progress`: called with the fraction of pixels done, in (0, 1], in the calling thread.
+    - `progress`: called with the fraction of pixels done, in (0, 1], in the calling thread. Left out,
+        `diffshadow.setup` decides whether a line shows it.
     - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
       over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
       rays, with at least one each. `position`, `normal` and `face` remain those at pixel centres.
@@ -68,7 +70,10 @@ def trace_visibility(
         truth.visibility.shape, truth.mask.shape  # ((32, 32), (32, 32))
         ```
     """
-    return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress, supersampling, blockers)
+    with showing("tracing", unless=progress is not None) as update:
+        if update is not None:
+            progress = lambda done: update("", done)
+        return trace_with(EmbreeTracer, scene, samples, sampler, seed, progress, supersampling, blockers)
 
 
 def reference_from_image(visibility: Any, scene: Scene) -> Reference:

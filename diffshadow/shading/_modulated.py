@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._arithmetic import as_number
-from .._types import Scalar, VectorMap
+from .._types import AsScalar, VectorMap
 from ..geometry import AbstractCamera
 from ..raster import Surface
 from ..settings.shading import ModulatedShadow as Settings
@@ -35,7 +35,7 @@ class ModulatedShadow(AbstractShading):
     settings: ClassVar = Settings
 
     lit: AbstractShading = eqx.field(default_factory=Phong)
-    factor: Scalar = eqx.field(converter=as_number, default=Settings.factor)
+    factor: AsScalar = eqx.field(converter=as_number, default=Settings.factor)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
         """The image of `surface`; arguments, result and errors are as for `AbstractShading`. Pixels without a surface

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_float, as_number, dot, normalize, safe_norm
 from .._checks import CheckedModule
-from .._types import Scalar, Vec3, VectorMap
+from .._types import AsScalar, AsVec3, Vec3, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
 from ..settings import shading
@@ -36,9 +36,9 @@ class Attenuation(CheckedModule):
 
     settings: ClassVar = shading.Attenuation
 
-    constant: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.constant)
-    linear: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.linear)
-    quadratic: Scalar = eqx.field(converter=as_number, default=shading.Attenuation.quadratic)
+    constant: AsScalar = eqx.field(converter=as_number, default=shading.Attenuation.constant)
+    linear: AsScalar = eqx.field(converter=as_number, default=shading.Attenuation.linear)
+    quadratic: AsScalar = eqx.field(converter=as_number, default=shading.Attenuation.quadratic)
 
     def __call__(self, distance: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The fraction of the light that arrives at `distance`, in world units."""
@@ -62,11 +62,11 @@ class Phong(AbstractShading):
 
     settings: ClassVar = shading.Phong
 
-    ambient: Vec3 = eqx.field(converter=_colour, default=shading.Phong.ambient)
-    intensity: Vec3 = eqx.field(converter=_colour, default=INTENSITY)
-    specular: Scalar = eqx.field(converter=as_number, default=shading.Phong.specular)
-    shininess: Scalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
-    background: Vec3 = eqx.field(converter=_colour, default=shading.Phong.background)
+    ambient: AsVec3 = eqx.field(converter=_colour, default=shading.Phong.ambient)
+    intensity: AsVec3 = eqx.field(converter=_colour, default=INTENSITY)
+    specular: AsScalar = eqx.field(converter=as_number, default=shading.Phong.specular)
+    shininess: AsScalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
+    background: AsVec3 = eqx.field(converter=_colour, default=shading.Phong.background)
     attenuation: Attenuation = eqx.field(default_factory=Attenuation)
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 

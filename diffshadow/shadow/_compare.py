@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_number
 from .._checks import CheckedModule
-from .._types import Scalar
+from .._types import AsScalar
 from ..settings import maps
 from ..settings.maps import DepthOperator, SoftKernel
 
@@ -110,7 +110,7 @@ class SoftCompare(AbstractCompare):
 
     settings: ClassVar = maps.SoftCompare
 
-    width: Scalar = eqx.field(converter=as_number, default=maps.SoftCompare.width)
+    width: AsScalar = eqx.field(converter=as_number, default=maps.SoftCompare.width)
     kernel: SoftKernel = eqx.field(static=True, default=maps.SoftCompare.kernel)
 
     def __call__(self, stored, receiver, depth_per_texel):

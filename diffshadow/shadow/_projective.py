@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import as_array, as_float, as_number, dot, in_unit_range, normalize
 from .._checks import as_tuple
-from .._types import Mask, Resolution, Scalar, TexelMap, Visibility
+from .._types import AsScalar, Mask, Resolution, TexelMap, Visibility
 from ..geometry import AbstractLight, Scene
 from ..raster import NO_FACE, Surface, rasterize
 from ..settings.filters import Shape
@@ -69,7 +69,7 @@ class ProjectiveShadow(AbstractTechnique):
     settings: ClassVar = Settings
 
     resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=Settings.resolution)
-    blur: Scalar = eqx.field(converter=as_number, default=Settings.blur)
+    blur: AsScalar = eqx.field(converter=as_number, default=Settings.blur)
     max_blur: float | Any = eqx.field(static=True, default=None, kw_only=True)
     kernel: Shape = eqx.field(static=True, default=Settings.kernel, kw_only=True)
 

@@ -17,11 +17,15 @@ class AbstractTechnique(CheckedModule):
     `prepare` makes a state from what the light sees: a shadow map, a texture, or the edges to extrude. `visibility`
     makes an image from the state. The state depends on meshes, light and, for some techniques, the camera. It does not
     depend on bias or filter, so one state serves all their settings.
+
+    What the state is depends on the technique, so it has no type in common: `ShadowMapping` makes a `ShadowMap`, an
+    engine's technique an `EngineMap`, `ProjectiveShadow` a `ProjectiveTexture`. Other techniques have a class of their
+    own, as one of yours may. Callers hand it on as it is.
     """
 
     @abc.abstractmethod
     def prepare(self, scene: Scene, surface: Surface | None = None) -> Any:
-        """What the technique draws once for the scene's only light.
+        """The technique's state: what it draws once for the scene's only light, such as a `ShadowMap`.
 
         **Arguments:**
 

@@ -11,6 +11,7 @@ from .runs._convert import convert
 from .runs._fit import run_fit
 from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render
+from .runs._save import save_fit
 
 __all__ = [
     "compare",
@@ -21,6 +22,7 @@ __all__ = [
     "run_fit",
     "run_render",
     "run_sweep",
+    "save_fit",
 ]
 
 if TYPE_CHECKING:

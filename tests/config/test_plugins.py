@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from diffshadow import fit, shadow
-from diffshadow.config import ConfigError, build_fit, build_scene, build_technique, dump_resolved, parse_config
+from diffshadow.config import (
+    ConfigError,
+    build_fit,
+    build_scene,
+    build_technique,
+    describe,
+    dump_resolved,
+    parse_config,
+)
 from diffshadow.raster import draw_surface
 from diffshadow.reference import trace_visibility
 
@@ -287,3 +295,25 @@ def test_numbers_of_a_users_technique_can_be_fitted(load):
     assert float(fit.resolve(made, parameter.path)) == 2.0
     assert eqx.is_array(made.lift)
     assert jnp.ndim(made.lift) == 0
+
+
+def test_a_finished_run_is_read_without_its_users_modules(tmp_path):
+    overrides = [
+        *(
+            "filter={type: gone_pieces:Cross, radius: 1.5, name: wide, taps: 3}",
+            "fit.loss={type: gone_pieces:absolute}",
+        ),
+        *("technique={type: gone_pieces:Offset, lift: 2.0, at: [1.0, 2.5], limit: null}", "fit.solver.type=bfgs"),
+        "fit.parameters={technique.lift: {lower: 0, upper: 6}}",
+    ]
+    with pytest.raises(ConfigError, match=r"filter\.type: names the module gone_pieces, which Python does not find"):
+        parse_config(BASE, overrides, folder=tmp_path)
+    read = parse_config(BASE, overrides, folder=tmp_path, files=False)
+    rows = {row.key: row.value for row in describe(read)}
+    assert rows["filter.type"] == "gone_pieces:Cross"
+    assert (rows["filter.radius"], rows["filter.name"], rows["filter.taps"]) == ("1.5", "wide", "3")
+    assert rows["technique.lift"] == "2.0"
+    assert rows["fit.loss.type"] == "gone_pieces:absolute"
+    assert list(read.fit.parameters) == ["technique.lift"]
+    with pytest.raises(ConfigError, match="which Python does not find"):
+        parse_config(BASE, overrides, folder=tmp_path)

@@ -1,6 +1,7 @@
 """Fits of lights and casters: what moves and how, that outlines are seen to move, and what is told of the result."""
 
 import dataclasses
+import functools
 import gc
 from types import SimpleNamespace
 
@@ -547,6 +548,25 @@ def test_levenberg_marquardt_follows_its_model_through_noise():
 SUN = LIGHTS["directional"]
 
 
+def absolute(predicted, reference, mask):
+    """The mean absolute error."""
+    return jnp.sum(jnp.abs(predicted - reference), where=mask) / jnp.sum(mask)
+
+
+def test_a_users_loss_of_poses_sees_images_and_their_blur():
+    paths = (AZIMUTH, ELEVATION)
+    one = problem(SUN)
+    azimuth, elevation = values(one, paths)
+    one = to_recover(one, paths, [azimuth + 9, elevation - 7])
+    joint = Joint.of(one, absolute)
+    found = joint.losses(joint.subject)
+    shown, reference = np.asarray(image(one, paths, [azimuth, elevation])), np.asarray(one.reference)
+    blur = functools.partial(gaussian_filter, sigma=one.blur_in_pixels, mode="constant")
+    assert float(found.whole) == pytest.approx(float(np.mean(np.abs(shown - reference))), rel=1e-4)
+    assert float(found.compared) == pytest.approx(float(np.mean(np.abs(blur(shown) - blur(reference)))), rel=0.02)
+    assert 0 < float(found.compared) < 0.95 * float(found.whole)
+
+
 @pytest.fixture(scope="module")
 def recovered():
     """The sun of a known shadow, found with memory for too few silhouettes at first; the truth, the problem and the
@@ -578,6 +598,23 @@ def test_sun_is_recovered_from_its_shadow(recovered):
     # A texel is two to three pixels wide.
     assert 1.2 < result.phases[1].blur < 2.2
     assert result.flat == []
+
+
+@pytest.mark.exhaustive
+def test_sun_is_recovered_by_a_users_loss(recovered):
+    truth, one, other = recovered
+    told = []
+    result = fit(one, other.parameters, search=NARROW, loss=absolute, on_step=told.append)
+    np.testing.assert_allclose(list(result.fitted.values()), truth, atol=0.6)
+    assert result.is_own_loss
+    assert result.precision is None
+    assert result.solver.name == "bfgs"
+    assert told == result.history
+    # The first evaluation is of blurred images at the start, and so is the first error.
+    assert told[0].loss == pytest.approx(result.errors[0] ** 2, rel=0.02)
+    at = result.phases[result.chosen]
+    shown = np.asarray(image(one, tuple(result.fitted), at.values))
+    assert at.hard_loss == pytest.approx(float(np.mean(np.abs(shown - np.asarray(one.reference)))), abs=1e-5)
 
 
 @pytest.mark.exhaustive

@@ -1,7 +1,9 @@
 """Losses and solvers of users: that they find what is known, are judged and reported truly, and mistakes are named."""
 
+import contextlib
 import dataclasses
 import functools
+import json
 import re
 
 import equinox as eqx
@@ -12,6 +14,8 @@ import optimistix as optx
 import pytest
 from scenes import compiled_programs, problem, technique
 
+from diffshadow import study
+from diffshadow._progress import show_with
 from diffshadow.fit import Anneal, Parameter, Search, Solver, Sureness, fit, with_values
 from diffshadow.fit._own_loss import OwnLoss, Seen
 from diffshadow.shadow import RandomDisk, SoftCompare, stratified
@@ -123,6 +127,18 @@ def test_the_history_of_a_users_solver_is_in_order_and_true(least_absolute, know
     assert told[0].values == pytest.approx((1.6, 2.0), abs=1e-5)
 
 
+def test_a_saved_fit_calls_a_users_loss_by_its_name(least_absolute, tmp_path):
+    result, _ = least_absolute
+    folder = study.save_fit(result, tmp_path / "mine")
+    page, stored = (folder / "report.html").read_text(), json.loads((folder / "result.json").read_text())
+    assert result.is_own_loss
+    assert "hard loss" in page
+    assert "hard RMSE" not in page
+    assert f"{result.phases[0].hard_loss:.4g}" in page, "the loss itself, not its root"
+    assert stored["solver"]["initial_loss"] == pytest.approx(result.errors[0] ** 2)
+    assert stored["solver"]["name"] == "optimistix' BFGS"
+
+
 def test_gradients_of_a_number_are_reported_truly(least_absolute, known):
     result, _ = least_absolute
     phase = result.phases[-1]
@@ -155,6 +171,28 @@ def test_numbers_of_a_users_loss_and_solver_are_no_part_of_the_program(by_residu
         again = fit(known, [BIAS, RADIUS], solver=solver, anneal=SHORT, loss=Differences(4.0))
     assert compiled == []
     assert again.errors == pytest.approx(tuple(2 * error for error in by_residuals.errors), rel=1e-3)
+
+
+def test_a_fit_shows_its_steps_unless_it_has_a_listener(by_residuals, known):
+    told = []
+
+    @contextlib.contextmanager
+    def display(name):
+        yield lambda *state: told.append((name, *state))
+
+    how = {"solver": Solver(method=optx.Dogleg(1e-4, 1e-7), max_steps=60), "anneal": SHORT, "loss": Differences()}
+    show_with(display)
+    try:
+        fit(known, [BIAS, RADIUS], **how)
+        shown = list(told)
+        fit(known, [BIAS, RADIUS], **how, on_step=lambda _: None)
+    finally:
+        show_with(None)
+    assert told == shown
+    assert len(shown) == len(by_residuals.history)
+    first = by_residuals.history[0]
+    assert shown[0] == ("fit", f"phase 1 of 3, step 0, loss {first.loss:.5g}", 0.0)
+    assert shown[-1][2] == pytest.approx(2 / 3)
 
 
 @pytest.mark.exhaustive

@@ -34,7 +34,8 @@ def load_config(
     - `overrides`: strings `key=value` with a dotted key (`scene.meshes.0.path`) and a YAML value. Relative paths inside
         them are relative to the current folder.
     - `fitting`: whether to check the section `fit` against the other sections. Needed for a fit, not for a render.
-    - `files`: whether input files must exist. A report on a finished run needs only the settings.
+    - `files`: whether input files must exist, and the modules of users' classes. A report on a finished run needs only
+        the settings.
 
     **Returns:** the configuration, with all paths absolute except `output`.
 
@@ -125,7 +126,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     missing = _resolve_files(data, origin, draft.folder)
     resolve_views(data, origin, draft.folder)
     mistakes = [*draft.mistakes, *(missing if files else ())]
-    if unusable := add_plugins(data, origin, draft.folder):
+    if unusable := add_plugins(data, origin, draft.folder, needed=files):
         # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
         raise ConfigError([*mistakes, *unusable])
     # Checked on the data, so that messages quote numbers as they were written.

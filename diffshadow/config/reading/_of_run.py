@@ -87,6 +87,9 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
         return RECOMMENDED_FILE, "the recommended technique"
     # Runs of a sweep have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
+    if kind == "fit" and result.get("command") is None:
+        what = "holds a fit that was made in Python, which has no configuration"
+        raise _mistake(path, f"{what}; expected a run of the command; write the values of result.json into one")
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
         what = "holds a fit of lights or meshes, whose values no configuration of the run states"
         raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")

@@ -43,11 +43,19 @@ _KINDS: dict[tuple[str, ...], _Kind] = {
 }
 
 
-def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path) -> list[Mistake]:
+class _NotFoundError(ValueError):
+    """A user's module is not found."""
+
+
+def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed: bool = True) -> list[Mistake]:
     """Adds the sections of the users' classes that `data` names.
 
-    **Arguments:** `folder`: of the configuration. Modules are imported from there, from the current folder and from
-    wherever Python finds them.
+    **Arguments:**
+
+    - `folder`: of the configuration. Modules are imported from there, from the current folder and from wherever Python
+        finds them.
+    - `needed`: whether their modules are. The settings of a finished run can be read without: then its keys and values
+        stand in for the fields of a class whose module is not found.
 
     **Returns** a mistake for each that cannot be used.
     """
@@ -56,7 +64,12 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path) -> list[M
         word = value_at(data, *path, "type")
         if isinstance(word, str) and _COLON in word:
             try:
-                _add(path, word, folder)
+                try:
+                    _add(path, word, folder)
+                except _NotFoundError:
+                    if needed:
+                        raise
+                    _add_stand_in(path, word, folder, value_at(data, *path))
             except ValueError as error:
                 at = (*path, "type")
                 mistakes.append(Mistake(origin.place(at), dotted(at), str(error)))
@@ -70,6 +83,23 @@ def _add(path: tuple[str, ...], word: str, folder: Path) -> None:
     known = kind.variants.plugins.get(word)
     if known is None or known.plugin is not plugin:
         kind.variants.add(_settings_of(path, word, plugin, folder))
+
+
+def _add_stand_in(path: tuple[str, ...], word: str, folder: Path, section: Mapping[str, Any]) -> None:
+    """Adds a section with the keys and the types of values of `section`."""
+    plain = {str(key): tuple(value) if isinstance(value, list) else value for key, value in section.items()}
+    fields: list[Any] = [(key, _type_of(value), value) for key, value in plain.items() if key != "type"]
+    module, _, name = word.partition(_COLON)
+    plugin = dataclasses.make_dataclass(name, fields, frozen=True, namespace={"__module__": module, "__doc__": word})
+    _KINDS[path].variants.add(_settings_of(path, word, plugin, folder))
+
+
+def _type_of(value: Any) -> Any:
+    if value is None:
+        return float | None
+    if isinstance(value, tuple):
+        return tuple[str if any(isinstance(entry, str) for entry in value) else float, ...]
+    return type(value)
 
 
 def _restored(path: tuple[str, ...], word: str, folder: Path, values: Mapping[str, Any]) -> Any:
@@ -95,7 +125,7 @@ def _imported(word: str, folder: Path) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise ValueError(_failed(module_name, error)) from error
-        raise ValueError(
+        raise _NotFoundError(
             f"names the module {module_name}, which Python does not find; expected one in {folder.absolute()}, in the "
             "current folder or among installed packages; check its name, or set PYTHONPATH"
         ) from error

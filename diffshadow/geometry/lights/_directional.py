@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..._arithmetic import array_module, as_float, as_number, concrete, normalize
 from ..._checks import check_points, listed
-from ..._types import Scalar, Vec2, Vec3
+from ..._types import AsScalar, AsVec2, AsVec3, Vec3
 from ...settings.scene import UP
 from ...settings.scene import DirectionalLight as Settings
 from .._camera import check_near_far
@@ -49,13 +49,13 @@ class DirectionalLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    direction: Vec3 = eqx.field(converter=as_number)
-    center: Vec3 = eqx.field(converter=as_number)
-    extent: Vec2 = eqx.field(converter=as_number)
-    near: Scalar = eqx.field(converter=as_number)
-    far: Scalar = eqx.field(converter=as_number)
-    angular_radius: Scalar = eqx.field(converter=as_number, default=Settings.angular_radius)
-    up: Vec3 = eqx.field(converter=as_number, default=UP)
+    direction: AsVec3 = eqx.field(converter=as_number)
+    center: AsVec3 = eqx.field(converter=as_number)
+    extent: AsVec2 = eqx.field(converter=as_number)
+    near: AsScalar = eqx.field(converter=as_number)
+    far: AsScalar = eqx.field(converter=as_number)
+    angular_radius: AsScalar = eqx.field(converter=as_number, default=Settings.angular_radius)
+    up: AsVec3 = eqx.field(converter=as_number, default=UP)
 
     def _check_rules(self):
         check_direction("the directional light", self.direction)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float, as_number, normalize, safe_norm, safe_sqrt
 from ..._checks import check_points
-from ..._types import Resolution, Scalar, Vec3
+from ..._types import AsScalar, AsVec3, Resolution, Scalar, Vec3
 from ...settings.scene import PointLight as Settings
 from .._camera import check_near_far
 from .._transforms import perspective, tangents
@@ -52,11 +52,11 @@ class PointLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_number)
-    near: Scalar = eqx.field(converter=as_number)
-    far: Scalar = eqx.field(converter=as_number)
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
-    guard: Scalar = eqx.field(converter=as_number, default=Settings.guard)
+    position: AsVec3 = eqx.field(converter=as_number)
+    near: AsScalar = eqx.field(converter=as_number)
+    far: AsScalar = eqx.field(converter=as_number)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
+    guard: AsScalar = eqx.field(converter=as_number, default=Settings.guard)
 
     def _check_rules(self):
         check_position("the point light", self.position)

@@ -4,15 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._arithmetic import as_number, normalize
-from ..._types import Scalar, Vec3
+from ..._types import AsScalar, Scalar, Vec3
 
 
 class Vector(eqx.Module):
     """Three numbers that can be fitted separately."""
 
-    x: Scalar = eqx.field(converter=as_number, default=0.0)
-    y: Scalar = eqx.field(converter=as_number, default=0.0)
-    z: Scalar = eqx.field(converter=as_number, default=0.0)
+    x: AsScalar = eqx.field(converter=as_number, default=0.0)
+    y: AsScalar = eqx.field(converter=as_number, default=0.0)
+    z: AsScalar = eqx.field(converter=as_number, default=0.0)
 
     @property
     def array(self) -> Vec3:

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float, as_number
-from ..._types import Scalar, Vec2, Vec3
+from ..._types import AsScalar, AsVec2, AsVec3, Vec2, Vec3
 from ...settings.scene import RectangleLight as Settings
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_direction, check_position
@@ -34,13 +34,13 @@ class RectangleLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_number)
-    direction: Vec3 = eqx.field(converter=as_number)
-    size: Vec2 = eqx.field(converter=as_number)
-    outer_angle: Scalar = eqx.field(converter=as_number)
-    near: Scalar = eqx.field(converter=as_number)
-    far: Scalar = eqx.field(converter=as_number)
-    up: Vec3 = eqx.field(converter=as_number, default=Settings.up)
+    position: AsVec3 = eqx.field(converter=as_number)
+    direction: AsVec3 = eqx.field(converter=as_number)
+    size: AsVec2 = eqx.field(converter=as_number)
+    outer_angle: AsScalar = eqx.field(converter=as_number)
+    near: AsScalar = eqx.field(converter=as_number)
+    far: AsScalar = eqx.field(converter=as_number)
+    up: AsVec3 = eqx.field(converter=as_number, default=Settings.up)
 
     def _check_rules(self):
         check_position("the rectangle light", self.position)

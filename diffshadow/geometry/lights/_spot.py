@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float, as_number, dot, normalize
-from ..._types import Scalar, Vec3
+from ..._types import AsOptional, AsScalar, AsVec3, Vec3
 from ...settings.scene import UP
 from ...settings.scene import SpotLight as Settings
 from .._view import View
@@ -46,15 +46,15 @@ class SpotLight(AbstractLight):
 
     settings: ClassVar = Settings
 
-    position: Vec3 = eqx.field(converter=as_number)
-    direction: Vec3 = eqx.field(converter=as_number)
-    outer_angle: Scalar = eqx.field(converter=as_number)
-    near: Scalar = eqx.field(converter=as_number)
-    far: Scalar = eqx.field(converter=as_number)
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
-    inner_angle: Scalar | None = eqx.field(converter=as_number, default=Settings.inner_angle)
-    up: Vec3 = eqx.field(converter=as_number, default=UP)
-    aspect: Scalar = eqx.field(converter=as_number, default=Settings.aspect)
+    position: AsVec3 = eqx.field(converter=as_number)
+    direction: AsVec3 = eqx.field(converter=as_number)
+    outer_angle: AsScalar = eqx.field(converter=as_number)
+    near: AsScalar = eqx.field(converter=as_number)
+    far: AsScalar = eqx.field(converter=as_number)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
+    inner_angle: AsOptional = eqx.field(converter=as_number, default=Settings.inner_angle)
+    up: AsVec3 = eqx.field(converter=as_number, default=UP)
+    aspect: AsScalar = eqx.field(converter=as_number, default=Settings.aspect)
 
     def _check_rules(self):
         check_position("the spot light", self.position)

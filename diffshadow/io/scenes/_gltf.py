@@ -5,7 +5,7 @@ https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_lights
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from .._errors import Faults, damaged
 from .._gltf import HIDDEN_MESH, nodes_of, parts_of
 from .._gltf_data import Buffers, chunks, item
 from .._gltf_schema import (
+    EXTRAS,
     LIGHTS,
     TRANSMISSION,
     UNLIT,
@@ -59,7 +60,8 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
         material = Material() if number is None else item(materials, number, "material")
         side = "double" if material.double_sided else "front"
         emits = any(material.emissive_factor) or UNLIT in material.extensions
-        meshes.append(SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits))
+        mesh = SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits)
+        meshes.append(mesh._replace(**_shadows(part.node)))
         remarks += [f"{name}: {remark}" for remark in _remarks(material, has_normals=part.normals is not None)]
     fault = faults.error()
     if fault is not None and not meshes:
@@ -74,6 +76,13 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
 
 def _mesh_name(node: Node, document: Document) -> str:
     return node.name or item(document.meshes, node.mesh or 0, "mesh").name or "mesh"
+
+
+def _shadows(node: Node) -> dict[str, bool]:
+    """Whether a mesh casts and receives shadows, where `write_gltf` has said so."""
+    extras = node.extras.get(EXTRAS) if isinstance(node.extras, Mapping) else None
+    given = extras if isinstance(extras, Mapping) else {}
+    return {name: given[name] for name in ("casts", "receives") if isinstance(given.get(name), bool)}
 
 
 def _remarks(material: Material, has_normals: bool) -> Iterator[str]:

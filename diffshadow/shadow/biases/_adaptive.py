@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._arithmetic import as_number, dot
-from ..._types import Scalar
+from ..._types import AsScalar
 from ...settings.biases import AdaptiveBias as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth
@@ -29,7 +29,7 @@ class AdaptiveBias(AbstractBias):
 
     settings: ClassVar = Settings
 
-    epsilon: Scalar = eqx.field(converter=as_number, default=Settings.epsilon)
+    epsilon: AsScalar = eqx.field(converter=as_number, default=Settings.epsilon)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         centre = jnp.floor(lax.stop_gradient(receiver.texel)) + 0.5

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from ..._arithmetic import as_number
-from ..._types import Scalar
+from ..._types import AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit
 from .._receiver import Receiver
@@ -23,7 +23,7 @@ class ConstantBias(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "constant"
 
-    value: Scalar = eqx.field(converter=as_number)
+    value: AsScalar = eqx.field(converter=as_number)
     unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

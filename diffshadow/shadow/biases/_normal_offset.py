@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._arithmetic import as_number, concrete
-from ..._types import Scalar
+from ..._types import AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import OffsetProfile
 from .._receiver import Receiver
@@ -24,7 +24,7 @@ class NormalOffset(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "normal_offset"
 
-    value: Scalar = eqx.field(converter=as_number)
+    value: AsScalar = eqx.field(converter=as_number)
     profile: OffsetProfile = eqx.field(static=True, default=Settings.normal_offset_profile)
 
     @property

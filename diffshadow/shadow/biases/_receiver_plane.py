@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._arithmetic import as_number, at_most
-from ..._types import Scalar
+from ..._types import AsOptional, AsScalar
 from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms, in_depth
@@ -34,9 +34,9 @@ class ReceiverPlane(AbstractBias):
 
     settings: ClassVar = Settings
 
-    fudge: Scalar = eqx.field(converter=as_number, default=Settings.fudge)
-    limit: Scalar | None = eqx.field(converter=as_number, default=Settings.limit)
-    deepening: Scalar | None = eqx.field(converter=as_number, default=Settings.deepening)
+    fudge: AsScalar = eqx.field(converter=as_number, default=Settings.fudge)
+    limit: AsOptional = eqx.field(converter=as_number, default=Settings.limit)
+    deepening: AsOptional = eqx.field(converter=as_number, default=Settings.deepening)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         fudge = at_most(self.fudge * jnp.sum(jnp.abs(receiver.slope), axis=-1), self.limit)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from ..._arithmetic import as_number, at_least, at_most
-from ..._types import Scalar
+from ..._types import AsOptional, AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit, SlopeProfile
 from .._receiver import Receiver
@@ -32,10 +32,10 @@ class SlopeBias(AbstractBias):
     settings: ClassVar = Settings
     part: ClassVar = "slope"
 
-    value: Scalar = eqx.field(converter=as_number)
+    value: AsScalar = eqx.field(converter=as_number)
     profile: SlopeProfile = eqx.field(static=True, default=Settings.slope_profile)
-    least: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_least)
-    most: Scalar | None = eqx.field(converter=as_number, default=Settings.slope_most)
+    least: AsOptional = eqx.field(converter=as_number, default=Settings.slope_least)
+    most: AsOptional = eqx.field(converter=as_number, default=Settings.slope_most)
     unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._checks import as_tuple
-from ..._types import Resolution, Scalar, Visibility
+from ..._types import AsScalar, Resolution, Scalar, Visibility
 from ...geometry import AbstractLight, Mesh, PointLight, Scene
 from ...raster import Surface
 from ...settings import maps
@@ -91,13 +91,13 @@ class BabylonJs(AbstractEngineShadows):
 
     settings: ClassVar = Settings
 
-    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
-    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
-    darkness: Scalar = eqx.field(converter=as_number, default=Settings.darkness)
-    blur_scale: Scalar = eqx.field(converter=as_number, default=Settings.blur_scale)
-    depth_scale: Scalar = eqx.field(converter=as_number, default=Settings.depth_scale)
-    frustum_edge_falloff: Scalar = eqx.field(converter=as_number, default=Settings.frustum_edge_falloff)
-    contact_hardening_light_size_uv_ratio: Scalar = eqx.field(
+    bias: AsScalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: AsScalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    darkness: AsScalar = eqx.field(converter=as_number, default=Settings.darkness)
+    blur_scale: AsScalar = eqx.field(converter=as_number, default=Settings.blur_scale)
+    depth_scale: AsScalar = eqx.field(converter=as_number, default=Settings.depth_scale)
+    frustum_edge_falloff: AsScalar = eqx.field(converter=as_number, default=Settings.frustum_edge_falloff)
+    contact_hardening_light_size_uv_ratio: AsScalar = eqx.field(
         converter=as_number, default=Settings.contact_hardening_light_size_uv_ratio
     )
     compare: AbstractCompare = HardCompare()

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number, in_unit_range, safe_norm
 from ..._checks import as_tuple
-from ..._types import Resolution, Scalar, Visibility
+from ..._types import AsScalar, Resolution, Visibility
 from ...geometry import PointLight, Scene
 from ...raster import Surface
 from ...settings import maps
@@ -64,10 +64,10 @@ class ThreeJs(AbstractEngineShadows):
 
     settings: ClassVar = Settings
 
-    bias: Scalar = eqx.field(converter=as_number, default=Settings.bias)
-    normal_bias: Scalar = eqx.field(converter=as_number, default=Settings.normal_bias)
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
-    intensity: Scalar = eqx.field(converter=as_number, default=Settings.intensity)
+    bias: AsScalar = eqx.field(converter=as_number, default=Settings.bias)
+    normal_bias: AsScalar = eqx.field(converter=as_number, default=Settings.normal_bias)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
+    intensity: AsScalar = eqx.field(converter=as_number, default=Settings.intensity)
     compare: AbstractCompare = HardCompare()
     shadow_type: ShadowType = eqx.field(static=True, default=Settings.shadow_type)
     blur_samples: int = eqx.field(static=True, default=Settings.blur_samples)

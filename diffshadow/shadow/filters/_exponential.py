@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number
-from ..._types import DepthMap, Scalar, Visibility
+from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import ExponentialShadowMap as Settings
 from ._prefilter import AbstractPrefiltered
 
@@ -28,7 +28,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    exponent: Scalar = eqx.field(converter=as_number, default=Settings.exponent, kw_only=True)
+    exponent: AsScalar = eqx.field(converter=as_number, default=Settings.exponent, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the far plane, so that exponentials neither overflow nor underflow.

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number
-from ..._types import DepthMap, Scalar, Visibility
+from ..._types import AsScalar, DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialVarianceShadowMap as Settings
 from ._prefilter import AbstractPrefiltered, chebyshev
 
@@ -34,9 +34,9 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    positive_exponent: Scalar = eqx.field(converter=as_number, default=Settings.positive_exponent, kw_only=True)
-    negative_exponent: Scalar = eqx.field(converter=as_number, default=Settings.negative_exponent, kw_only=True)
-    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
+    positive_exponent: AsScalar = eqx.field(converter=as_number, default=Settings.positive_exponent, kw_only=True)
+    negative_exponent: AsScalar = eqx.field(converter=as_number, default=Settings.negative_exponent, kw_only=True)
+    least_variance: AsScalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     @property
     def _exponents(self) -> tuple[Scalar, Scalar]:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._arithmetic import as_number
-from ..._types import Scalar, Visibility
+from ..._types import AsScalar, Visibility
 from ...settings.filters import FourTap as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -21,7 +21,7 @@ class FourTap(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         corners = Pattern(jnp.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])[:, None, None])

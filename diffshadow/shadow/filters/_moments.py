@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number, safe_divide, safe_sqrt
-from ..._types import DepthMap, Scalar, Visibility
+from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import MomentShadowMap as Settings
 from ._prefilter import AbstractPrefiltered
 
@@ -36,7 +36,7 @@ class MomentShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    moment_bias: Scalar = eqx.field(converter=as_number, default=Settings.moment_bias, kw_only=True)
+    moment_bias: AsScalar = eqx.field(converter=as_number, default=Settings.moment_bias, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         w = 2 * depth - 1

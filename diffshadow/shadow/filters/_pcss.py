@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number, safe_sqrt
-from ..._types import DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
+from ..._types import AsOptional, AsScalar, DepthMap, Mask, Resolution, Scalar, TexelMap, Visibility
 from ...geometry import AbstractLight, View
 from ...settings.filters import PercentageCloserSoft as Settings
 from .._compare import AbstractCompare
@@ -53,11 +53,11 @@ class PercentageCloserSoft(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    light_size: Scalar | None = eqx.field(converter=as_number, default=Settings.light_size)
+    light_size: AsOptional = eqx.field(converter=as_number, default=Settings.light_size)
     search: Pattern = eqx.field(default_factory=lambda: stratified(Settings.search_samples, seed=1))
     pattern: Pattern = eqx.field(default_factory=stratified)
-    min_radius: Scalar = eqx.field(converter=as_number, default=Settings.min_radius)
-    max_radius: Scalar = eqx.field(converter=as_number, default=Settings.max_radius)
+    min_radius: AsScalar = eqx.field(converter=as_number, default=Settings.min_radius)
+    max_radius: AsScalar = eqx.field(converter=as_number, default=Settings.max_radius)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         found = self.find_blockers(shadow_map, lookup, compare)

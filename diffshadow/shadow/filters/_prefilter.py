@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number
-from ..._types import DepthMap, Scalar, Visibility
+from ..._types import AsScalar, DepthMap, Scalar, Visibility
 from ...settings.filters import Prefiltered as Settings
 from ...settings.filters import Shape
 from .._compare import AbstractCompare
@@ -63,10 +63,10 @@ class AbstractPrefiltered(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
     max_radius: float | Any = eqx.field(static=True, default=None)
     kernel: Shape = eqx.field(static=True, default=Settings.kernel)
-    light_bleeding: Scalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
+    light_bleeding: AsScalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
 
     def __post_init__(self):
         self.max_radius = radius_limit(self.radius, self.max_radius)

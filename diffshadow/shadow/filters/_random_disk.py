@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._arithmetic import as_number
-from ..._types import Mask, Scalar, Visibility
+from ..._types import AsScalar, Mask, Visibility
 from ...settings.filters import RandomDisk as Settings
 from ...settings.filters import TapMode
 from .._compare import AbstractCompare
@@ -35,7 +35,7 @@ class RandomDisk(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
     pattern: Pattern = eqx.field(default_factory=stratified)
     lookup: TapMode = eqx.field(static=True, default=Settings.lookup)
     early_out: bool = eqx.field(static=True, default=Settings.early_out)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from ..._arithmetic import as_float, as_numbers
-from ..._types import Scalar, Visibility
+from ..._types import AsScalars, Scalar, Visibility
 from ...settings.filters import Separable as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -25,7 +25,7 @@ class Separable(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    weights: tuple[Scalar, ...] = eqx.field(converter=as_numbers, default=Settings.weights)
+    weights: AsScalars = eqx.field(converter=as_numbers, default=Settings.weights)
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from ..._arithmetic import as_number
-from ..._types import Scalar, Visibility
+from ..._types import AsScalar, Visibility
 from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
@@ -27,7 +27,7 @@ class AbstractSizedFilter(AbstractFilter):
 
     settings: ClassVar = Settings
 
-    radius: Scalar = eqx.field(converter=as_number, default=Settings.radius)
+    radius: AsScalar = eqx.field(converter=as_number, default=Settings.radius)
     max_radius: float | Any = eqx.field(static=True, default=None)
 
     def __post_init__(self):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_number
-from ..._types import DepthMap, Scalar, Visibility
+from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import VarianceShadowMap as Settings
 from ._prefilter import AbstractPrefiltered, chebyshev
 
@@ -28,7 +28,7 @@ class VarianceShadowMap(AbstractPrefiltered):
 
     settings: ClassVar = Settings
 
-    least_variance: Scalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
+    least_variance: AsScalar = eqx.field(converter=as_number, default=Settings.least_variance, kw_only=True)
 
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
         # Relative to the middle of the range, where squares lose the fewest digits.

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float, as_number, as_numbers, concrete
-from ..._types import Resolution, Scalar
+from ..._types import AsOptional, AsOptionalScalars, AsScalar, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
 from ...settings.quantities import MAX_TEXELS
@@ -72,16 +72,16 @@ class Cascades(AbstractFittedLayout):
     settings: ClassVar = Settings
 
     count: int = eqx.field(static=True, default=Settings.count)
-    logarithmic: Scalar = eqx.field(converter=as_number, default=Settings.logarithmic)
-    distances: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.distances, kw_only=True)
-    shares: tuple[Scalar, ...] | None = eqx.field(converter=as_numbers, default=Settings.shares, kw_only=True)
+    logarithmic: AsScalar = eqx.field(converter=as_number, default=Settings.logarithmic)
+    distances: AsOptionalScalars = eqx.field(converter=as_numbers, default=Settings.distances, kw_only=True)
+    shares: AsOptionalScalars = eqx.field(converter=as_numbers, default=Settings.shares, kw_only=True)
     max_share: float | Any = eqx.field(static=True, default=None, kw_only=True)
     depths: DepthRange = eqx.field(static=True, default=Settings.depths, kw_only=True)
-    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    shadow_distance: AsOptional = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
     fit: CascadeFit = eqx.field(static=True, default=Settings.fit, kw_only=True)
     stabilize: bool = eqx.field(static=True, default=Settings.stabilize, kw_only=True)
     select: CascadeSelection = eqx.field(static=True, default=Settings.select, kw_only=True)
-    blend: Scalar = eqx.field(converter=as_number, default=Settings.blend, kw_only=True)
+    blend: AsScalar = eqx.field(converter=as_number, default=Settings.blend, kw_only=True)
     max_blend: float | Any = eqx.field(static=True, default=Settings.max_blend, kw_only=True)
     fade: float = eqx.field(static=True, default=Settings.fade, kw_only=True)
     margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)

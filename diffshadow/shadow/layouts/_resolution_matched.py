@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..._arithmetic import as_float, as_number, dot, normalize
-from ..._types import Mask, Resolution, Scalar
+from ..._types import AsOptional, AsScalar, Mask, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
 from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, LevelNorm
@@ -69,8 +69,8 @@ class ResolutionMatched(AbstractFittedLayout):
     page: int = eqx.field(static=True, default=Settings.page)
     finest: int = eqx.field(static=True, default=Settings.finest)
     norm: LevelNorm = eqx.field(static=True, default=Settings.norm, kw_only=True)
-    level_bias: Scalar = eqx.field(converter=as_number, default=Settings.level_bias, kw_only=True)
-    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    level_bias: AsScalar = eqx.field(converter=as_number, default=Settings.level_bias, kw_only=True)
+    shadow_distance: AsOptional = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
     margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 
     def _check_rules(self):

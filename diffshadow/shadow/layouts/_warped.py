@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..._arithmetic import as_number, concrete, safe_divide, safe_norm
-from ..._types import Resolution, Scalar, Vec2
+from ..._types import AsOptional, AsScalar, Resolution, Scalar, Vec2
 from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_points, transform_vectors
 from ...raster import Surface
 from ...settings.techniques import DepthRange, WarpMethod
@@ -87,9 +87,9 @@ class PerspectiveWarp(AbstractFittedLayout):
     settings: ClassVar = Settings
 
     method: WarpMethod = eqx.field(static=True, default=Settings.method)
-    strength: Scalar | None = eqx.field(converter=as_number, default=Settings.strength, kw_only=True)
-    focus: Scalar = eqx.field(converter=as_number, default=Settings.focus, kw_only=True)
-    shadow_distance: Scalar | None = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
+    strength: AsOptional = eqx.field(converter=as_number, default=Settings.strength, kw_only=True)
+    focus: AsScalar = eqx.field(converter=as_number, default=Settings.focus, kw_only=True)
+    shadow_distance: AsOptional = eqx.field(converter=as_number, default=Settings.shadow_distance, kw_only=True)
     depths: DepthRange | None = eqx.field(static=True, default=Settings.depths, kw_only=True)
     margin: float = eqx.field(static=True, converter=margin_of, default=Settings.margin, kw_only=True)
 

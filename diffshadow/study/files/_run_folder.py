@@ -6,6 +6,7 @@ import secrets
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from ... import io
 from ...config import RESULT_FILE as RESULT
@@ -20,36 +21,69 @@ _ADDED = len(f".-{'0' * 2 * _TOKEN_BYTES}{_OLD}")
 _LONGEST_FILE = 80
 
 
+class _Fault(NamedTuple):
+    """Why a run cannot be written to its folder.
+
+    - `key`: of the configuration, which sets that part of the path; `what`: the message.
+    - `otherwise`: which keys to change instead of the files that are there.
+    """
+
+    key: str
+    what: str
+    otherwise: str = ""
+
+
 def folder_of(config: Config, suffix: str = "") -> Path:
     """The folder of the run of `config`: `<output>/<name><suffix>`.
 
     **Raises** `ConfigError` if it cannot be written, or if something other than a run is there.
     """
-    output = config.output_folder
-    folder = output / f"{config.name}{suffix}"
-    _check_length(config, folder)
-    try:
-        io.check_writable(output)
-        taken = os.path.lexists(folder) and not _is_run(folder)
-    except io.FileError as error:
-        raise _error(config, "output", str(error)) from error
-    except OSError as error:
-        message = (
-            f"{folder} cannot be read ({error.strerror}); expected a run's folder, or none; move it, or change name"
-        )
-        raise _error(config, "name", message) from error
-    if taken:
-        raise _error(
-            config,
-            "name",
-            f"{folder} exists and is not a run's folder: it has no {RESULT}; expected an unused name: move it, or "
-            "change name or output",
-        )
+    folder = config.output_folder / f"{config.name}{suffix}"
+    fault = _fault_of(folder)
+    if fault is not None:
+        message = f"{fault.what}, or change {fault.otherwise}" if fault.otherwise else fault.what
+        raise ConfigError([Mistake(config.origin.place((fault.key,)), fault.key, message)])
     return folder
 
 
-def _check_length(config: Config, folder: Path) -> None:
-    """**Raises** `ConfigError` if names or paths of the run in `folder` are too long for the file system."""
+def checked_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder at `path`, for a run without a configuration.
+
+    **Raises** `FileError` if it cannot be written, or if something other than a run is there; `TypeError` for what is
+    no path.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"the folder is of type {type(path).__name__}; expected a path, such as 'runs/mine'")
+    folder = Path(path)
+    if "\0" in str(folder) or not Path(os.path.abspath(folder)).name:
+        raise io.FileError(f"the folder is {str(path)!r}; expected a folder of the run's own, such as runs/mine")
+    fault = _fault_of(folder)
+    if fault is not None:
+        said = f"{fault.what}, or choose another folder" if fault.otherwise else fault.what
+        raise io.FileError(f"the folder {folder} {said}" if said.startswith("makes ") else said)
+    return folder
+
+
+def _fault_of(folder: Path) -> _Fault | None:
+    """Why a run cannot be written to `folder`; none if it can."""
+    if (fault := _too_long(folder)) is not None:
+        return fault
+    try:
+        io.check_writable(folder.parent)
+        taken = os.path.lexists(folder) and not _is_run(folder)
+    except io.FileError as error:
+        return _Fault("output", str(error))
+    except OSError as error:
+        what = f"{folder} cannot be read ({error.strerror}); expected a run's folder, or none; move it"
+        return _Fault("name", what, "name")
+    if taken:
+        what = f"{folder} exists and is not a run's folder: it has no {RESULT}; expected an unused name: move it"
+        return _Fault("name", what, "name or output")
+    return None
+
+
+def _too_long(folder: Path) -> _Fault | None:
+    """Which names or paths of the run in `folder` are too long for the file system."""
     absolute = Path(os.path.abspath(folder))
     existing = next(level for level in absolute.parents if os.path.isdir(level))
     longest, path = len(os.fsencode(absolute.name)) + _ADDED, len(os.fsencode(absolute)) + _ADDED + _LONGEST_FILE
@@ -60,8 +94,8 @@ def _check_length(config: Config, folder: Path) -> None:
         most = os.pathconf(existing, limit)
         # Negative if there is no limit.
         if 0 <= most < length:
-            message = f"makes {what} of {length} bytes; expected at most {most} in {existing}; shorten it"
-            raise _error(config, key, message)
+            return _Fault(key, f"makes {what} of {length} bytes; expected at most {most} in {existing}; shorten it")
+    return None
 
 
 def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
@@ -119,7 +153,3 @@ def _keep_others(old: Path, new: Path) -> None:
     for entry in old.iterdir():
         if entry.name not in written and not os.path.lexists(new / entry.name):
             entry.rename(new / entry.name)
-
-
-def _error(config: Config, key: str, what: str) -> ConfigError:
-    return ConfigError([Mistake(config.origin.place((key,)), key, what)])

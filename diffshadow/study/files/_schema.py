@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError, from_json
 
 from ... import io
 from ...config import SweepConfig
+from ...settings.quantities import MAX_TEXELS
 
 # Far more than any run writes.
 _MAX_BYTES = 64 << 20
@@ -37,6 +38,8 @@ SLACK = 1e-3
 Fraction = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
 Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+_Side = Annotated[int, Field(ge=1, le=MAX_TEXELS)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
 # The range of float32, in which fits are computed.
 Single = Annotated[float, Field(ge=-3.4e38, le=3.4e38)]
@@ -119,13 +122,15 @@ class _RenderMetrics(_Metrics):
 
 
 class _FitMetrics(_Metrics):
-    """`shown`: for fits over views, the indices of views that have pictures, the worst first."""
+    """`shown`: for fits over views, the indices of views that have pictures, the worst first. `resolution`: (height,
+    width) of the images, of a fit without a configuration."""
 
     before: _Errors
     after: _Errors
     lights: list[_FittedLight] = Field(min_length=1)
     validation: _BeforeAndAfter | None = None
     shown: list[Count] | None = None
+    resolution: Annotated[list[_Side], Field(min_length=2, max_length=2)] | None = None
 
 
 class _Bounds(_Part):
@@ -147,12 +152,15 @@ class _Phase(_Part):
 
 
 class _Solver(_Part):
-    """`flat`: the parameters without a gradient."""
+    """`flat`: the parameters without a gradient; `is_own_loss`: whether losses are of a user's own loss;
+    `initial_loss`: its value at the start, under the hard compare; none where lights or meshes move."""
 
     name: str = ""
     steps: Count
     chosen_phase: int = Field(ge=-1)
     flat: list[str] = []
+    is_own_loss: bool = False
+    initial_loss: Annotated[float, Field(ge=0)] | None = None
     seconds_compiling: Seconds | None = None
     seconds_running: Seconds | None = None
     phases: list[_Phase]
@@ -230,18 +238,22 @@ class _Run(_Part):
     warnings: list[str] | None = None
     seconds: dict[str, Seconds]
     versions: dict[str, str]
-    seed: Annotated[int, Field(ge=0, lt=2**32)]
-    command: str
     files: list[str] = []
 
 
 class _Render(_Run):
     kind: Literal["render"]
+    seed: Seed
+    command: str
     metrics: _RenderMetrics
 
 
 class _Fit(_Run):
+    """A fit made in Python has neither seed nor command, since it has no configuration."""
+
     kind: Literal["fit"]
+    seed: Seed | None = None
+    command: str | None = None
     verdict: _Verdict | None = None
     metrics: _FitMetrics
     initial: Numbers
@@ -273,6 +285,10 @@ class _Fit(_Run):
                 raise _fault(f"bounds.{name}", f"are {bounds.lower:g} and {bounds.upper:g}", "lower less than upper")
         if any(index >= len(self.metrics.lights) for index in self.metrics.shown or ()):
             raise _fault("metrics.shown", f"is {self.metrics.shown}", f"less than {len(self.metrics.lights)}")
+        if (self.seed is None) != (self.command is None):
+            raise _fault("command and seed", "are not both there", "both, or neither of a fit made in Python")
+        if self.command is None and self.metrics.resolution is None:
+            raise _fault("metrics.resolution", "is missing", "the size of the images, since there is no command")
         phases, chosen = len(self.solver.phases), self.solver.chosen_phase
         if chosen >= phases:
             raise _fault("solver.chosen_phase", f"is {chosen}", f"less than {phases}, the number of phases")

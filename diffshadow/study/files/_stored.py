@@ -44,7 +44,7 @@ class StoredRun(NamedTuple):
 
     - `folder`: the run's folder.
     - `result`: the content of `result.json`; `arrays`: those arrays of `arrays.npz` that figures are made from.
-    - `settings`: all settings, with their units.
+    - `settings`: all settings, with their units; none of a fit made in Python.
     """
 
     folder: Path
@@ -108,13 +108,16 @@ def read_run(folder: Path) -> StoredRun:
     result = read_result(folder)
     if result["kind"] not in KINDS:
         raise io.FileError(f"{folder} holds a {result['kind']}; expected the folder of a {' or a '.join(KINDS)}")
-    # A report needs only the run's own files: meshes and reference images may no longer exist.
-    config = load_config(_existing(folder, CONFIG), [], files=False)
-    _check_same(folder, result, config)
+    # A report needs only the run's own files: meshes and reference images may no longer exist. A fit made in Python has
+    # no configuration.
+    is_configured = result.get("command") is not None
+    config = load_config(_existing(folder, CONFIG), [], files=False) if is_configured else None
+    if config is not None:
+        _check_same(folder, result, config)
     file = _existing(folder, ARRAYS)
     arrays = io.read_arrays(file, _layouts(result, config))
     _check_values(file, result, arrays)
-    return StoredRun(folder, result, arrays, describe(config))
+    return StoredRun(folder, result, arrays, [] if config is None else describe(config))
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:
@@ -139,9 +142,10 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     return checked_result(result, file)
 
 
-def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], config: Config) -> StoredRun:
+def stored(folder: Path, result: Mapping[str, Any], arrays: Mapping[str, Any], config: Config | None) -> StoredRun:
     """The run that is about to be written to `folder`."""
-    return StoredRun(folder, result, {name: np.asarray(array) for name, array in arrays.items()}, describe(config))
+    settings = [] if config is None else describe(config)
+    return StoredRun(folder, result, {name: np.asarray(array) for name, array in arrays.items()}, settings)
 
 
 def add_files(folder: Path, names: Sequence[str]) -> None:
@@ -179,9 +183,9 @@ def _check_same(folder: Path, result: Mapping[str, Any], config: Config) -> None
             )
 
 
-def _layouts(result: Mapping[str, Any], config: Config) -> dict[str, io.ArrayLayout]:
+def _layouts(result: Mapping[str, Any], config: Config | None) -> dict[str, io.ArrayLayout]:
     """The layouts of the arrays that reports and figures need."""
-    height, width = config.scene.camera.resolution
+    height, width = result["metrics"]["resolution"] if config is None else config.scene.camera.resolution
     lights = len(result["metrics"]["lights"])
     images = (height, width) if lights == 1 else (lights, height, width)
     states = [name for _, name in KINDS[result["kind"]]]

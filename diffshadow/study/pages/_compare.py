@@ -66,7 +66,8 @@ def _settings(runs: Sequence[StoredRun]) -> list[Line]:
     lines = [Line("kind of run", "", kinds)] if len(set(kinds)) > 1 else []
     for key in dict.fromkeys(key for each in settings for key in each):
         cells = [each[key].value if key in each else _NONE for each in settings]
-        if len(set(cells)) > 1:
+        # A fit made in Python has no settings to compare.
+        if len({cell for cell, each in zip(cells, settings, strict=True) if each}) > 1:
             lines.append(Line(key, next(each[key].unit for each in settings if key in each), cells))
     return lines
 

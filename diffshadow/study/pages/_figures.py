@@ -226,9 +226,8 @@ def loss(run: StoredRun) -> Figure:
     """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
     result, arrays = run.result, run.arrays
     figure, (axes,) = style.figure(5.2, 3.1)
-    own = any(row.key == "fit.loss.type" and ":" in row.value for row in run.settings)
-    style.chart(axes, "evaluations of the loss", "root of the loss" if own else "RMSE [visibility]")
-    recorded = history(arrays)
+    style.chart(axes, "evaluations of the loss", error_label([run]))
+    recorded = history(result, arrays)
     ends = _mark_phases(axes, result, recorded)
     for steps in _by_phase(recorded):
         axes.plot(steps, recorded["error"][steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
@@ -246,9 +245,9 @@ def loss(run: StoredRun) -> Figure:
 def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     """The error over several fits: lines for the solver's loss, diamonds for the hard compare between phases."""
     figure, (axes,) = style.figure(6.4, 3.6)
-    style.chart(axes, "evaluations of the loss", "RMSE [visibility]")
+    style.chart(axes, "evaluations of the loss", error_label([run for _, run in runs]))
     for i, (label, run) in enumerate(runs):
-        colour, recorded = style.CYCLE[i % len(style.CYCLE)], history(run.arrays)
+        colour, recorded = style.CYCLE[i % len(style.CYCLE)], history(run.result, run.arrays)
         ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(recorded))]
         axes.plot(recorded["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
         hard = _hard_errors(run.result)[: len(ends)]
@@ -259,25 +258,41 @@ def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     return figure
 
 
-def history(arrays: Mapping[str, HostArray]) -> dict[str, HostArray]:
-    """The evaluations of a fit for the best of its starts: `phase`, `error` and `values`."""
+def error_label(runs: Sequence[StoredRun]) -> str:
+    """The axis of the errors of `history` of these fits."""
+    own = {is_own_loss(run.result) for run in runs}
+    return "loss" if own == {True} else "RMSE [visibility]" if own == {False} else "RMSE [visibility], or loss"
+
+
+def is_own_loss(result: Mapping[str, Any]) -> bool:
+    """Whether the losses of a fit are of a user's own loss."""
+    return result["solver"].get("is_own_loss", False)
+
+
+def history(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> dict[str, HostArray]:
+    """The evaluations of a fit for the best of its starts: `phase`, `error` and `values`. The error is the root of the
+    loss, or a user's loss itself."""
     # Only the best start is continued to the last phase.
     start = arrays.get("history_start", np.zeros_like(arrays["history_phase"]))
     best = start == start[-1:]
-    error = np.sqrt(np.maximum(arrays["history_loss"][best], 1e-16))
+    error = np.maximum(arrays["history_loss"][best], 1e-16)
+    error = error if is_own_loss(result) else np.sqrt(error)
     return {"phase": arrays["history_phase"][best], "error": error, "values": arrays["history_values"][best]}
 
 
 def _hard_errors(result: Mapping[str, Any]) -> list[float]:
-    """RMSE under the hard compare, at the start and after each phase."""
+    """RMSE under the hard compare, or a user's loss, at the start and after each phase."""
     losses = [phase["hard_loss"] for phase in result["solver"]["phases"]]
+    known = [np.nan if loss is None else loss for loss in (result["solver"].get("initial_loss"), *losses)]
+    if is_own_loss(result):
+        return known
     before = result["metrics"]["before"]["rmse"]
-    return [np.nan if before is None else before, *(np.nan if e is None else float(np.sqrt(e)) for e in losses)]
+    return [np.nan if before is None else before, *np.sqrt(known[1:]).tolist()]
 
 
 def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
     """Every parameter over a fit, with its bounds if they are near, the truth if it is known, and the result."""
-    names, recorded = list(result["fitted"])[:_MAX_PARAMETERS], history(arrays)
+    names, recorded = list(result["fitted"])[:_MAX_PARAMETERS], history(result, arrays)
     truth = (result.get("poses") or {}).get("truth", {})
     columns = 1 if len(names) <= FEW_PARAMETERS else 2
     rows = -(-len(names) // columns)

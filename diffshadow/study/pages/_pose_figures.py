@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from ... import fit
 from ..._types import HostArray
 from ...config import FitPlan
-from ...geometry import Mesh, Scene
+from ...geometry import AbstractLight, Mesh, Scene
 from .. import style
 
 Track = Float[HostArray, "n 3"]
@@ -27,13 +27,11 @@ def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) 
 
     A light at infinity is drawn on a dome round the scene, in the direction it comes from.
     """
-    arrangement = result.arrangement
-    assert arrangement is not None
     listed = lambda values: np.asarray([values[p.name] for p in plan.parameters])
     values = np.stack([listed(result.initial), *_steps_of_best(result), listed(result.fitted)])
     offsets, names = np.asarray([p.offset for p in plan.parameters]), tuple(p.where for p in plan.parameters)
-    places = lambda values, key: np.stack(_places(arrangement, names, values - offsets, key, scene))
-    tracks = {key: places(values, key) for key in _movers(names)}
+    places = lambda values, key: np.stack(_places(result, names, values - offsets, key, scene))
+    tracks = {key: places(values, key) for key in _movers(names, result)}
     truth = {}
     if plan.truth:
         known = listed({**result.fitted, **plan.truth})[None]
@@ -63,16 +61,24 @@ def _steps_of_best(result: fit.FitResult) -> list[HostArray]:
     return [np.asarray(step.values) for step in result.history if step.start == best]
 
 
-def _movers(names: Sequence[str]) -> list[str]:
-    """The lights and meshes that the fit moves, such as `lights.0`."""
-    return list(dict.fromkeys(".".join(n.split(".")[:2]) for n in names if not n.startswith("technique.")))
+def _movers(names: Sequence[str], result: fit.FitResult) -> list[str]:
+    """The lights and meshes that the fit moves, such as `lights.0`: of lights, only those with an image."""
+    moved = dict.fromkeys(".".join(n.split(".")[:2]) for n in names if not n.startswith("technique."))
+    return [key for key in moved if key.startswith("meshes.") or int(key.split(".")[1]) in _lights(result)]
+
+
+def _lights(result: fit.FitResult) -> dict[int, AbstractLight]:
+    """The lights of the fit's images, by their index."""
+    problems: tuple[Any, ...] = result.problems
+    return {problem.index: problem.scene.light for problem in problems}
 
 
 def _places(
-    arrangement: fit.Arrangement, names: Sequence[str], values: Any, key: str, scene: Scene
+    result: fit.FitResult, names: Sequence[str], values: Any, key: str, scene: Scene
 ) -> list[Float[HostArray, "3"]]:
     """The position of the light or mesh `key` for each of `values` (n, p), counted from the scene's origin."""
     kind, index = key.split(".")
+    arrangement, lights = result.arrangement, _lights(result)
     everything = scene.mesh.bounds
     middle, reach = everything.mean(axis=0), jnp.linalg.norm(everything[1] - everything[0]) / 2
 
@@ -84,7 +90,7 @@ def _places(
             return mesh.bounds.mean(axis=0)
         pose = moved.lights[int(index)]
         if pose.position is None:
-            return middle + reach * scene.lights[int(index)].at(pose).towards(middle[None])[0]
+            return middle + reach * lights[int(index)].at(pose).towards(middle[None])[0]
         return pose.place
 
     return [np.asarray(place(jnp.asarray(each, jnp.float32))) for each in values]

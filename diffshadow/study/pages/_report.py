@@ -64,7 +64,11 @@ def write_report(run: StoredRun) -> Path:
         starts=_starts(result) if is_fit else [],
         code={key: text.splitlines() for key, text in result.get("code", {}).items()} if is_fit else {},
         files={heading: file_pictures(paths) for heading, paths in _files(run.folder).items()},
-        environment=[(name, value, "") for name, value in {**result["versions"], "seed": result["seed"]}.items()],
+        loss=_loss_heads(result) if is_fit else {},
+        environment=[
+            *((name, value, "") for name, value in result["versions"].items()),
+            *([] if result.get("seed") is None else [("seed", result["seed"], "")]),
+        ],
         seconds=[(name, f"{value:.2f}", "s") for name, value in result["seconds"].items()],
     )
     return run.folder / REPORT
@@ -248,7 +252,7 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
             "compare": _compare(phase),
             "blur": f"{phase.get('blur', 0):.3g}",
             "steps": phase["steps"],
-            "error": number("rmse", None if phase["hard_loss"] is None else phase["hard_loss"] ** 0.5),
+            "error": _error(result, phase["hard_loss"]),
             "gradient": "–" if phase["gradient_norm"] is None else f"{phase['gradient_norm']:.2g}",
             "numbers": numbers(phase["values"]),
             "ended": phase["result"],
@@ -256,6 +260,23 @@ def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         }
         for i, phase in enumerate(result["solver"]["phases"])
     ]
+
+
+def _error(result: Mapping[str, Any], loss: float | None) -> str:
+    """The root of a mean square error, or a user's loss."""
+    from . import _figures as figures
+
+    if loss is not None and figures.is_own_loss(result):
+        return f"{loss:.4g}"
+    return number("rmse", None if loss is None else loss**0.5)
+
+
+def _loss_heads(result: Mapping[str, Any]) -> dict[str, str]:
+    """What tables call the errors of phases and of starts."""
+    from . import _figures as figures
+
+    name = "loss" if figures.is_own_loss(result) else "RMSE"
+    return {"phases": f"hard {name}", "starts": f"{name} after the first phases, blurred"}
 
 
 def _numbers_of(result: Mapping[str, Any]) -> Callable[[Mapping[str, float]], list[str]]:
@@ -274,7 +295,7 @@ def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The initial values and the final error of each of several starts, best first."""
     starts, numbers = (result.get("poses") or {}).get("starts") or [], _numbers_of(result)
     return [
-        {"error": number("rmse", start["loss"] ** 0.5), "numbers": numbers(start["initial"])}
+        {"error": _error(result, start["loss"]), "numbers": numbers(start["initial"])}
         for start in sorted(starts, key=lambda start: start["loss"])
     ]
 

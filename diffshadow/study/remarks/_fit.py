@@ -19,11 +19,12 @@ _NEARLY_DONE = 0.01
 _FLAT = 0.5
 
 
-def remarks(config: Config, plan: FitPlan, result: FitResult, kind: Kind = "fitted") -> list[str]:
+def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind = "fitted") -> list[str]:
     """A sentence for each reason not to rely on the fit.
 
     **Arguments:**
 
+    - `config`: none of a fit that was made in Python, whose remarks name Python's settings.
     - `kind`: of the verdict. Where the references are not explained, it does not matter where the values ended or
         why; nor where the start was the best.
     """
@@ -38,7 +39,9 @@ def remarks(config: Config, plan: FitPlan, result: FitResult, kind: Kind = "fitt
         return sentences
     # A preferred value lies on purpose where it does.
     preferred = bool(result.best) and result.fitted != result.best
-    return [*sentences, *([] if preferred else _on_bounds(config, plan.parameters, result)), *_unconverged(result)]
+    on_bounds = [] if preferred else _on_bounds(config, plan.parameters, result)
+    more = "raise max_steps of the fit.Solver" if config is None else "raise fit.solver.max_steps"
+    return [*sentences, *on_bounds, *_unconverged(result, more)]
 
 
 def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
@@ -64,8 +67,9 @@ def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
         )
 
 
-def _unconverged(result: FitResult) -> Iterator[str]:
-    """A sentence for each phase that led to the result and ended while its error still fell."""
+def _unconverged(result: FitResult, more: str) -> Iterator[str]:
+    """A sentence for each phase that led to the result and ended while its error still fell; `more` says what gives
+    more steps."""
     if result.chosen < 0:
         return
     last, is_done = result.phases[result.chosen], True
@@ -76,7 +80,7 @@ def _unconverged(result: FitResult) -> Iterator[str]:
         is_done = last.result == _CUT_SHORT and fall is not None and fall[0] <= least
         if not is_done:
             still = "" if fall is None or last.result != _CUT_SHORT else f", while its error fell {_by(*fall)}"
-            mend = ": raise fit.solver.max_steps" if last.result == _CUT_SHORT else ""
+            mend = f": {more}" if last.result == _CUT_SHORT else ""
             in_phase = f"the solver did not converge in the phase that gave the result ({_named(last)})"
             yield f"{in_phase}: {last.result}{still}{mend}"
     for number, phase in enumerate(result.phases[: result.chosen]):
@@ -86,7 +90,7 @@ def _unconverged(result: FitResult) -> Iterator[str]:
         before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
         if fall is not None and fall[0] > _STILL_FALLING:
-            yield f"{before} while its error still fell, {_by(*fall)}: raise fit.solver.max_steps"
+            yield f"{before} while its error still fell, {_by(*fall)}: {more}"
         elif not is_done:
             yield f"{before}, too"
 
@@ -112,8 +116,10 @@ def _named(phase: Outcome) -> str:
     return f"width {phase.width:.3g} texels" if phase.width else f"blur {phase.blur:.3g} pixels"
 
 
-def _flat(config: Config, name: str) -> str:
+def _flat(config: Config | None, name: str) -> str:
     remark = f"{name} was not fitted: its gradient is zero throughout"
+    if config is None:
+        return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger Anneal.start"
     if name == "filter.radius" and config.filter.looks_up_nearest:
         return f"{remark}, since nearest look-ups have no gradient by it: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
@@ -121,11 +127,13 @@ def _flat(config: Config, name: str) -> str:
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
-def _on_bounds(config: Config, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
     """A sentence for each value on a bound beyond which the error may fall further."""
     named = {parameter.name: parameter for parameter in parameters}
     for name, side, bound, falls in result.at_bounds:
-        if falls and name not in result.flat and not is_limit(config, name, bound):
+        # Of what has no key, the limits are not known.
+        is_end = config is not None and is_limit(config, name, bound)
+        if falls and name not in result.flat and not is_end:
             lower, upper, unit = named[name].lower, named[name].upper, named[name].unit
             where = f"{name} ended on its {side} bound, {text_within(bound, lower, upper, 6)} {unit}".rstrip()
             yield f"{where}, where the error still falls: the best value may lie beyond it, so widen the bounds"

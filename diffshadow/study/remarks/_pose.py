@@ -7,7 +7,7 @@ from ...config import Config
 from ...settings.scene import SpotLight
 
 
-def pose_remarks(config: Config, result: fit.FitResult, *, is_explained: bool = True) -> Iterator[str]:
+def pose_remarks(config: Config | None, result: fit.FitResult, *, is_explained: bool = True) -> Iterator[str]:
     """A sentence for each parameter that the image does not determine, with the cause.
 
     **Arguments:**
@@ -26,7 +26,9 @@ def pose_remarks(config: Config, result: fit.FitResult, *, is_explained: bool = 
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 
 
-def _cause(config: Config, name: str) -> str:
+def _cause(config: Config | None, name: str) -> str:
+    if config is None:
+        return "since no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
     section, *_, key = name.split(".")
     if section != "scene":
         if config.filter.looks_up_nearest:

@@ -74,7 +74,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(
-    config: Config,
+    config: Config | None,
     plan: FitPlan,
     result: FitResult,
     before: float,
@@ -85,6 +85,7 @@ def verdict(
 
     **Arguments:**
 
+    - `config`: none of a fit that was made in Python, whose remedies name Python's settings.
     - `before`, `after`: the RMSE before and after the fit.
     - `found`: what the fit leaves unexplained.
     """
@@ -111,7 +112,7 @@ def verdict(
     )
 
 
-def unexplained_verdict(config: Config, plan: FitPlan, found: Unexplained) -> Verdict:
+def unexplained_verdict(config: Config | None, plan: FitPlan, found: Unexplained) -> Verdict:
     """The verdict of a fit that does not explain its references."""
     return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
 
@@ -144,23 +145,24 @@ def _unexplained(found: Unexplained) -> str:
     return f"{says}: rays in the fitted scene differ from {which} by {found.by_rays:.4f} RMSE"
 
 
-def _remedies(config: Config, plan: FitPlan, found: Unexplained) -> Iterator[str]:
+def _remedies(config: Config | None, plan: FitPlan, found: Unexplained) -> Iterator[str]:
     if len(found.keys) > 1:
         yield f"this concerns {_listed(found.keys, 'views')}"
     if found.change is not None and (steps := list(_mended(found, found.change))):
         yield from steps
         return
-    lights = [name for name in config.fit.parameters if name.startswith("scene.light")]
-    more = f"fit.multistart={_STARTS if plan.starts == 1 else min(4 * plan.starts, _MAX_STARTS)}"
+    starts = _STARTS if plan.starts == 1 else min(4 * plan.starts, _MAX_STARTS)
+    more = f"search=fit.Search(starts={starts})" if config is None else f"fit.multistart={starts}"
     if plan.arrangement is not None:
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
         yield f"the reference does not fit if it is flipped or inverted either: {what}"
-        if not lights and (pose := _pose_of_light(config)):
+        if config is not None and not _fits_lights(config) and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
     if not found.keys and plan.arrangement is None:
-        yield f"try more starts, {more}, other initial values, or a larger shadow_map.resolution"
+        larger = "a shadow map of more texels" if config is None else "a larger shadow_map.resolution"
+        yield f"try more starts, {more}, other initial values, or {larger}"
 
 
 def _mended(found: Unexplained, change: Change) -> Iterator[str]:
@@ -179,6 +181,10 @@ def _mended(found: Unexplained, change: Change) -> Iterator[str]:
             f"stretch the reference's values: they are about {low:.2f} in shadow and {high:.2f} in light, and "
             "visibility is 0 in shadow and 1 in light"
         )
+
+
+def _fits_lights(config: Config) -> bool:
+    return any(name.startswith("scene.light") for name in config.fit.parameters)
 
 
 def _pose_of_light(config: Config) -> str | None:

@@ -15,7 +15,8 @@ from ...shadow import EngineSetting, ShadowMapping, engine_settings, receiver
 from ..pages import _table as table
 from . import _record as record
 from ._engine import along
-from ._fit import FittedRun, fit_technique
+from ._fit import fit_technique
+from ._fitted import FittedRun
 from ._progress import Stages
 from ._setup import load, visibility_of
 from ._views import draw_views

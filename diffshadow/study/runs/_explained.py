@@ -137,7 +137,9 @@ def _alien(images: Sequence[Fitted]) -> Iterator[tuple[Fitted, Sequence[Image], 
 
 def _traced(scene: Scene) -> tuple[Image, Image]:
     """What rays see all over the pixels, and at their centres."""
-    trace = lambda side: reference.trace_visibility(scene, _SUPERSAMPLING**2, supersampling=side).visibility
+    # A run shows its own progress.
+    how: Any = {"samples": _SUPERSAMPLING**2, "progress": lambda _: None}
+    trace = lambda side: reference.trace_visibility(scene, **how, supersampling=side).visibility
     return trace(_SUPERSAMPLING), trace(1)
 
 
@@ -159,19 +161,21 @@ def fitted_images(
     drawn: Sequence[Drawn],
     after: Sequence[Image],
     seen: Sequence[Drawn],
-    arrangement: fit.Arrangement | None = None,
+    result: fit.FitResult | None = None,
 ) -> list[Fitted]:
     """The images that a fit has seen.
 
     **Arguments:** of all views and lights, their references, their images after the fit, and the scene that it left;
-    the fitted `arrangement` of lights and meshes, if there is one.
+    and the fit's `result`, if it may have moved lights or meshes.
     """
-    found = []
+    found, arrangement = [], None if result is None else result.arrangement
     for i, (each, image, left) in enumerate(zip(drawn[: views.seen], after, seen, strict=False)):
-        given = views.all[views.of(i)].config.reference.type == "image"
+        config = views.all[views.of(i)].config
+        given = config is not None and config.reference.type == "image"
         one = Fitted(each, image, None, given)
-        if arrangement is not None:
-            scene = _arranged(arrangement, each.scene, i)
+        if result is not None and arrangement is not None:
+            problem: Any = result.problems[i]
+            scene = _arranged(arrangement, each.scene, problem.index)
             one = one._replace(scene=scene, cone=np.asarray(fit.cone_fraction(scene.light, left.surface)))
         found.append(one)
     return found

@@ -112,5 +112,7 @@ def print_poses(console: Console, plan: FitPlan, result: fit.FitResult) -> None:
     console.print(table)
     if result.starts:
         losses = sorted(start.loss for start in result.starts)
-        listed = ", ".join(f"{loss**0.5:.4f}" for loss in losses[:8]) + (", …" if len(losses) > 8 else "")
-        console.print(Text(f"blurred RMSE of {len(losses)} starts after the first phases, best first: {listed}"))
+        shown = losses[:8] if result.is_own_loss else [loss**0.5 for loss in losses[:8]]
+        listed = ", ".join(f"{loss:.4f}" for loss in shown) + (", …" if len(losses) > 8 else "")
+        name = "loss" if result.is_own_loss else "RMSE"
+        console.print(Text(f"blurred {name} of {len(losses)} starts after the first phases, best first: {listed}"))

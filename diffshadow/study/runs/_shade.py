@@ -10,6 +10,8 @@ from ... import metrics
 from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
+from ...settings.shading import INTENSITY
+from ...shading import Phong
 from .._drawn import Drawn
 
 Pictures = dict[str, UInt8[HostArray, "h w 3"]]
@@ -17,11 +19,15 @@ Pictures = dict[str, UInt8[HostArray, "h w 3"]]
 
 
 def shade(
-    config: Config, drawn: Sequence[Drawn], visibility: Sequence[Float[HostArray, "h w"]]
+    config: Config | None, drawn: Sequence[Drawn], visibility: Sequence[Float[HostArray, "h w"]]
 ) -> Float[HostArray, "h w 3"]:
-    """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB from 0 to 1."""
+    """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB from 0 to 1.
+
+    **Arguments:** `config`: whose shading it is; the default one if there is none.
+    """
     lights, seen = [each.scene.light for each in drawn], [as_float(image) for image in visibility]
-    linear = _shaded(build_shading(config), drawn[0].surface, seen, lights, drawn[0].scene.camera)
+    shading = Phong(intensity=INTENSITY / len(lights)) if config is None else build_shading(config)
+    linear = _shaded(shading, drawn[0].surface, seen, lights, drawn[0].scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 

@@ -16,13 +16,14 @@ class DrawnView(NamedTuple):
     """A view, drawn.
 
     - `name`: what tells it from the others; empty for the configuration's own scene.
-    - `technique`: as it begins.
+    - `config`: none of a fit that was made in Python.
+    - `technique`: as it begins; none of a fit that was made in Python.
     - `drawn`: its scene, for each of its lights.
     """
 
     name: str
-    config: Config
-    technique: shadow.AbstractTechnique
+    config: Config | None
+    technique: shadow.AbstractTechnique | None
     drawn: list[Drawn]
 
 
@@ -63,8 +64,9 @@ class Views(NamedTuple):
         for view in self.all:
             lit = [each.scene for each in view.drawn]
             of_files = view.drawn[0].remarks
-            of_scene = scene_remarks(view.config, view.technique, lit, view.drawn[0].surface)
-            found |= dict.fromkeys([*of_files, *of_scene])
+            found |= dict.fromkeys(of_files)
+            if view.config is not None and view.technique is not None:
+                found |= dict.fromkeys(scene_remarks(view.config, view.technique, lit, view.drawn[0].surface))
         return list(found)
 
     def of(self, index: int) -> int:

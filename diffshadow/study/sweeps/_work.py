@@ -27,9 +27,10 @@ from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import is_outcome, read_json
 from ..runs import _record as record
 from ..runs import _render as render_run
-from ..runs._fit import fit_technique, write_fit
+from ..runs._fit import fit_technique
 from ..runs._progress import Stages
 from ..runs._setup import draw, load, visibility_of
+from ..runs._write_fit import write_fit
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
 """The folders of runs, of their figures, and of filters' limits, inside the sweep's folder."""
