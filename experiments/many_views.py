@@ -30,7 +30,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from rich.table import Table
 
-from diffshadow.config import View, load_config
+from diffshadow.config import FitView, load_config
 from diffshadow.console import Console
 from diffshadow.fit import TechniqueProblem, with_values
 
@@ -136,7 +136,7 @@ def main(config: Path, /, *overrides: str, over: str = "mean,worst", size: int =
     return {**summary, "rows": rows, "folder": str(folder)}
 
 
-def drawn(views: Sequence[View], what: str, console: Console) -> Views:
+def drawn(views: Sequence[FitView], what: str, console: Console) -> Views:
     """The views as problems, with their references."""
     return Views(
         {view.name: common.problem_of(common.draw(view.config)) for view in common.progress(views, what, console)}

@@ -157,7 +157,7 @@ def _outlined(
 
 
 def _stored(
-    seen: Fragments, clip: Float[Array, "*l v 4"], faces: Faces, view: View, settings: "MapSettings"
+    seen: Fragments, clip: Float[Array, "*m v 4"], faces: Faces, view: View, settings: "MapSettings"
 ) -> Float[Array, "*l h w"]:
     """The depths that the buffer stores, with the derivatives of the faces that are seen."""
     depth = depth_at_centres(seen.face, clip, faces, view.tile)
