@@ -39,6 +39,7 @@ def test_single_numbers_are_shown_and_traced_ones_by_shape():
     assert shown == 2 * ["ConstantBias(value=f32[])"]
 
 
+@pytest.mark.exhaustive
 def test_a_scene_shows_the_faces_that_its_camera_sees():
     camera = geometry.PinholeCamera(CAMERA.eye, CAMERA.target, near=0.1, far=20.0, resolution=(120, 160))
     shown = geometry.Scene(MESHES, camera, LIGHT)._repr_html_()

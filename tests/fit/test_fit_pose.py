@@ -352,6 +352,7 @@ GRIDS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", marked(GRIDS, {"cascades", "point", "warped"}))
 def test_other_grids_have_their_texels_elsewhere(name):
     kind, layout, is_even = GRIDS[name]
@@ -386,6 +387,7 @@ def test_precision_counts_the_step_that_a_fit_has_left():
     assert min(told.deviations["a"] / 0.3, told.deviations["b"] / 0.2) > 1
 
 
+@pytest.mark.exhaustive
 def test_precision_covers_the_truth_where_neighbouring_residuals_are_correlated(monkeypatch):
     """Errors are those of blocks of 2 x 2 pixels, as a texel's are, along an outline that is a band of the image."""
     rng = np.random.default_rng(2)

@@ -325,6 +325,7 @@ def test_factors_of_signs_move_the_bias_to_their_side(views):
     assert bias(false_light=20.0) + 0.05 < bias() < bias(false_shadow=20.0) - 0.05
 
 
+@pytest.mark.exhaustive
 def test_a_sample_stands_for_the_whole(views):
     whole, mapping = views[1], disk(3.0, 0.8)
     count = int(whole.mask.sum())

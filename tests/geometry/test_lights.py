@@ -342,6 +342,7 @@ REFITTED = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", REFITTED)
 def test_refitted_light_is_as_if_made_for_its_points(kind):
     points = cloud(1.0)
@@ -362,6 +363,7 @@ def test_refitted_light_is_as_if_made_for_its_points(kind):
             np.testing.assert_allclose(getattr(found, name), value, rtol=1e-4, atol=1e-5, err_msg=name)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", REFITTED)
 def test_refitted_frustum_carries_no_gradient_and_the_pose_does(kind):
     points = cloud(1.0)

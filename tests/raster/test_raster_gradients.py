@@ -197,6 +197,7 @@ def VALUE_AND_GRADIENT(clip, faces, face):
     return jax.value_and_grad(total)(clip)
 
 
+@pytest.mark.exhaustive
 def test_depth_of_thin_and_edge_on_faces_has_finite_gradients():
     # Edge-on; without area; a sliver of 1e-6; all corners alike. Each seen at every pixel.
     w = np.ones(3)

@@ -20,6 +20,7 @@ def spread(rng, how):
     return rng.choice([0.0, 0.1, 0.25, 1.0], (2, POINTS))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("how", ["even", "clustered", "at few places"])
 @pytest.mark.parametrize("share", marked([1.0, 0.3, 0.0], [1.0]))
 def test_every_point_of_a_part_of_the_view_is_found(how, share):

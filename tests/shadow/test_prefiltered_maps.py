@@ -258,13 +258,14 @@ PARAMETERS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "kernel"),
     [
-        pytest.param("variance", "box", marks=pytest.mark.exhaustive),
-        pytest.param("exponential", "tent", marks=pytest.mark.exhaustive),
+        ("variance", "box"),
+        ("exponential", "tent"),
         ("exponential_variance", "gaussian"),
-        pytest.param("moments", "box", marks=pytest.mark.exhaustive),
+        ("moments", "box"),
     ],
 )
 def test_gradient_of_the_loss_matches_central_differences(name, kernel):

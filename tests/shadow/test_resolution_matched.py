@@ -218,6 +218,7 @@ def needed_of(layout, scene, surface):
     return levels_needed(layout, scene.light, scene.camera, surface)
 
 
+@pytest.mark.exhaustive
 def test_levels_on_a_ground_follow_the_closed_form():
     scene, surface = ground()
     needed, mask = needed_of(layout_of(), scene, surface)

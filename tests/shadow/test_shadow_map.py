@@ -277,11 +277,12 @@ def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
     np.testing.assert_array_equal(seen(depth_layer="midpoint") == 0, dark)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("depth_format", "unit", "rounding"),
     [
-        pytest.param("float32", 2.0**-24, 2.5e-7, marks=pytest.mark.exhaustive),
-        pytest.param("unorm24", 2 / (2**24 - 1), 2.5e-7, marks=pytest.mark.exhaustive),
+        ("float32", 2.0**-24, 2.5e-7),
+        ("unorm24", 2 / (2**24 - 1), 2.5e-7),
         ("unorm16", 2 / (2**16 - 1), 1.01 / (2**16 - 1)),
     ],
 )

@@ -336,7 +336,8 @@ SQUARE = np.array([[-0.37, 1, -0.31], [-0.33, 1, 0.29], [0.41, 1, 0.36], [0.28, 
 WIDE = (-0.65, 0.65, -0.65, 0.65)
 
 
-@pytest.mark.parametrize("modes", ["reverse", pytest.param("both", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("modes", ["reverse", "both"])
 def test_a_vertex_moves_the_shadow_of_a_square(modes, float64):
     make, parameters, towards = LIGHTS["spot"]
     square = lambda v: Mesh(v, jnp.array([[0, 1, 2], [0, 2, 3]]))
@@ -500,6 +501,7 @@ FEW = ("pcf",)
 """Which are tried every time. Others see the outline of the nearest texel."""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in FEW else pytest.mark.exhaustive) for name in FILTERS]
 )
@@ -552,9 +554,8 @@ class _Everywhere(HardCompare):
         return True
 
 
-@pytest.mark.parametrize(
-    ("light", "mode"), [("spot", jax.jacfwd), pytest.param("point", jax.jacrev, marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("light", "mode"), [("spot", jax.jacfwd), ("point", jax.jacrev)])
 def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
     """Derivatives by the light are found for the points near outlines alone: those that the projection of all has."""
     make, parameters, _ = LIGHTS[light]

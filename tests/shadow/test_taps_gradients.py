@@ -320,6 +320,7 @@ def test_slopes_stay_finite_where_the_surface_passes_the_light():
 MODES = ["bilinear", pytest.param("nearest", marks=pytest.mark.exhaustive)]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("mode", MODES)
 def test_what_is_active_is_found_alone_and_its_derivative_too(mode):
     """Whatever the share of pixels that are active, with more of them than fit in a step of the loop."""

@@ -193,6 +193,7 @@ def test_no_gradient_is_nan_or_infinite(rng):
                 assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
 
 
+@pytest.mark.exhaustive
 def test_slopes_match_central_differences_in_both_modes(rng):
     """By where receivers fall in the map, by their depth, by the radius and by the compare's width."""
     with jax.enable_x64(True):

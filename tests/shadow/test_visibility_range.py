@@ -88,6 +88,7 @@ def assert_in_unit_range(visibility, tolerance=0.0):
 RARE = ("bilinear", "four taps", "VSM", "EVSM", "disk", "tent")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in RARE else []) for name in FILTERS]
 )
@@ -159,16 +160,14 @@ def test_no_number_within_its_range_carries_a_filter_out_of_the_unit_range(name)
         assert_in_unit_range(apply(made, map_of(random_depths(seed, MAP)), lookup, compare), tolerance=1e-6)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "technique",
     [
         ThreeJs(resolution=MAP),
         ThreeJs(shadow_type="VSMShadowMap", blur_samples=3, resolution=MAP),
         *(BabylonJs(filter=filter, resolution=MAP) for filter in ("POISSONSAMPLING", "PCSS")),
-        *(
-            pytest.param(BabylonJs(filter=filter, resolution=MAP), marks=pytest.mark.exhaustive)
-            for filter in ("NONE", "PCF", "CLOSEEXPONENTIALSHADOWMAP")
-        ),
+        *(BabylonJs(filter=filter, resolution=MAP) for filter in ("NONE", "PCF", "CLOSEEXPONENTIALSHADOWMAP")),
         BabylonJs(filter="BLUREXPONENTIALSHADOWMAP", resolution=MAP),
     ],
     ids=lambda made: f"{type(made).__name__} {getattr(made, 'shadow_type', None) or made.filter}",

@@ -146,6 +146,7 @@ def far_floor():
     return camera, draw_surface(floor, camera)
 
 
+@pytest.mark.exhaustive
 def test_a_warp_may_follow_the_depths_that_are_seen():
     camera, surface = far_floor()
     depth = -np.asarray(surface.position)[np.asarray(surface.mask), 2]
@@ -241,6 +242,7 @@ def test_errors_along_the_view_are_those_of_each_method():
     assert clip[1] / clip[3] == pytest.approx(2 * 0.8 - 1, abs=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_aliasing_follows_the_strength():
     surface, _ = drawn("directional", 64, 64)
     with jax.enable_x64(True):
@@ -395,6 +397,7 @@ def random_views():
         yield rng, camera, light
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("strength", [None, 30.0])
 def test_nothing_that_the_camera_sees_lies_beside_the_map(strength):
     used = []

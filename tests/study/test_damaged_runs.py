@@ -96,7 +96,8 @@ def put(folder: Path, result: Any) -> None:
     (folder / "result.json").write_text(json.dumps(result))
 
 
-@pytest.mark.parametrize("kind", [pytest.param("fit", marks=pytest.mark.exhaustive), "render", "sweep"])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("kind", ["fit", "render", "sweep"])
 def test_every_value_of_a_result_may_be_wrong(kind, runs, told, tmp_path):
     good = json.loads((runs[kind] / "result.json").read_text())
     folder = copied(runs[kind], tmp_path / "run")

@@ -228,6 +228,7 @@ def test_an_open_mesh_that_casts_only_a_part_of_its_shadow_is_named(tmp_path):
     assert side_remarks_on(PIPE, light, f"{THREE}, shadow_side: double", tmp_path) == []
 
 
+@pytest.mark.exhaustive
 def test_what_a_reference_says_of_its_pixels_is_remarked_on_once(tmp_path):
     Image.fromarray(np.full((64, 64), 255, np.uint8)).save(tmp_path / "reference.png", icc_profile=bytes(200))
     text = (

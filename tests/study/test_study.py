@@ -167,6 +167,7 @@ LACKING = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("what", LACKING)
 def test_a_bias_that_engines_lack_is_fitted_instead(what, monkeypatch):
     """No constant is printed for an engine that lacks a part of the bias."""
@@ -216,6 +217,7 @@ def test_a_bias_that_engines_lack_is_converted_and_measured():
     assert "Babylon.js is left out, since its maps are square" in oblong
 
 
+@pytest.mark.exhaustive
 def test_a_scene_a_million_of_its_sizes_away_has_the_same_figures(finished):
     by = 3e6
     places = [f"scene.meshes.{i}.translate=[{by}, {by + height}, {by}]" for i, height in enumerate((0.2, 0.0))]

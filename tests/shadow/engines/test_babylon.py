@@ -254,6 +254,7 @@ def test_a_point_lights_map_is_not_blurred(name):
     np.testing.assert_array_equal(from_own_map(golden, blurred), from_own_map(golden, plain))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", marked([0, 1, 2, 3, 5, 8, 16, 16.4, 33], [0, 1, 3, 5, 8, 16, 33]))
 def test_a_blur_leaves_a_constant_map_as_it_is(kernel):
     constant, step = jnp.full((16, 16), 0.7), jnp.float32(1 / 8)
