@@ -32,6 +32,7 @@ from ._pages import side_of as side_of
 from ._placement import drop_to_ground as drop_to_ground
 from ._placement import fit_to_size as fit_to_size
 from ._scene import Scene as Scene
+from ._subdivide import split_in_four as split_in_four
 from ._transforms import frame as frame
 from ._transforms import infinite_far as infinite_far
 from ._transforms import look_at as look_at

@@ -129,3 +129,22 @@ class Sureness(Settings):
 
 class Fit(Search, Sureness):
     """How a fit searches, and what it reports."""
+
+
+class ShapePhase(Settings):
+    """A phase of a fit of a shape."""
+
+    strength: Annotated[
+        float,
+        Limits(0, 1e6),
+        "how strongly the steps of neighbouring vertices are smoothed: λ of large steps; 0 for not at all",
+    ] = 20.0
+    rate: Annotated[
+        float,
+        Limits(0, 1, above_low=True),
+        "length of the first steps, as a fraction of the start's longest side; it falls to a twentieth",
+    ] = 0.1
+    steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "number of steps"] = 150
+    blur: Annotated[Blur, "standard deviation of the Gaussian under which images are compared"] = 1.0
+    # Each makes four triangles of one; a sphere of 20 has 1.3 million after 8.
+    subdivisions: Annotated[int, Limits(0, 8), "how often each triangle is split in four before the phase"] = 0

@@ -54,6 +54,8 @@ class ShadowMap(eqx.Module):
     - `view`: the light's view, found as the map is made, since every program that looks into the map needs it. For
         another light, make another map.
     - `overflow`: whether silhouettes are missing, so that the map is wrong; none if drawing raises instead.
+    - `crossings`: how many sides of texels the silhouettes cross, also of those that are missing; known where
+        `overflow` is.
     """
 
     depth: Float[Array, "*l h w"]
@@ -63,6 +65,7 @@ class ShadowMap(eqx.Module):
     padded: Any
     view: View
     overflow: Overflow | None
+    crossings: Int[Array, ""] | None
 
     def __init__(
         self,
@@ -73,9 +76,11 @@ class ShadowMap(eqx.Module):
         padded: Any = None,
         view: View | None = None,
         overflow: Overflow | None = None,
+        crossings: Int[Array, ""] | None = None,
     ):
         self.depth, self.light, self.depth_format = depth, light, depth_format
-        self.silhouettes, self.padded, self.overflow = silhouettes, padded, overflow
+        self.silhouettes, self.padded = silhouettes, padded
+        self.overflow, self.crossings = overflow, crossings
         self.view = light.view() if view is None else view
 
     def __repr__(self) -> str:
@@ -197,9 +202,12 @@ def draw_shadow_map(
         return ShadowMap(depth, light, depth_format, view=view)
     seen, corners = _with_corners(clip, mesh.faces, resolution, test, polygon_offset)
     depth = depth_of(seen)
-    silhouettes, overflow = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
+    silhouettes, needed = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
+    overflow = needed > crossings
     if not raises:
-        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow)
+        return ShadowMap(
+            depth, light, depth_format, silhouettes, view=view, overflow=overflow, crossings=needed
+        )
     silhouettes = eqx.error_if(
         silhouettes,
         overflow,
@@ -370,12 +378,13 @@ def _silhouettes(
     light: AbstractLight,
     edges: Edges,
     crossings: int,
-) -> tuple[SilhouetteMap, Overflow]:
-    """The silhouettes in a map, and whether some are missing."""
+) -> tuple[SilhouetteMap, Int[Array, ""]]:
+    """The silhouettes in a map, and how many sides of texels they cross. If there are more than `crossings`, some are
+    missing."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
     found = find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings)
-    return found, jnp.sum(outline.counts) > crossings
+    return found, jnp.sum(outline.counts)
 
 
 @eqx.filter_jit
