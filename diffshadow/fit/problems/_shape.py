@@ -22,7 +22,7 @@ from ._pose import cone_fraction
 _SAME_PLACE = 1e-5
 # Silhouettes cross far fewer sides of texels than this multiple of the map's height and width. Only tangled meshes
 # have more.
-_CROSSINGS_PER_SIDE = 8
+_CROSSINGS_PER_SIDE = 16
 
 
 class ShapeView(eqx.Module):
