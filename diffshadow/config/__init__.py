@@ -43,17 +43,20 @@ from .whole._schema import View as View
 
 if TYPE_CHECKING:
     from .building._modules import FitPlan as FitPlan
+    from .building._modules import Screen as Screen
+    from .building._modules import ShapePlan as ShapePlan
     from .building._modules import build_fit as build_fit
     from .building._modules import build_fittable as build_fittable
     from .building._modules import build_mesh as build_mesh
     from .building._modules import build_scene as build_scene
+    from .building._modules import build_shape as build_shape
     from .building._modules import build_shading as build_shading
     from .building._modules import build_shadow_mapping as build_shadow_mapping
     from .building._modules import build_technique as build_technique
 else:
 
     def __getattr__(name):
-        if not name.startswith("build_") and name != "FitPlan":
+        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan"):
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from .building import _modules
 
