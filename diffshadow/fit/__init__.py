@@ -25,10 +25,12 @@ from ._profile import Interval as Interval
 from ._profile import Profile as Profile
 from ._run import Outcome as Outcome
 from ._run import Start as Start
+from ._shape import PHASES as SHAPE_PHASES
 from ._shape import FittedShape as FittedShape
 from ._shape import ShapePhase as ShapePhase
 from ._shape import ShapeState as ShapeState
 from ._shape import ShapeStep as ShapeStep
+from ._shape import check_shape as check_shape
 from ._shape import fit_shape as fit_shape
 from ._train import Training as Training
 from ._train import TrainingPhase as TrainingPhase

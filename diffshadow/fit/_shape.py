@@ -18,6 +18,7 @@ from .._checks import check_settings
 from .._misc import as_float, shared_mesh_size, shared_size
 from .._types import HostArray
 from ..geometry import Edges, Mesh, split_in_four
+from ..settings.fit import PHASES as DEFAULT_PHASES
 from ..settings.fit import ShapePhase as PhaseSettings
 from ..settings.fit import widest_blur
 from ._large_steps import LargeSteps
@@ -61,7 +62,7 @@ class ShapePhase:
         check_settings(self)
 
 
-PHASES = (ShapePhase(20.0, 0.1, 150), ShapePhase(5.0, 0.05, 150), ShapePhase(2.0, 0.02, 100))
+PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
 """Phases for a start of about 2,500 vertices."""
 
 
@@ -150,11 +151,23 @@ def fit_shape(
     **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a start
     that casts no shadow in a view, or a state of another fit.
     """
+    fit = _begun(problem, phases)
+    return fit.run(fit.begin() if resume is None else fit.checked(resume), on_step)
+
+
+def check_shape(problem: ShapeProblem, phases: Sequence[ShapePhase] = PHASES) -> None:
+    """Does everything that `fit_shape` does before its first step.
+
+    **Raises** what that raises.
+    """
+    _begun(problem, phases).begin()
+
+
+def _begun(problem: ShapeProblem, phases: Sequence[ShapePhase]) -> "_Fit":
     if not phases:
         raise ValueError("got no phase; expected one or more, such as fit.ShapePhase(strength=20, rate=0.1, steps=150)")
     _check_blurs(problem, phases)
-    fit = _Fit(problem, tuple(phases))
-    return fit.run(fit.begin() if resume is None else fit.checked(resume), on_step)
+    return _Fit(problem, tuple(phases))
 
 
 def _check_blurs(problem: ShapeProblem, phases: Sequence[ShapePhase]) -> None:

@@ -18,6 +18,7 @@ from ._errors import FileWarning as FileWarning
 from ._errors import ImageWarning as ImageWarning
 from ._errors import MeshWarning as MeshWarning
 from ._images import read_visibility as read_visibility
+from ._images import write_animation as write_animation
 from ._images import write_png as write_png
 from ._images import write_visibility as write_visibility
 from ._meshes import coarse_steps as coarse_steps

@@ -27,6 +27,7 @@ from ._explained import fitted_images, unexplained
 from ._progress import Stages
 from ._setup import load, visibility_of
 from ._shade import Pictures, perceptual_error, shade
+from ._shape import run_shape
 from ._views import DrawnView, Views, draw_views
 
 Images = list[Float32[HostArray, "h w"]]
@@ -95,12 +96,14 @@ class FittedRun(NamedTuple):
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
-    """Fits the parameters of `config`, prints the result, and writes the run's folder.
+    """Fits the parameters or the shape of `config`, prints the result, and writes the run's folder.
 
     **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
 
     **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
+    if config.fit.shape is not None:
+        return run_shape(config, console=console)
     folder = folder_of(config)
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)
