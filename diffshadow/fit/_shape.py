@@ -219,7 +219,7 @@ class _Fit:
         **Raises** `ValueError` for a light that reaches no pixel, or a start without a shadow.
         """
         problem = self.problem
-        reached = self._of_views([np.asarray(each) for each in pixels_reached(self.groups, problem.technique)])
+        reached = self._of_views([np.asarray(each) for each in pixels_reached(self.groups)])
         if not all(reached):
             raise ValueError(
                 f"the light of view {reached.index(0)} reaches none of the pixels that count; expected a surface that "
@@ -273,9 +273,7 @@ class _Fit:
             mesh, losses[0], losses[chosen], ends, chosen - 1, list(state.history), self._images(found), state
         )
 
-    def _phase(
-        self, state: ShapeState, on_step: Callable[[ShapeStep], bool | None] | None
-    ) -> tuple[ShapeState, bool]:
+    def _phase(self, state: ShapeState, on_step: Callable[[ShapeStep], bool | None] | None) -> tuple[ShapeState, bool]:
         """The state after the present phase, or where `on_step` stopped it."""
         phase = self.phases[state.phase]
         vertices, faces, free = state.vertices, state.faces, state.free

@@ -168,7 +168,8 @@ class Shape(Settings):
         Distance | None, "side of the square across the light that an image shows; default: 2.2 radii of all meshes"
     ] = None
     symmetry: Annotated[
-        Literal["x", "y", "z"] | None, "axis across which the shape stays its own mirror image, about the start's middle"
+        Literal["x", "y", "z"] | None,
+        "axis across which the shape stays its own mirror image, about the start's middle",
     ] = None
     pinned: Annotated[Coordinate | None, "vertices of the start below this height stay"] = None
     seconds: Annotated[

@@ -205,9 +205,7 @@ def draw_shadow_map(
     silhouettes, needed = _silhouettes(depth, corners, clip, mesh, light, edges, crossings)
     overflow = needed > crossings
     if not raises:
-        return ShadowMap(
-            depth, light, depth_format, silhouettes, view=view, overflow=overflow, crossings=needed
-        )
+        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow, crossings=needed)
     silhouettes = eqx.error_if(
         silhouettes,
         overflow,

@@ -213,7 +213,7 @@ def test_point_lights_reach_screens_in_every_layer(walls):
     _, surface = walls[0]
     light = PointLight((0.0, 0.0, 0.0), near=0.1, far=9.0)
     group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
-    (reached,) = pixels_reached([group], None)
+    (reached,) = pixels_reached([group])
     assert reached[0] == SIDE * SIDE
 
 

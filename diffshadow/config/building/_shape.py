@@ -101,7 +101,9 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
     screens = lambda lights: [_screen(blame, key, light, shape, middle, extent) for key, light in lights.items()]
     start = _welded(start)
     images, weights = _images(config, shape, blame)
-    phases = [fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases]
+    phases = [
+        fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
+    ]
     return ShapePlan(
         seen=screens({("scene", *key): light for key, light in config.scene.each_light.items()}),
         unseen=screens({(*here, "unseen", i): light for i, light in enumerate(shape.unseen)}),
@@ -121,7 +123,9 @@ def _sphere(casters: geometry.Mesh) -> geometry.Mesh:
     low, high = np.asarray(casters.bounds, np.float64)
     radius = _START * float((high - low).max()) / 2 * 1.5
     mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=_SPLITS)
-    return geometry.Mesh(np.asarray(mesh.vertices) - np.asarray(mesh.bounds).mean(axis=0) + (low + high) / 2, mesh.faces)
+    return geometry.Mesh(
+        np.asarray(mesh.vertices) - np.asarray(mesh.bounds).mean(axis=0) + (low + high) / 2, mesh.faces
+    )
 
 
 def _welded(mesh: geometry.Mesh) -> geometry.Mesh:

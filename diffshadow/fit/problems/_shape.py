@@ -96,7 +96,7 @@ class ShapeProblem(eqx.Module):
         views: Sequence[ShapeView],
         *,
         free: Any = None,
-        symmetry: Sequence[float] | None = None,
+        symmetry: Sequence[float | int] | None = None,
         technique: ShadowMapping | None = None,
     ):
         self.mesh, self.views = as_mesh(mesh), tuple(views)
@@ -138,16 +138,16 @@ def _check_technique(technique: ShadowMapping) -> None:
         raise ValueError(f"the technique's layout is {kind}, which follows a camera; expected SingleMap()")
 
 
-def mirror_partners(
-    vertices: Float[HostArray, "v 3"], plane: tuple[float, float, float, float]
-) -> Int[HostArray, " v"]:
+def mirror_partners(vertices: Float[HostArray, "v 3"], plane: tuple[float | int, ...]) -> Int[HostArray, " v"]:
     """(v,), the vertex at each vertex's mirror image.
 
     **Raises** `ValueError` if a vertex has none.
     """
     normal, offset = np.asarray(plane[:3]), plane[3]
     if not np.linalg.norm(normal) > 0:
-        raise ValueError(f"symmetry is {list(plane)}; expected a plane [a, b, c, d] with a normal [a, b, c] that is not 0")
+        raise ValueError(
+            f"symmetry is {list(plane)}; expected a plane [a, b, c, d] with a normal [a, b, c] that is not 0"
+        )
     far, partner = KDTree(vertices).query(mirrored(vertices, plane))
     size = np.ptp(vertices, axis=0).max()
     if far.max() > _SAME_PLACE * size or not np.array_equal(partner[partner], np.arange(len(vertices))):
@@ -159,7 +159,7 @@ def mirror_partners(
     return partner
 
 
-def mirrored(vertices: Float[HostArray, "v 3"], plane: tuple[float, float, float, float]) -> Float[HostArray, "v 3"]:
+def mirrored(vertices: Float[HostArray, "v 3"], plane: tuple[float | int, ...]) -> Float[HostArray, "v 3"]:
     """The mirror images of points."""
     normal = np.asarray(plane[:3]) / np.dot(plane[:3], plane[:3])
     return vertices - 2 * (vertices @ np.asarray(plane[:3]) - plane[3])[:, None] * normal
@@ -227,7 +227,7 @@ def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
 
 
 @eqx.filter_jit
-def pixels_reached(groups: list[ShapeView], technique: ShadowMapping) -> list[Int[Array, " n"]]:
+def pixels_reached(groups: list[ShapeView]) -> list[Int[Array, " n"]]:
     """For each view, how many pixels that count lie in its map and are turned to its light."""
 
     def of_view(view: ShapeView) -> Int[Array, ""]:

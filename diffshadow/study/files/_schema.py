@@ -419,7 +419,13 @@ class _Outcome(_Part):
     seconds: dict[str, Seconds]
 
 
-_KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "shape": _Shape, "sweep": _Sweep, "advise": _Advise}
+_KINDS: Mapping[str, type[_Part]] = {
+    "render": _Render,
+    "fit": _Fit,
+    "shape": _Shape,
+    "sweep": _Sweep,
+    "advise": _Advise,
+}
 
 
 def read_json(file: Path) -> Any:

@@ -145,9 +145,7 @@ def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
     overlap, plan, result = metrics.intersection_over_union, fitted.plan, fitted.result
     lights = [
         {"light": screen.key, "before": overlap(b, t), "map": overlap(m, t), "rays": overlap(r, t)}
-        for screen, t, b, m, r in zip(
-            plan.seen, fitted.targets, fitted.before, result.images, fitted.rays, strict=True
-        )
+        for screen, t, b, m, r in zip(plan.seen, fitted.targets, fitted.before, result.images, fitted.rays, strict=True)
     ]
     found: dict[str, Any] = {"initial_loss": result.initial_loss, "loss": result.loss, "lights": lights}
     if fitted.unseen:
@@ -160,7 +158,9 @@ def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
     return found
 
 
-def _result(folder: Path, fitted: FittedShapeRun, measured: dict[str, Any], seconds: dict[str, float]) -> dict[str, Any]:
+def _result(
+    folder: Path, fitted: FittedShapeRun, measured: dict[str, Any], seconds: dict[str, float]
+) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
     steps = [sum(phase == k for phase, _ in result.history) for k in range(len(fitted.plan.phases))]
     return {
