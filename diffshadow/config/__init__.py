@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from .building._modules import build_fittable as build_fittable
     from .building._modules import build_mesh as build_mesh
     from .building._modules import build_scene as build_scene
-    from .building._modules import build_shape as build_shape
     from .building._modules import build_shading as build_shading
     from .building._modules import build_shadow_mapping as build_shadow_mapping
+    from .building._modules import build_shape as build_shape
     from .building._modules import build_technique as build_technique
 else:
 

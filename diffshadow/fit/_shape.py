@@ -40,8 +40,8 @@ _UNSHADOWED = 0.999
 class ShapePhase:
     """A phase of a fit of a shape.
 
-    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: where triangles
-        are split in four, four times as much smooths as far.
+    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: where
+        triangles are split in four, four times as much smooths as far.
     - `rate`: length of the first steps, as a fraction of the longest side of the start. It falls along half a cosine.
     - `steps`: how many.
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
@@ -138,8 +138,8 @@ def fit_shape(
 ) -> FittedShape:
     """Fits the free vertices of a mesh, so that its shadows become like the references.
 
-    It minimises the mean square error of all views by gradient descent in reverse mode, through silhouettes. The ends of
-    phases are judged without a blur, and the best is the result.
+    It minimises the mean square error of all views by gradient descent in reverse mode, through silhouettes. The ends
+    of phases are judged without a blur, and the best is the result.
 
     **Arguments:**
 
@@ -148,8 +148,8 @@ def fit_shape(
     - `resume`: a state of an earlier fit of the same problem and phases, to go on from there. The result has the same
         bits as without the interruption.
 
-    **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a start
-    that casts no shadow in a view, or a state of another fit.
+    **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a
+    start that casts no shadow in a view, or a state of another fit.
     """
     fit = _begun(problem, phases)
     return fit.run(fit.begin() if resume is None else fit.checked(resume), on_step)
@@ -232,8 +232,8 @@ class _Fit:
         for number, (image, view) in enumerate(zip(self._images(found), problem.views, strict=True)):
             if not (image[np.asarray(view.weight) > 0] < _UNSHADOWED).any():
                 raise ValueError(
-                    f"the start casts no shadow in view {number}, so that its vertices have no gradient there; expected "
-                    "some shadow in each view: move or enlarge the start"
+                    f"the start casts no shadow in view {number}, so that its vertices have no gradient there; "
+                    "expected some shadow in each view: move or enlarge the start"
                 )
         none = np.zeros((0, 3))
         best = vertices, faces
@@ -247,8 +247,8 @@ class _Fit:
         known = {faces * 4**splits} if begun else {faces * 4**splits, faces * 4 ** (splits - self._splits(state.phase))}
         if state.phase > len(self.phases) or ends or len(state.faces) not in known:
             raise ValueError(
-                f"the state to resume from is in phase {state.phase}, at step {state.step}, with {len(state.faces)} faces; "
-                "expected a state of a fit with the same mesh and phases"
+                f"the state to resume from is in phase {state.phase}, at step {state.step}, with {len(state.faces)} "
+                "faces; expected a state of a fit with the same mesh and phases"
             )
         return state
 
@@ -356,8 +356,8 @@ class _Fit:
             found = self._program(level, vertices, blur, crossings)
             needed = int(found.crossings)
             if needed > _NEARLY_FULL * crossings and self.more is None:
-                again = lambda: self._program(level, vertices, blur, 2 * crossings)
-                self.more = threading.Thread(target=again, daemon=True)
+                given = level, vertices, blur, 2 * crossings
+                self.more = threading.Thread(target=self._program, args=given, daemon=True)
                 self.more.start()
             if needed <= crossings:
                 return found, crossings

@@ -36,7 +36,7 @@ def chamfer_distance(first: Triangles, second: Triangles, *, samples: int = _SAM
     - `seed`: of the points.
     """
     rng = np.random.default_rng(seed)
-    one, other = (_sampled(*map(np.asarray, mesh), samples, rng) for mesh in (first, second))
+    one, other = (_sampled(vertices, faces, samples, rng) for vertices, faces in (first, second))
     far = [np.mean(KDTree(a).query(b[:_QUERIES])[0]) for a, b in ((one, other), (other, one))]
     return float(np.mean(far))
 
@@ -48,7 +48,7 @@ def _sampled(
     a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
     face = rng.choice(len(faces), count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    outside = u + v > 1
-    u, v = np.where(outside, 1 - u, u), np.where(outside, 1 - v, v)
+    first, second = rng.random((2, count, 1))
+    outside = first + second > 1
+    u, v = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
     return a[face] + u * (b - a)[face] + v * (c - a)[face]

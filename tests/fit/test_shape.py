@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -52,7 +53,8 @@ def walls():
 
 @pytest.fixture(scope="module")
 def views(walls):
-    return [ShapeView(*each, ellipse(*half)) for each, half in zip(walls, ((0.7, 0.5), (0.35, 0.5)), strict=True)]
+    halves = (0.7, 0.5), (0.35, 0.5)
+    return [ShapeView(*each, ellipse(*half)) for each, half in zip(walls, halves, strict=True)]
 
 
 def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
@@ -76,7 +78,7 @@ def test_a_stopped_fit_goes_on_to_the_same_bits(views):
     problem = ShapeProblem(sphere(), views)
     whole = fit_shape(problem, PHASES)
     for last in ((0, 9), (0, 13), (1, 2)):
-        stopped = fit_shape(problem, PHASES, on_step=lambda step: (step.phase, step.step) == last)
+        stopped = fit_shape(problem, PHASES, on_step=lambda step, last=last: (step.phase, step.step) == last)
         assert len(stopped.history) == sum(last) + 1 + 13 * last[0]
         resumed = fit_shape(problem, PHASES, resume=stopped.state)
         np.testing.assert_array_equal(resumed.mesh.vertices, whole.mesh.vertices)
@@ -101,8 +103,9 @@ def kinds(given):
 
 def STUB(vertices, faces, edges, groups, technique, blur, crossings):
     """An evaluation that pulls all vertices inwards."""
-    images = [np.zeros(group.reference.shape) for group in groups]
-    return shapes.Evaluation(np.sum(np.square(vertices)), 2 * np.asarray(vertices), images, np.asarray(9))
+    images: Any = [np.zeros(group.reference.shape) for group in groups]
+    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), images, np.asarray(9)
+    return shapes.Evaluation(*found)
 
 
 def test_memory_for_crossings_doubles_when_it_is_full_and_compiles_before(views, monkeypatch):
@@ -186,12 +189,12 @@ def test_problems_that_cannot_be_fitted_are_refused(walls, views):
 
 
 def test_lights_that_miss_their_screen_and_starts_without_a_shadow_are_refused(walls, views):
-    light, surface = walls[1]
-    aside = dataclasses.replace(views[1], light=eqx.tree_at(lambda l: l.center, light, jnp.array([0.0, 0.0, 9.0])))
+    far = eqx.tree_at(lambda light: light.center, walls[1][0], jnp.array([0.0, 0.0, 9.0]))
+    aside = dataclasses.replace(views[1], light=far)
     with pytest.raises(ValueError, match="light of view 1 reaches none"):
         check_shape(ShapeProblem(sphere(), [views[0], aside]), PHASES)
-    away = sphere()
-    away = Mesh(np.asarray(away.vertices) + [1.9, 0, 0], away.faces)
+    start = sphere()
+    away = Mesh(np.asarray(start.vertices) + np.array([1.9, 0, 0]), start.faces)
     with pytest.raises(ValueError, match="start casts no shadow in view 0"):
         check_shape(ShapeProblem(away, views), PHASES)
 

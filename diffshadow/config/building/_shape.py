@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -139,8 +139,8 @@ def _free(shape: ShapeConfig, start: geometry.Mesh, blame: Blame) -> Bool[HostAr
     with blame(("fit", "shape", "pinned")):
         if not free.any():
             raise ValueError(
-                f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less than "
-                f"{heights.max():.4g}"
+                f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less "
+                f"than {heights.max():.4g}"
             )
     return free
 
@@ -259,7 +259,8 @@ def _hard(light: geometry.AbstractLight, section: scene.Light, half: float) -> g
             "point light: change its type"
         )
     if isinstance(light, geometry.SpotLight | geometry.PointLight):
-        far = float(light.far) + 4 * half if getattr(section, "far") is None else light.far
+        given: Any = section
+        far = float(light.far) + 4 * half if given.far is None else light.far
         return type(light)(**{**vars(light), "radius": 0.0, "far": far})
     return light
 

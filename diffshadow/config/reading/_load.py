@@ -179,13 +179,14 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
     shape = fit.get("shape") if isinstance(fit, dict) else None
     meshes: list[tuple[KeyPath, Any]] = []
     for start, holder, key in ((("scene",), scene, "meshes"), (("fit", "shape"), shape, "targets")):
-        entries = holder.get(key) if isinstance(holder, dict) else None
-        meshes += (((*start, key, i), mesh) for i, mesh in enumerate(entries if isinstance(entries, list) else ()))
+        entries: Any = holder.get(key) if isinstance(holder, dict) else None
+        meshes += [((*start, key, i), mesh) for i, mesh in enumerate(entries)] if isinstance(entries, list) else []
     if isinstance(shape, dict):
         meshes.append((("fit", "shape", "start"), shape.get("start")))
         for key in ("images", "masks"):
-            files = shape.get(key) if isinstance(shape.get(key), list) else []
-            yield from ((("fit", "shape", key, i), files) for i, file in enumerate(files) if file and _is_text(file))
+            files: Any = shape.get(key)
+            listed = enumerate(files) if isinstance(files, list) else ()
+            yield from ((("fit", "shape", key, i), files) for i, file in listed if file and _is_text(file))
     for path, mesh in meshes:
         file = mesh.get("path") if isinstance(mesh, dict) else None
         if isinstance(file, str) and file and not file.startswith(BUILTIN):

@@ -24,9 +24,10 @@ _Files = Annotated[tuple[str, ...], Form("a list of files", "[first.png, second.
 
 
 class ShapeConfig(Section, fit.Shape):
-    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light. Lights count as points, whatever their size.
+    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light.
 
-    The shadows are images, or are traced from meshes: from the target of each light, or from the casters of the scene.
+    Lights count as points, whatever their size. The shadows are images, or are traced from meshes: from the target of
+    each light, or from the casters of the scene.
     """
 
     start: Annotated[

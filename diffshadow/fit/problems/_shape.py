@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
-from ..._misc import as_float, round_up_to_power_of_two
+from ..._misc import as_array, as_float, round_up_to_power_of_two
 from ..._types import Faces, HostArray, Resolution, Scalar, Vertices, Visibility
 from ...geometry import AbstractLight, Edges, Mesh, as_mesh, share_vertices
 from ...raster import Surface
@@ -88,7 +88,7 @@ class ShapeProblem(eqx.Module):
     views: tuple[ShapeView, ...]
     free: Bool[Array, " v"]
     technique: ShadowMapping
-    symmetry: tuple[float, float, float, float] | None = eqx.field(static=True, default=None)
+    symmetry: tuple[float, ...] | None = eqx.field(static=True, default=None)
 
     def __init__(
         self,
@@ -103,14 +103,16 @@ class ShapeProblem(eqx.Module):
         if not self.views:
             raise ValueError("got no view of the shape; expected one or more: make a fit.ShapeView of each image")
         count = len(self.mesh.vertices)
-        self.free = np.ones(count, bool) if free is None else np.asarray(free)
-        if self.free.shape != (count,) or self.free.dtype != bool or not self.free.any():
+        moves = np.ones(count, bool) if free is None else np.asarray(free)
+        if moves.shape != (count,) or moves.dtype != bool or not moves.any():
             raise ValueError(
-                f"free is an array of shape {self.free.shape} and type {self.free.dtype}, and the mesh has {count} "
+                f"free is an array of shape {moves.shape} and type {moves.dtype}, and the mesh has {count} "
                 "vertices; expected a bool for each, True for at least one"
             )
+        self.free = as_array(moves)
         self.symmetry = None if symmetry is None else tuple(float(number) for number in symmetry)
-        self.technique = default_technique(self.views[0].reference.shape) if technique is None else technique
+        height, width = self.views[0].reference.shape
+        self.technique = default_technique((height, width)) if technique is None else technique
         _check_technique(self.technique)
         if not np.array_equal(share_vertices(self.mesh), np.asarray(self.mesh.faces)):
             raise ValueError(
@@ -148,13 +150,14 @@ def mirror_partners(vertices: Float[HostArray, "v 3"], plane: tuple[float | int,
         raise ValueError(
             f"symmetry is {list(plane)}; expected a plane [a, b, c, d] with a normal [a, b, c] that is not 0"
         )
-    far, partner = KDTree(vertices).query(mirrored(vertices, plane))
+    query: Any = KDTree(vertices).query
+    far, partner = query(mirrored(vertices, plane))
     size = np.ptp(vertices, axis=0).max()
     if far.max() > _SAME_PLACE * size or not np.array_equal(partner[partner], np.arange(len(vertices))):
         raise ValueError(
             f"the mesh is no mirror image of itself at {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
-            f"{far.max():.3g} world units from its partner's place; expected a start with this symmetry, such as a sphere "
-            "about a point of the plane"
+            f"{far.max():.3g} world units from its partner's place; expected a start with this symmetry, such as a "
+            "sphere about a point of the plane"
         )
     return partner
 
@@ -217,7 +220,7 @@ def evaluate(
         total, (image, of_group) = jax.lax.scan(add, total, group)
         images.append(image)
         needed.append(jnp.max(of_group))
-    return Evaluation(*total, images, jnp.max(jnp.stack(needed)))
+    return Evaluation(total[0], total[1], images, jnp.max(jnp.stack(needed)))
 
 
 def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
