@@ -6,8 +6,8 @@ from scipy.spatial import KDTree
 
 from .._types import HostArray
 
-Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]
-"""Vertices and faces."""
+Triangles = tuple[HostArray, HostArray]
+"""Vertices (v, 3) and faces (f, 3), of which each mesh has its own numbers."""
 
 # Of 20,000 points, a mesh is half a percent of its size from itself.
 _SAMPLES, _QUERIES = 600_000, 20_000

@@ -8,8 +8,8 @@ from diffshadow import io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
 from diffshadow.study.files._stored import read_result
 from diffshadow.study.runs._checkpoint import Checkpoint
-from diffshadow.study.runs._shape import shape_problem
 from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._shape import shape_problem
 
 TINY = """
 name: tiny
@@ -110,7 +110,10 @@ def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["fit.shape.targets=[{path: builtin:box}]", "fit.shape.unseen=[]"], "has 1 entries, and the scene has 2 light"),
+        (
+            ["fit.shape.targets=[{path: builtin:box}]", "fit.shape.unseen=[]"],
+            "has 1 entries, and the scene has 2 light",
+        ),
         (["fit.shape.targets=[{path: builtin:box}, {path: builtin:box}]"], "unseen: is given together with targets"),
         (["fit.parameters={bias.constant: {lower: 0, upper: 1}}"], "are given with fit.shape"),
         (["fit.shape.phases=[{blur: 9}]"], "at most 4 pixels, an eighth"),

@@ -3,6 +3,8 @@
 import contextlib
 import hashlib
 import time
+import zipfile
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +30,15 @@ class Checkpoint:
     def read(self) -> fit.ShapeState | None:
         """Where the fit was stopped; none if there is no checkpoint of this configuration, or a damaged one."""
         try:
-            with np.load(self.file, allow_pickle=False) as stored:
+            # From memory: given a damaged file, `np.load` leaves it open.
+            with np.load(BytesIO(self.file.read_bytes()), allow_pickle=False) as stored:
                 if str(stored["key"]) != self._key:
                     return None
                 arrays = {name: stored[name] for name in _ARRAYS}
                 numbers = {name: int(stored[name]) for name in _NUMBERS}
                 losses = tuple(map(float, stored["losses"]))
                 history = tuple((int(phase), float(loss)) for phase, loss in stored["history"])
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
         return fit.ShapeState(**numbers, **arrays, losses=losses, history=history)
 

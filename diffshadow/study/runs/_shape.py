@@ -15,7 +15,7 @@ from ... import fit, geometry, io, metrics, raster, reference
 from ..._types import HostArray
 from ...config import Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
 from ..files._run_folder import folder_of, write_whole
-from ..files._stored import SHAPE
+from ..files._stored import SHAPE, add_files
 from . import _record as record
 from ._checkpoint import Checkpoint
 from ._progress import Stages
@@ -199,9 +199,7 @@ def _write(draft: Path, fitted: FittedShapeRun, result: dict[str, Any]) -> None:
     io.write_animation(draft / TURNTABLE, turntable(found.mesh), 80)
     io.write_animation(draft / PROGRESS, progress(fitted.steps), 120)
     record.write_result(draft, result)
-    report_shape(draft)
-    # Once more, with the page among its files.
-    record.write_result(draft, result)
+    add_files(draft, [report_shape(draft).name])
 
 
 def _print(console: Console, name: str, measured: dict[str, Any], seconds: float) -> None:
