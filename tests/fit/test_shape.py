@@ -54,7 +54,7 @@ def walls():
 @pytest.fixture(scope="module")
 def views(walls):
     halves = (0.7, 0.5), (0.35, 0.5)
-    return [ShapeView(*each, ellipse(*half)) for each, half in zip(walls, halves, strict=True)]
+    return [ShapeView(*each, ellipse(width, height)) for each, (width, height) in zip(walls, halves, strict=True)]
 
 
 def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):

@@ -189,7 +189,7 @@ def test_overlap_of_shadows_counts_dark_pixels():
 def test_chamfer_distance_of_parallel_squares_is_their_distance():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    far = chamfer_distance((corners, faces), (corners + [0, 0, 0.3], faces), samples=40_000)
+    far = chamfer_distance((corners, faces), (corners + np.array([0, 0, 0.3]), faces), samples=40_000)
     assert far == pytest.approx(0.3, abs=1e-3)
     # Samples of one surface are half of 1 / sqrt(density) apart on average.
     assert chamfer_distance((corners, faces), (corners, faces), samples=40_000) == pytest.approx(0.0025, rel=0.1)

