@@ -38,6 +38,7 @@ __all__ = [
     "ConfigError",
     "FitPlan",
     "FitView",
+    "ShapePlan",
     "Sweep",
     "SweepRun",
     "SweepRuns",
@@ -47,6 +48,7 @@ __all__ = [
     "build_scene",
     "build_shading",
     "build_shadow_mapping",
+    "build_shape",
     "build_technique",
     "describe",
     "dump",
@@ -62,18 +64,21 @@ __all__ = [
 if TYPE_CHECKING:
     from .building._modules import (
         FitPlan,
+        ShapePlan,
         build_fit,
         build_fittable,
         build_mesh,
         build_scene,
         build_shading,
         build_shadow_mapping,
+        build_shape,
         build_technique,
     )
+    from .building._modules import Screen as Screen
 else:
 
     def __getattr__(name):
-        if not name.startswith("build_") and name != "FitPlan":
+        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan"):
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from .building import _modules
 

@@ -27,12 +27,16 @@ from ._parameters import with_parameters as with_parameters
 from ._precision import Precision
 from ._profile import Bound, End, Interval, Profile
 from ._run import Outcome, Start
+from ._shape import PHASES as SHAPE_PHASES
+from ._shape import FittedShape, ShapePhase, ShapeState, ShapeStep, fit_shape
+from ._shape import check_shape as check_shape
 from ._train import Training, TrainingPhase, mean_square_error, train
-from .problems import AbstractProblem, PoseProblem, TechniqueProblem
+from .problems import AbstractProblem, PoseProblem, ShapeProblem, ShapeView, TechniqueProblem
 from .problems import cone_fraction as cone_fraction
 from .solvers import Solver
 
 __all__ = [
+    "SHAPE_PHASES",
     "AbstractProblem",
     "Anneal",
     "Arrangement",
@@ -40,6 +44,7 @@ __all__ = [
     "Bound",
     "End",
     "FitResult",
+    "FittedShape",
     "FrontPoint",
     "Interval",
     "Loss",
@@ -51,6 +56,11 @@ __all__ = [
     "Precision",
     "Profile",
     "Search",
+    "ShapePhase",
+    "ShapeProblem",
+    "ShapeState",
+    "ShapeStep",
+    "ShapeView",
     "Solver",
     "Start",
     "Step",
@@ -59,6 +69,7 @@ __all__ = [
     "Training",
     "TrainingPhase",
     "fit",
+    "fit_shape",
     "mean_square_error",
     "train",
     "with_values",

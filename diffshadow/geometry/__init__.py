@@ -18,6 +18,7 @@ from ._pages import finest_of as finest_of
 from ._pages import side_of as side_of
 from ._placement import drop_to_ground, fit_to_size
 from ._scene import Scene
+from ._subdivide import split_in_four
 from ._transforms import (
     frame,
     look_at,
@@ -74,6 +75,7 @@ __all__ = [
     "perspective",
     "rotation",
     "scaling",
+    "split_in_four",
     "transform_points",
     "transform_vectors",
     "translation",

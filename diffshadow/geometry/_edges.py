@@ -86,11 +86,14 @@ class Edges(eqx.Module):
             component=as_int(component),
         )
 
-    def padded(self, faces: int) -> "Edges":
-        """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes."""
+    def padded(self, faces: int, to: int | None = None) -> "Edges":
+        """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes.
+
+        **Arguments:** `to`: the number of edges, no less than its own; by default the least of a few.
+        """
         if isinstance(self.vertices, Tracer):
             return self
-        size = shared_size(self.vertices.shape[0])
+        size = shared_size(self.vertices.shape[0]) if to is None else to
         return Edges(
             as_int(padded_to(self.vertices, size)),
             as_int(padded_to(self.faces, size)),

@@ -20,6 +20,7 @@ from .._types import HostArray
 from ..settings.scene import PIECES
 from ._mesh import Mesh
 from ._normals import crease_normals
+from ._subdivide import split_in_four
 
 Number = float | int
 
@@ -436,7 +437,7 @@ def _icosphere(piece: str, subdivisions: int) -> tuple[Float[HostArray, "v 3"], 
     vertices = _unit(np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)]))
     faces = _icosahedron_faces(vertices)
     for _ in range(subdivisions):
-        vertices, faces = _subdivide(vertices, faces)
+        vertices, faces, _ = split_in_four(vertices, faces)
         vertices = _unit(vertices)
     return vertices, faces
 
@@ -448,15 +449,3 @@ def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20
     # One of each triangle's three rotations: it starts with its lowest vertex.
     outside = np.linalg.det(np.stack([vertices[i], vertices[j], vertices[k]], axis=1)) > 0
     return np.stack([i, j, k], axis=-1)[near[i, j] & near[j, k] & near[k, i] & outside & (i < j) & (i < k)]
-
-
-def _subdivide(
-    vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]
-) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"]]:
-    """Splits each triangle in four at the midpoints of its edges, which neighbours share."""
-    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=-1)
-    edges, inverse = np.unique(edges, axis=0, return_inverse=True)
-    middle = len(vertices) + inverse.reshape(-1, 3)
-    (a, b, c), (ab, bc, ca) = faces.T, middle.T
-    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=-1).reshape(-1, 3)
-    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), cut

@@ -148,12 +148,14 @@ class Mesh(eqx.Module):
         size = " x ".join(f"{length:.3g}" for length in high - low)
         return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
 
-    def padded(self) -> "Mesh":
+    def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
         """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:
         meshes of like size then share compiled programs. A traced mesh stays as it is.
+
+        **Arguments:** `to`: numbers of faces and vertices, none less than its own; by default the least of these few.
         """
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
-        faces, size = shared_mesh_size(count, vertices)
+        faces, size = shared_mesh_size(count, vertices) if to is None else to
         if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
         corner = int(np.asarray(self.faces)[0, 0])

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 
 from .._types import HostArray
 from ._arrays import read_header
@@ -180,3 +181,23 @@ def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
             write(temporary)
         except OSError as error:
             raise FileError(f"cannot write {os.path.abspath(path)}: {error.strerror or error}") from error
+
+
+def write_animation(path: str | os.PathLike[str], frames: Any, milliseconds: int) -> None:
+    """Writes `frames` as an animated WebP file that repeats for ever.
+
+    **Arguments:**
+
+    - `frames`: (n, h, w, 3) colours, floats in [0, 1]; row 0 of each is the bottom row.
+    - `milliseconds`: how long each is shown.
+
+    **Raises** `FileError` if the folder is missing or cannot be written to, and `ValueError` if the frames have another
+    shape, or values that are NaN or outside [0, 1].
+    """
+    pixels = np.asarray(frames)
+    if pixels.ndim != 4 or pixels.shape[-1] != 3 or pixels.size == 0:
+        raise ValueError(f"the frames to write have the shape {pixels.shape}; expected (n, h, w, 3)")
+    unit = _in_unit_range(pixels, "the frames to write", ValueError)
+    first, *others = (Image.fromarray(frame) for frame in np.rint(unit[:, ::-1] * 255).astype(np.uint8))
+    how: Any = {"format": "WEBP", "save_all": True, "append_images": others, "loop": 0, "duration": milliseconds}
+    _save(path, lambda file: first.save(file, quality=80, method=4, **how))

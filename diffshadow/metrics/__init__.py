@@ -5,15 +5,18 @@ from ._differences import mae, psnr, rmse
 from ._false_rates import false_light_rate, false_shadow_rate
 from ._flip import flip
 from ._penumbra import penumbra_width
+from ._shapes import chamfer_distance, intersection_over_union
 from ._ssim import ssim
 from ._summary import ShadowErrors, measure_errors
 
 __all__ = [
     "AliasingFigures",
     "ShadowErrors",
+    "chamfer_distance",
     "false_light_rate",
     "false_shadow_rate",
     "flip",
+    "intersection_over_union",
     "mae",
     "measure_aliasing",
     "measure_errors",

@@ -7,7 +7,7 @@ from annotated_types import Len
 
 from ._settings import At, Form, Limits, Settings, Unit
 from .maps import SoftKernel, Width
-from .quantities import MAX_TEXELS, Factor
+from .quantities import MAX_TEXELS, Coordinate, Distance, Factor, Size
 
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 Over = Literal["mean", "worst", "cvar"]
@@ -129,3 +129,49 @@ class Sureness(Settings):
 
 class Fit(Search, Sureness):
     """How a fit searches, and what it reports."""
+
+
+class ShapePhase(Settings):
+    """A phase of a fit of a shape."""
+
+    strength: Annotated[
+        float,
+        Limits(0, 1e6),
+        "how strongly the steps of neighbouring vertices are smoothed: λ of large steps; 0 for not at all",
+    ] = 20.0
+    rate: Annotated[
+        float,
+        Limits(0, 1, above_low=True),
+        "length of the first steps, as a fraction of the start's longest side; it falls to a twentieth",
+    ] = 0.1
+    steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "number of steps"] = 150
+    blur: Annotated[Blur, "standard deviation of the Gaussian under which images are compared"] = 1.0
+    # Each makes four triangles of one; a sphere of 20 has 1.3 million after 8.
+    subdivisions: Annotated[int, Limits(0, 8), "how often each triangle is split in four before the phase"] = 0
+
+
+PHASES = (
+    {"strength": 20.0, "rate": 0.1, "steps": 150},
+    {"strength": 5.0, "rate": 0.05, "steps": 150},
+    {"strength": 2.0, "rate": 0.02, "steps": 100},
+)
+"""Phases of a fit of a shape with about 2,500 vertices; what they leave out has its default."""
+Screen = Literal["facing", "below"]
+
+
+class Shape(Settings):
+    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light."""
+
+    screen: Annotated[Screen, "what shadows fall on: screens that face their lights, or a level one below"] = "facing"
+    resolution: Annotated[Size, Unit("pixels"), "[height, width] of images, and of shadow maps in texels"] = (128, 128)
+    extent: Annotated[
+        Distance | None, "side of the square across the light that an image shows; default: 2.2 radii of all meshes"
+    ] = None
+    symmetry: Annotated[
+        Literal["x", "y", "z"] | None,
+        "axis across which the shape stays its own mirror image, about the start's middle",
+    ] = None
+    pinned: Annotated[Coordinate | None, "vertices of the start below this height stay"] = None
+    seconds: Annotated[
+        float, Limits(0, 86_400), Unit("seconds"), "time between checkpoints, from which a stopped fit goes on"
+    ] = 10.0

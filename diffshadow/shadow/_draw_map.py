@@ -22,7 +22,7 @@ from ..raster import (
 from ..settings.maps import Cull, DepthFormat, DepthLayer
 from ..settings.maps import ShadowMap as Settings
 from ..settings.quantities import MAX_TEXELS
-from ._map import Overflow, ShadowMap
+from ._map import ShadowMap
 from ._map_depths import depth_at_centres, midpoint, unwarped_depth, with_corners
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
@@ -100,9 +100,10 @@ def draw_shadow_map(
     if crossings is None:
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
-    depth, silhouettes, overflow = _outlined(mesh, light, view, settings, edges.padded(mesh.faces.shape[0]), crossings)
+    depth, silhouettes, needed = _outlined(mesh, light, view, settings, edges.padded(mesh.faces.shape[0]), crossings)
+    overflow = needed > crossings
     if not raises:
-        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow)
+        return ShadowMap(depth, light, depth_format, silhouettes, view=view, overflow=overflow, crossings=needed)
     silhouettes = eqx.error_if(
         silhouettes,
         overflow,
@@ -148,8 +149,8 @@ def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution 
 
 def _outlined(
     mesh: Mesh, light: AbstractLight, view: View, settings: "MapSettings", edges: Edges, crossings: int
-) -> tuple[Float[Array, "*l h w"], SilhouetteMap, Overflow]:
-    """The depths and silhouettes of a map, and whether silhouettes are missing."""
+) -> tuple[Float[Array, "*l h w"], SilhouetteMap, Int[Array, ""]]:
+    """The depths and silhouettes of a map, and how many sides of texels the silhouettes cross."""
     clip, test = view.clip_vertices(mesh.vertices), DepthTest(settings.depth_format)
     seen, corners = with_corners(clip, mesh.faces, settings.resolution, test, settings.polygon_offset)
     depth = _stored(seen, clip, mesh.faces, view, settings)
@@ -285,9 +286,10 @@ def _silhouettes(
     light: AbstractLight,
     edges: Edges,
     crossings: int,
-) -> tuple[SilhouetteMap, Overflow]:
-    """The silhouettes in a map, and whether some are missing."""
+) -> tuple[SilhouetteMap, Int[Array, ""]]:
+    """The silhouettes in a map, and how many sides of texels they cross. If there are more than `crossings`, some are
+    missing."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
     found = find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings)
-    return found, jnp.sum(outline.counts) > crossings
+    return found, jnp.sum(outline.counts)

@@ -12,7 +12,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import shown_with_values
 from .._pictures import as_html, grey_of, is_known
@@ -38,6 +38,8 @@ class ShadowMap(eqx.Module):
     - `view`: the light's view, found as the map is made, since every program that looks into the map needs it. For
         another light, make another map.
     - `overflow`: whether silhouettes are missing, so that the map is wrong; none if drawing raises instead.
+    - `crossings`: how many sides of texels the silhouettes cross, also of those that are missing; known where
+        `overflow` is.
     """
 
     depth: Float[Array, "*l h w"]
@@ -47,6 +49,7 @@ class ShadowMap(eqx.Module):
     padded: Any
     view: View
     overflow: Overflow | None
+    crossings: Int[Array, ""] | None
 
     def __init__(
         self,
@@ -57,9 +60,11 @@ class ShadowMap(eqx.Module):
         padded: Any = None,
         view: View | None = None,
         overflow: Overflow | None = None,
+        crossings: Int[Array, ""] | None = None,
     ):
         self.depth, self.light, self.depth_format = depth, light, depth_format
-        self.silhouettes, self.padded, self.overflow = silhouettes, padded, overflow
+        self.silhouettes, self.padded = silhouettes, padded
+        self.overflow, self.crossings = overflow, crossings
         self.view = light.view() if view is None else view
 
     def __repr__(self) -> str:

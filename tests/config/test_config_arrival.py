@@ -62,7 +62,7 @@ OF_SEVERAL = {
         "normals",
     ),
     *("factors", "terms", "network", "plane", "attenuation", "distances", "shares"),
-    *("parameters", "solver", "anneal", "views", "validation", "loss", "prefer", "blurs", "multistart"),
+    *("parameters", "solver", "anneal", "shape", "views", "validation", "loss", "prefer", "blurs", "multistart"),
 }
 # Values that their neighbours allow.
 FITTING: dict[str, Any] = {

@@ -8,8 +8,10 @@ import pytest
 
 from diffshadow.metrics import (
     ShadowErrors,
+    chamfer_distance,
     false_light_rate,
     false_shadow_rate,
+    intersection_over_union,
     mae,
     measure_errors,
     penumbra_width,
@@ -176,3 +178,21 @@ def test_unfit_images_are_refused(metric):
 def test_negative_band_is_refused(rate):
     with pytest.raises(ValueError, match="band is -1"):
         rate(edge(), edge(), band=-1)
+
+
+def test_overlap_of_shadows_counts_dark_pixels():
+    assert intersection_over_union(edge(lit_from=4), edge(lit_from=5)) == 0.8
+    assert intersection_over_union(edge(lit_from=5), 1 - edge(lit_from=5)) == 0
+    assert intersection_over_union(np.ones((2, 2)), np.ones((2, 2))) == 1
+
+
+def test_chamfer_distance_of_parallel_squares_is_their_distance():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    far = chamfer_distance((corners, faces), (corners + np.array([0, 0, 0.3]), faces), samples=40_000)
+    assert far == pytest.approx(0.3, abs=1e-3)
+    # Samples of one surface are half of 1 / sqrt(density) apart on average.
+    assert chamfer_distance((corners, faces), (corners, faces), samples=40_000) == pytest.approx(0.0025, rel=0.1)
+    # Corners of a mesh do not count, only its surface.
+    split = np.concatenate([corners, [[0.5, 0, 0]]]), np.array([[0, 4, 2], [4, 1, 2], [0, 2, 3]])
+    assert chamfer_distance((corners, faces), split, samples=40_000) < 0.004

@@ -421,9 +421,11 @@ def test_run_folder_says_what_was_done_and_does_it_again(finished):
     assert result["metrics"]["rmse"] == table(folder)["rmse"][3]
 
 
-@pytest.mark.parametrize(("kind", "images", "end"), [("render", 1, "-render"), ("fit", 2, "")])
-def test_figures_are_of_the_same_run_as_the_numbers(kind, images, end, monkeypatch):
-    module = importlib.import_module(f"diffshadow.study.runs._{kind}")
+@pytest.mark.parametrize(
+    ("kind", "where", "images", "end"), [("render", "_render", 1, "-render"), ("fit", "_fitted", 2, "")]
+)
+def test_figures_are_of_the_same_run_as_the_numbers(kind, where, images, end, monkeypatch):
+    module = importlib.import_module(f"diffshadow.study.runs.{where}")
     drawn, draw = [], module.visibility_of
     monkeypatch.setattr(module, "visibility_of", lambda *args: drawn.append(draw(*args)) or drawn[-1])
     # By the programs of the tests of fits.

@@ -23,6 +23,9 @@ from ..whole._preferences import preferences
 from ..whole._schema import Config
 from ._scene import Placed, build_camera, build_light, place_mesh, stage_of
 from ._scene import build_mesh as build_mesh
+from ._shape import Screen as Screen
+from ._shape import ShapePlan as ShapePlan
+from ._shape import plan_shape
 from ._technique import build_bias, build_compare, build_filter, build_layout, module_of
 
 # 120 bytes per triangle, with normals, colours and indices.
@@ -223,6 +226,14 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         config.fit.tolerance,
         config.fit.front,
     )
+
+
+def build_shape(config: Config) -> ShapePlan:
+    """The lights, screens and meshes of a fit of a shape.
+
+    **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
+    """
+    return plan_shape(config, lambda path: _blame(config, path))
 
 
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:

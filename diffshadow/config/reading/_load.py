@@ -162,19 +162,19 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[M
     """Makes the paths of input files in `data` absolute. **Returns** a mistake for each file that does not exist."""
     mistakes = []
     for path, holder in _file_keys(data):
-        place = origin.place(path)
+        place, key = origin.place(path), path[-1]
         # Paths in overrides are relative to the current folder.
         base = folder if place.line is not None else Path()
-        file = Path(holder["path"])
+        file = Path(holder[key])
         try:
-            file = Path(os.path.abspath(base / path_of(holder["path"])))
-            holder["path"] = str(file)
+            file = Path(os.path.abspath(base / path_of(holder[key])))
+            holder[key] = str(file)
             what = None if file.is_file() else _missing(file)
-            holder["path"].encode()
+            holder[key].encode()
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
-            what = f"is {holder['path']}, whose name is not UTF-8; expected one that is; rename the file or a folder"
+            what = f"is {holder[key]}, whose name is not UTF-8; expected one that is; rename the file or a folder"
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None:
@@ -182,16 +182,30 @@ def _resolve_files(data: dict[str, Any], origin: Origin, folder: Path) -> list[M
     return mistakes
 
 
-def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """The paths of the keys of input files, and the sections that hold them."""
-    scene, reference = data.get("scene"), data.get("reference")
-    meshes = scene.get("meshes") if isinstance(scene, dict) else None
-    for i, mesh in enumerate(meshes if isinstance(meshes, list) else ()):
-        path = mesh.get("path") if isinstance(mesh, dict) else None
-        if isinstance(path, str) and path and not path.startswith(BUILTIN):
-            yield ("scene", "meshes", i, "path"), mesh
-    if isinstance(reference, dict) and isinstance(reference.get("path"), str) and reference["path"]:
+def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
+    """The paths of the keys of input files, and the sections or lists that hold them."""
+    scene, reference, fit = data.get("scene"), data.get("reference"), data.get("fit")
+    shape = fit.get("shape") if isinstance(fit, dict) else None
+    meshes: list[tuple[KeyPath, Any]] = []
+    for start, holder, key in ((("scene",), scene, "meshes"), (("fit", "shape"), shape, "targets")):
+        entries: Any = holder.get(key) if isinstance(holder, dict) else None
+        meshes += [((*start, key, i), mesh) for i, mesh in enumerate(entries)] if isinstance(entries, list) else []
+    if isinstance(shape, dict):
+        meshes.append((("fit", "shape", "start"), shape.get("start")))
+        for key in ("images", "masks"):
+            files: Any = shape.get(key)
+            listed = enumerate(files) if isinstance(files, list) else ()
+            yield from ((("fit", "shape", key, i), files) for i, file in listed if file and _is_text(file))
+    for path, mesh in meshes:
+        file = mesh.get("path") if isinstance(mesh, dict) else None
+        if isinstance(file, str) and file and not file.startswith(BUILTIN):
+            yield (*path, "path"), mesh
+    if isinstance(reference, dict) and _is_text(reference.get("path")) and reference["path"]:
         yield ("reference", "path"), reference
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
 
 
 def _missing(file: Path) -> str:

@@ -53,7 +53,11 @@ def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
     folder = given if is_folder else given.parent
     if not is_folder and (given.name != CONFIG_FILE or not (folder / RESULT_FILE).is_file()):
         return SettingsFile(given, str(given))
-    name, origin = _found(_result(folder, str(given)), str(given))
+    result = _result(folder, str(given))
+    if result.get("kind") == "fit" and not (folder / CONFIG_FILE).is_file():
+        what = "holds a fit that was made in Python, which has no configuration"
+        raise _mistake(str(given), f"{what}; expected a run of the command; write the values of result.json into one")
+    name, origin = _found(result, str(given))
     if not (folder / name).is_file():
         mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")
@@ -87,9 +91,6 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
         return RECOMMENDED_FILE, "the recommended technique"
     # Runs of a sweep have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
-    if kind == "fit" and result.get("command") is None:
-        what = "holds a fit that was made in Python, which has no configuration"
-        raise _mistake(path, f"{what}; expected a run of the command; write the values of result.json into one")
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
         what = "holds a fit of lights or meshes, whose values no configuration of the run states"
         raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")

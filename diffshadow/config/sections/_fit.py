@@ -10,6 +10,7 @@ from ...settings import Form, fit
 from ._fitted import outside
 from ._poses import is_pose
 from ._section import Conflict, Section, fault, is_number
+from ._shape import ShapeConfig
 from ._views import LOSSES, AnyLossConfig, ValidationConfig, ViewsConfig
 
 
@@ -68,6 +69,11 @@ class FitConfig(Section, fit.Fit):
         "parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, then radii",
     ] = ()
     loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="what the fit minimises")
+    shape: Annotated[ShapeConfig | None, "a fit of all vertices of a mesh to its shadows, instead of parameters"] = None
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return data if data.get("shape") is None or "parameters" in data else {**data, "parameters": {}}
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
@@ -78,7 +84,11 @@ class FitConfig(Section, fit.Fit):
                 f"is {data['front']}", f"0 for none, or at least {fit.FEWEST_POINTS} points", "raise it, such as to 9"
             )
             yield ("front",), what
-        if parameters == {}:
+        if data.get("shape") is not None:
+            if names:
+                mend = "remove the parameters, or fit.shape"
+                yield ("parameters",), fault("are given with fit.shape", "one or the other", mend)
+        elif parameters == {}:
             mend = "add 'bias.constant: {lower: 0, upper: 10}'"
             yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
         if isinstance(blurs, list | tuple) and all(is_number(blur) for blur in blurs):

@@ -61,9 +61,38 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
     if isinstance(config.technique, ProjectiveShadow) and all(mesh.casts for mesh in config.scene.meshes):
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
+    yield from _faults_of_shape(config)
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")
+
+
+def _faults_of_shape(config: Parts) -> Iterator[Conflict]:
+    """Faults of a fit of a shape."""
+    shape, lights = config.fit.shape, config.scene.each_light
+    if shape is None:
+        return
+    for key in ("images", "masks", "targets"):
+        count = len(getattr(shape, key))
+        if count and count != len(lights):
+            message = f"has {count} entries, and the scene has {len(lights)} light{'' if len(lights) == 1 else 's'}"
+            yield ("fit", "shape", key), fault(message, "one for each light", "add or remove some")
+    if config.technique.type != "shadow_map":
+        message = f"is {config.technique.type}, and fit.shape draws plain shadow maps"
+        yield ("technique", "type"), fault(message, "shadow_map", "remove the technique")
+    for key in ("sweep", "advise"):
+        if getattr(config, key) is not None:
+            yield (key,), fault("is given together with fit.shape", "one or the other", "remove one of them")
+    for key in ("views", "validation"):
+        if getattr(config.fit, key) is not None:
+            mend = "remove it; fit.shape.unseen has lights for measuring"
+            yield ("fit", key), fault("is given together with fit.shape", "one or the other", mend)
+    for i, phase in enumerate(shape.phases):
+        most = widest_blur(*shape.resolution)
+        if phase.blur > most:
+            message = f"is {phase.blur:g}, and fit.shape.resolution is {list(shape.resolution)}"
+            expected = f"at most {most:g} pixels, an eighth of its shorter side"
+            yield ("fit", "shape", "phases", i, "blur"), fault(message, expected, "make it narrower")
 
 
 def _unfit_for_shares(config: Parts) -> Iterator[Conflict]:

@@ -43,7 +43,7 @@ class Config(Parts):
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         section = data.get("fit", {})
-        if not isinstance(section, Mapping) or "parameters" in section:
+        if not isinstance(section, Mapping) or "parameters" in section or section.get("shape") is not None:
             return data
         # The default bounds contain the start.
         start = value_at(data, "bias", "constant", default=0)

@@ -13,6 +13,8 @@ from ._joint import products as products
 from ._joint import squares as squares
 from ._pose import PoseProblem as PoseProblem
 from ._pose import cone_fraction as cone_fraction
+from ._shape import ShapeProblem as ShapeProblem
+from ._shape import ShapeView as ShapeView
 from ._stack import Atlases as Atlases
 from ._stack import of_one_structure as of_one_structure
 from ._stack import together as together

@@ -126,8 +126,9 @@ def _fits(shadow_map: Any, like: ShadowMap) -> bool:
     return is_plain and shadow_map.depth.shape == like.depth.shape
 
 
-def of_one_structure(problems: Sequence[TechniqueProblem]) -> list[list[TechniqueProblem]]:
-    """The problems in groups whose arrays have equal shapes, large images first."""
+def of_one_structure[P](problems: Sequence[P]) -> list[list[P]]:
+    """The problems, or other modules with a `reference`, in groups whose arrays have equal shapes, large images
+    first."""
     return [[problems[number] for number in group] for group in _numbers_of_one_structure(problems)]
 
 
@@ -140,7 +141,7 @@ def _numbers_of_one_structure(problems: Sequence[Any]) -> list[list[int]]:
     return sorted(groups.values(), key=lambda group: -problems[group[0]].reference.size)
 
 
-def together(problems: Sequence[TechniqueProblem]) -> TechniqueProblem:
-    """One problem whose arrays have a leading axis for the images."""
+def together[P](problems: Sequence[P]) -> P:
+    """One module whose arrays have a leading axis for the images."""
     # In NumPy, which dispatches nothing for each of the many small arrays.
     return jax.tree.map(lambda *leaves: as_array(np.stack([np.asarray(leaf) for leaf in leaves])), *problems)

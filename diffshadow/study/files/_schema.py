@@ -295,6 +295,44 @@ class _Fit(_Run):
         return self
 
 
+class _Shadow(_Part):
+    """How far a shadow overlaps its target, as intersection over union."""
+
+    light: str
+    before: Fraction
+    map: Fraction
+    rays: Fraction
+
+
+class _UnseenShadow(_Part):
+    light: str
+    rays: Fraction
+
+
+class _ShapeMetrics(_Part):
+    """`chamfer`, `size`: world units, if the shape that casts the targets is known."""
+
+    initial_loss: Annotated[float, Field(ge=0)]
+    loss: Annotated[float, Field(ge=0)]
+    lights: list[_Shadow] = Field(min_length=1)
+    unseen: list[_UnseenShadow] = []
+    chamfer: Annotated[float, Field(ge=0)] | None = None
+    size: Annotated[float, Field(gt=0)] | None = None
+
+
+class _ShapePhase(_Part):
+    steps: Count
+    loss: Annotated[float, Field(ge=0)]
+
+
+class _Shape(_Run):
+    kind: Literal["shape"]
+    metrics: _ShapeMetrics
+    vertices: Count
+    chosen_phase: int = Field(ge=-1)
+    phases: list[_ShapePhase]
+
+
 class _Sweep(_Part):
     """`runs`: how many there are; so many of them are `done` and `failed`."""
 
@@ -397,7 +435,13 @@ class _Outcome(_Part):
     seconds: dict[str, Seconds]
 
 
-_KINDS: Mapping[str, type[_Part]] = {"render": _Render, "fit": _Fit, "sweep": _Sweep, "advise": _Advise}
+_KINDS: Mapping[str, type[_Part]] = {
+    "render": _Render,
+    "fit": _Fit,
+    "shape": _Shape,
+    "sweep": _Sweep,
+    "advise": _Advise,
+}
 
 
 def read_json(file: Path) -> Any:

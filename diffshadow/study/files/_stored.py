@@ -17,6 +17,8 @@ from ._schema import SLACK, checked_result, read_json, write_json
 ARRAYS, REPORT = "arrays.npz", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
 """The images of each kind of run: their titles, and the names of their arrays."""
+SHAPE = "shape"
+"""The kind of a fit of a shape."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
 ADVISE = "advise"
@@ -134,7 +136,7 @@ def read_result(folder: Path) -> Mapping[str, Any]:
         raise io.FileError(f"{folder} holds no run: it has no {RESULT}; expected the folder of a finished run")
     result = read_json(file)
     kind = result.get("kind") if isinstance(result, dict) else None
-    if kind not in (*KINDS, SWEEP, ADVISE):
+    if kind not in (*KINDS, SHAPE, SWEEP, ADVISE):
         raise io.FileError(
             f"{file} is not of a fit, render, sweep or recommendation; expected one of these: runs inside a sweep keep "
             "only numbers, unless sweep.figures is true"

@@ -2,6 +2,7 @@
 
 from rich.console import Console
 
+from ... import fit
 from ...config import Config, build_fit, build_technique
 from ...settings.engines import Engine
 from ...settings.techniques import Mapped
@@ -11,6 +12,7 @@ from ..remarks._scene import scene_remarks
 from ._progress import Stages
 from ._render import SUFFIX
 from ._setup import check_comparable, load, see
+from ._shape import shape_problem
 
 
 def check(config: Config, *, console: Console) -> int:
@@ -22,6 +24,8 @@ def check(config: Config, *, console: Console) -> int:
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """
+    if config.fit.shape is not None:
+        return _check_shape(config, console)
     # An engine's numbers are fitted only by name.
     names_engine = any(name.startswith("technique.") for name in config.fit.parameters)
     fits = isinstance(config.technique, Mapped) or (isinstance(config.technique, Engine) and names_engine)
@@ -39,3 +43,12 @@ def check(config: Config, *, console: Console) -> int:
     of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
     table.print_lines(console, [*remarks, *seen.remarks, *of_scene], warn=True)
     return scene.mesh.faces.shape[0]
+
+
+def _check_shape(config: Config, console: Console) -> int:
+    """Makes all that a fit of a shape needs. **Returns** the number of triangles that it starts from."""
+    folder_of(config)
+    with Stages(console) as stages:
+        plan, problem, _ = shape_problem(config, stages)
+        fit.check_shape(problem, plan.phases)
+    return plan.start.faces.shape[0]

@@ -23,17 +23,20 @@ from ._explained import fitted_images, unexplained
 from ._fitted import FittedRun, states_of
 from ._progress import Stages
 from ._setup import load
+from ._shape import run_shape
 from ._views import draw_views
 from ._write_fit import write_fit
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
-    """Fits the parameters of `config`, prints the result, and writes the run's folder.
+    """Fits the parameters or the shape of `config`, prints the result, and writes the run's folder.
 
     **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
 
     **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
+    if config.fit.shape is not None:
+        return run_shape(config, console=console)
     folder = folder_of(config)
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)

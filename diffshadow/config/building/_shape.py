@@ -1,0 +1,281 @@
+"""Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ... import fit, geometry, io
+from ..._arithmetic import as_float
+from ..._types import HostArray, Resolution
+from ...settings import scene
+from .._errors import KeyPath
+from ..sections._lights import DirectionalLightConfig
+from ..sections._section import changed
+from ..sections._shape import ShapeConfig
+from ..whole._schema import Config
+from ._scene import Stage, build_light, build_mesh
+
+Blame = Callable[[KeyPath], AbstractContextManager[None]]
+
+# A pictured square is so many times as wide as the radius of all meshes.
+_EXTENT = 2.2
+# Of the pictured square's half side: how far behind the shape's middle the screen is, and the camera before it.
+_SCREEN, _CAMERA = 1.3, 0.2
+# A screen is so many times as wide as what its camera sees.
+_WIDER = 2.0
+# The least sine of the angle at which light may graze a level screen.
+_GRAZING = 0.1
+# A sphere to start from, as a fraction of the meshes' longest side, and how often its triangles are split.
+_START, _SPLITS = 0.5, 4
+_AXES = "xyz"
+
+
+class Screen(NamedTuple):
+    """A light, the screen that its shadows fall on, and the camera that sees nothing but the screen.
+
+    - `key`: of the light in the configuration.
+    """
+
+    key: str
+    light: geometry.AbstractLight
+    mesh: geometry.Mesh
+    camera: geometry.OrthographicCamera
+
+    def scene(self, mesh: geometry.Mesh) -> geometry.Scene:
+        """The screen in the shadow of a mesh."""
+        return geometry.Scene([mesh, self.mesh], self.camera, [self.light], (True, False))
+
+
+class ShapePlan(NamedTuple):
+    """All that a fit of a shape needs.
+
+    - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
+    - `start`: where the fit starts; `free`: (v,), which of its vertices move; `symmetry`: as for `fit.ShapeProblem`.
+    - `targets`: the mesh whose shadow each light should cast; empty if there are images.
+    - `truth`: the mesh that casts all of these shadows, if there is one.
+    - `images`, `weights`: (h, w), of each light; empty without images.
+    """
+
+    seen: list[Screen]
+    unseen: list[Screen]
+    start: geometry.Mesh
+    free: Bool[HostArray, " v"]
+    symmetry: tuple[float, float, float, float] | None
+    targets: list[geometry.Mesh]
+    truth: geometry.Mesh | None
+    images: list[Float[HostArray, "h w"]]
+    weights: list[Float[HostArray, "h w"]]
+    phases: list[fit.ShapePhase]
+
+
+def plan_shape(config: Config, blame: Blame) -> ShapePlan:
+    """The plan of `config`, whose section `fit.shape` is given.
+
+    **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
+    """
+    shape, here = config.fit.shape, ("fit", "shape")
+    assert shape is not None
+    meshes = []
+    for i, section in enumerate(config.scene.meshes):
+        with blame(("scene", "meshes", i)):
+            meshes.append(build_mesh(section))
+    cast = [mesh for mesh, section in zip(meshes, config.scene.meshes, strict=True) if section.casts]
+    casters, targets = geometry.merge(cast), []
+    for i, section in enumerate(shape.targets):
+        with blame((*here, "targets", i)):
+            targets.append(build_mesh(section))
+    is_traced = not (shape.images or targets)
+    start = casters
+    if shape.start is not None:
+        with blame((*here, "start")):
+            start = build_mesh(shape.start)
+    elif is_traced:
+        start = _sphere(casters)
+    whole = geometry.merge([start, *(targets or [casters])])
+    middle = np.asarray(start.bounds if targets or shape.images else casters.bounds, np.float64).mean(axis=0)
+    radius = float(np.linalg.norm(np.asarray(whole.vertices)[np.unique(whole.faces)] - middle, axis=-1).max())
+    extent = _EXTENT * radius if shape.extent is None else shape.extent
+    screens = lambda lights: [_screen(blame, key, light, shape, middle, extent) for key, light in lights.items()]
+    start = _welded(start)
+    images, weights = _images(config, shape, blame)
+    phases = [
+        fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
+    ]
+    return ShapePlan(
+        seen=screens({("scene", *key): light for key, light in config.scene.each_light.items()}),
+        unseen=screens({(*here, "unseen", i): light for i, light in enumerate(shape.unseen)}),
+        start=start,
+        free=_free(shape, start, blame),
+        symmetry=_symmetry(shape, start),
+        targets=[] if images else targets or [casters] * len(config.scene.each_light),
+        truth=casters if is_traced else None,
+        images=images,
+        weights=weights,
+        phases=phases,
+    )
+
+
+def _sphere(casters: geometry.Mesh) -> geometry.Mesh:
+    """A sphere in the middle of the casters, of half their size."""
+    low, high = np.asarray(casters.bounds, np.float64)
+    radius = _START * float((high - low).max()) / 2 * 1.5
+    mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=_SPLITS)
+    return geometry.Mesh(
+        np.asarray(mesh.vertices) - np.asarray(mesh.bounds).mean(axis=0) + (low + high) / 2, mesh.faces
+    )
+
+
+def _welded(mesh: geometry.Mesh) -> geometry.Mesh:
+    vertices, faces, _ = geometry.weld(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces), 0)
+    return geometry.Mesh(vertices, faces)
+
+
+def _free(shape: ShapeConfig, start: geometry.Mesh, blame: Blame) -> Bool[HostArray, " v"]:
+    heights = np.asarray(start.vertices)[:, 1]
+    free = np.ones(len(heights), bool) if shape.pinned is None else heights >= shape.pinned
+    with blame(("fit", "shape", "pinned")):
+        if not free.any():
+            raise ValueError(
+                f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less "
+                f"than {heights.max():.4g}"
+            )
+    return free
+
+
+def _symmetry(shape: ShapeConfig, start: geometry.Mesh) -> tuple[float, float, float, float] | None:
+    if shape.symmetry is None:
+        return None
+    axis = _AXES.index(shape.symmetry)
+    x, y, z = np.eye(3)[axis].tolist()
+    return x, y, z, float(np.asarray(start.bounds).mean(axis=0)[axis])
+
+
+def _images(
+    config: Config, shape: ShapeConfig, blame: Blame
+) -> tuple[list[Float[HostArray, "h w"]], list[Float[HostArray, "h w"]]]:
+    """The images, and the weights of their pixels.
+
+    **Raises** `ConfigError` for a file that cannot be read, or an image of another size or without a shadow.
+    """
+    images, weights = [], []
+    for i, path in enumerate(shape.images):
+        with blame(("fit", "shape", "images", i)):
+            images.append(_image(path, shape.resolution))
+        with blame(("fit", "shape", "masks", i)):
+            weights.append(_image(shape.masks[i], shape.resolution) if shape.masks else np.ones(shape.resolution))
+        with blame(("fit", "shape", "images", i)):
+            if not (images[-1][weights[-1] > 0] < 0.5).any():
+                raise ValueError(
+                    f"is {path}, which is light in all pixels that count; expected a dark shadow on white: check the "
+                    "image, or whether it is inverted"
+                )
+    return images, weights
+
+
+def _image(path: str, resolution: Resolution) -> Float[HostArray, "h w"]:
+    image = np.asarray(io.read_visibility(path))
+    if image.shape != tuple(resolution):
+        raise ValueError(
+            f"is an image of {list(image.shape)} pixels, [height, width], and fit.shape.resolution is "
+            f"{list(resolution)}; expected the same: scale the image, or set the resolution"
+        )
+    return image
+
+
+def _screen(
+    blame: Blame,
+    key: KeyPath,
+    section: scene.Light,
+    shape: ShapeConfig,
+    middle: Float[HostArray, "3"],
+    extent: float,
+) -> Screen:
+    """The screen of one light.
+
+    **Raises** `ConfigError` for a light that does not fall on it.
+    """
+    half = extent / 2
+    with blame(key):
+        around = _ball(middle, half)
+        light = _hard(build_light(_framed(section), Stage(around, around, middle, half, geometry.WORLD)), section, half)
+        position = getattr(light, "position", None)
+        way, distance = np.asarray(getattr(light, "direction", np.zeros(3)), np.float64), np.inf
+        if position is not None:
+            way = middle - np.asarray(position, np.float64)
+            distance = float(np.linalg.norm(way))
+            if distance <= half:
+                raise ValueError(
+                    f"stands {distance:.3g} world units from the shape's middle; expected it outside of the pictured "
+                    f"square, beyond {half:.3g}: move it away, or make fit.shape.extent smaller"
+                )
+        way = way / np.linalg.norm(way)
+        down = np.array([0.0, -1.0, 0.0])
+        facing = way if shape.screen == "facing" else down
+        cosine = float(way @ facing)
+        if cosine < _GRAZING:
+            raise ValueError(
+                "shines upwards or along the level screen; expected light from above: raise its elevation, or set "
+                "fit.shape.screen to facing"
+            )
+        behind = _SCREEN * half / cosine
+        centre = middle + behind * way
+        upright = _upright(facing, way)
+        wide = extent * (1 + behind / distance) / cosine
+        if position is None:
+            upright_of_map = _upright(way, way)
+            light = geometry.DirectionalLight(
+                way, middle, (extent, extent), -extent, extent + behind, 0.0, upright_of_map
+            )
+        across = np.cross(facing, upright)
+        u, v = (_WIDER * wide * axis for axis in (across, upright))
+        mesh = geometry.Mesh([centre - u - v, centre + u - v, centre + u + v, centre - u + v], [[0, 1, 2], [0, 2, 3]])
+        eye, (height, width) = centre - _CAMERA * half * facing, shape.resolution
+        camera = geometry.OrthographicCamera(
+            as_float(eye),
+            as_float(centre),
+            as_float(upright),
+            height=wide * min(1.0, height / width),
+            near=_CAMERA * half / 4,
+            far=_CAMERA * half * 2,
+            resolution=shape.resolution,
+        )
+        return Screen(".".join(map(str, key)), light, mesh, camera)
+
+
+def _framed(section: scene.Light) -> scene.Light:
+    """A sun's section without a frame of its map: it has that of the images."""
+    is_sun = isinstance(section, DirectionalLightConfig)
+    return changed(section, frame="scene", shadow_camera=None) if is_sun else section
+
+
+def _hard(light: geometry.AbstractLight, section: scene.Light, half: float) -> geometry.AbstractLight:
+    """A light as a point, whose map reaches to the screen."""
+    if isinstance(light, geometry.RectangleLight):
+        raise ValueError(
+            "is a rectangle, whose shadows are soft, and fit.shape compares hard ones; expected a directional, spot or "
+            "point light: change its type"
+        )
+    if isinstance(light, geometry.SpotLight | geometry.PointLight):
+        given: Any = section
+        far = float(light.far) + 4 * half if given.far is None else light.far
+        return type(light)(**{**vars(light), "radius": 0.0, "far": far})
+    return light
+
+
+def _upright(facing: Float[HostArray, "3"], way: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
+    """The direction that is upright in the image of a screen: upwards, or on a level screen along the light."""
+    for up in (np.array([0.0, 1.0, 0.0]), way, np.array([0.0, 0.0, -1.0])):
+        across = up - (up @ facing) * facing
+        if np.linalg.norm(across) > 1e-3:
+            return across / np.linalg.norm(across)
+    raise AssertionError("three directions lie along one")
+
+
+def _ball(middle: Float[HostArray, "3"], radius: float) -> Float[HostArray, "n 3"]:
+    """Points round a ball."""
+    corners = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    corners = corners[np.abs(corners).sum(axis=-1) > 0]
+    return middle + radius * corners / np.linalg.norm(corners, axis=-1, keepdims=True)

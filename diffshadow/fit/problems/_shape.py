@@ -1,0 +1,249 @@
+"""Fits of all vertices of a mesh to images of its shadows."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial import KDTree
+
+from ..._arithmetic import as_array, as_float
+from ..._padding import round_up_to_power_of_two
+from ..._types import Faces, HostArray, Resolution, Scalar, Vertices, Visibility
+from ...geometry import AbstractLight, Edges, Mesh, as_mesh, share_vertices
+from ...raster import Surface
+from ...shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping, SingleMap
+from ._blur import blurred
+from ._pose import cone_fraction
+
+# How far a mirrored vertex may be from its partner, as a fraction of the mesh's longest side.
+_SAME_PLACE = 1e-5
+# Silhouettes cross far fewer sides of texels than this multiple of the map's height and width. Only tangled meshes
+# have more.
+_CROSSINGS_PER_SIDE = 16
+
+
+class ShapeView(eqx.Module):
+    """A shadow of a shape: the light, the surface that the shadow falls on, and how it should look there.
+
+    - `light`: its shadow map must contain the shape at all times: its frustum does not follow.
+    - `surface`: (h, w), where the shadow falls. It does not move, and casts no shadow itself.
+    - `reference`: (h, w), visibility in [0, 1]: 1 lit, 0 shadowed.
+    - `weight`: (h, w), how much each pixel counts, 0 or more.
+    """
+
+    light: AbstractLight
+    surface: Surface
+    reference: Visibility
+    weight: Float[Array, "h w"]
+
+    def __init__(self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None):
+        """**Arguments:** `weight`: by default 1 for pixels with a surface. Others never count.
+
+        **Raises** `ValueError` for a reference or a weight of another size than the surface, or that is not finite;
+        for a reference without a shadow in the pixels that count, or none that count.
+        """
+        mask = np.asarray(surface.mask)
+        image = np.asarray(reference, float)
+        own = np.ones(mask.shape) if weight is None else np.asarray(weight, float)
+        for name, given in (("reference", image), ("weight", own)):
+            if given.shape != mask.shape:
+                raise ValueError(
+                    f"the view's {name} has shape {given.shape}, and its surface {mask.shape}; expected the same "
+                    "height and width: scale the image, or draw the surface with its resolution"
+                )
+            if not np.isfinite(given).all() or given.min() < 0:
+                raise ValueError(f"the view's {name} has negative or infinite pixels, or NaN; expected 0 or more")
+        own = np.where(mask, own, 0)
+        if not own.any():
+            raise ValueError("no pixel of the view counts; expected a surface in sight, and a weight above 0 there")
+        if image.max() > 1:
+            raise ValueError(f"the view's reference is {image.max():.4g} at a pixel; expected visibility, at most 1")
+        if not (image[own > 0] < 0.5).any():
+            raise ValueError(
+                "the view's reference is lit wherever pixels count; expected a shadow, 0, on a lit ground, 1: check "
+                "the image, or whether it is inverted"
+            )
+        self.light, self.surface = light, surface
+        self.reference, self.weight = as_float(image), as_float(own)
+
+
+class ShapeProblem(eqx.Module):
+    """A mesh whose vertices are fitted, so that its shadows are like several images.
+
+    - `mesh`: where the fit starts: all that casts, closed or open. Vertices at one place must be one vertex.
+    - `views`: its shadows.
+    - `free`: (v,), which vertices move; all if left out. The others may be a pinned base, or other casters.
+    - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d. The shape stays its own mirror image, as the start must be.
+    - `technique`: how shadows are drawn. Its map has silhouettes, which give vertices their derivatives. By default, an
+        image's pixel is the mean over one texel of a map of the first reference's size.
+
+    **Raises** `ValueError` if there is no view, if vertices share a place, if none is free, if the mesh is no mirror
+    image of itself, or for a technique with another layout than one map.
+    """
+
+    mesh: Mesh
+    views: tuple[ShapeView, ...]
+    free: Bool[Array, " v"]
+    technique: ShadowMapping
+    symmetry: tuple[float, ...] | None = eqx.field(static=True, default=None)
+
+    def __init__(
+        self,
+        mesh: Any,
+        views: Sequence[ShapeView],
+        *,
+        free: Any = None,
+        symmetry: Sequence[float | int] | None = None,
+        technique: ShadowMapping | None = None,
+    ):
+        self.mesh, self.views = as_mesh(mesh), tuple(views)
+        if not self.views:
+            raise ValueError("got no view of the shape; expected one or more: make a fit.ShapeView of each image")
+        count = len(self.mesh.vertices)
+        moves = np.ones(count, bool) if free is None else np.asarray(free)
+        if moves.shape != (count,) or moves.dtype != bool or not moves.any():
+            raise ValueError(
+                f"free is an array of shape {moves.shape} and type {moves.dtype}, and the mesh has {count} "
+                "vertices; expected a bool for each, True for at least one"
+            )
+        self.free = as_array(moves)
+        self.symmetry = None if symmetry is None else tuple(float(number) for number in symmetry)
+        height, width = self.views[0].reference.shape
+        self.technique = default_technique((height, width)) if technique is None else technique
+        _check_technique(self.technique)
+        if not np.array_equal(share_vertices(self.mesh), np.asarray(self.mesh.faces)):
+            raise ValueError(
+                "several of the mesh's vertices are at one place, and would move apart; expected one vertex at each: "
+                "call geometry.weld on its vertices and faces"
+            )
+        if self.symmetry is not None:
+            mirror_partners(np.asarray(self.mesh.vertices, float), self.symmetry)
+
+
+def default_technique(resolution: Resolution) -> ShadowMapping:
+    """Exact coverage of each texel of a map of this `resolution`. Receivers cast no shadow, so there is no bias."""
+    height, width = resolution
+    return ShadowMapping(Bilinear(), ConstantBias(0.0), map=MapSettings((height, width), silhouettes=True))
+
+
+def _check_technique(technique: ShadowMapping) -> None:
+    if not technique.map.silhouettes:
+        raise ValueError(
+            "the technique's map has no silhouettes, so that vertices have no derivative; expected "
+            "MapSettings(..., silhouettes=True)"
+        )
+    if not isinstance(technique.layout, SingleMap):
+        kind = type(technique.layout).__name__
+        raise ValueError(f"the technique's layout is {kind}, which follows a camera; expected SingleMap()")
+
+
+def mirror_partners(vertices: Float[HostArray, "v 3"], plane: tuple[float | int, ...]) -> Int[HostArray, " v"]:
+    """(v,), the vertex at each vertex's mirror image.
+
+    **Raises** `ValueError` if a vertex has none.
+    """
+    normal, offset = np.asarray(plane[:3]), plane[3]
+    if not np.linalg.norm(normal) > 0:
+        raise ValueError(
+            f"symmetry is {list(plane)}; expected a plane [a, b, c, d] with a normal [a, b, c] that is not 0"
+        )
+    query: Any = KDTree(vertices).query
+    far, partner = query(mirrored(vertices, plane))
+    size = np.ptp(vertices, axis=0).max()
+    if far.max() > _SAME_PLACE * size or not np.array_equal(partner[partner], np.arange(len(vertices))):
+        raise ValueError(
+            f"the mesh is no mirror image of itself at {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
+            f"{far.max():.3g} world units from its partner's place; expected a start with this symmetry, such as a "
+            "sphere about a point of the plane"
+        )
+    return partner
+
+
+def mirrored(vertices: Float[HostArray, "v 3"], plane: tuple[float | int, ...]) -> Float[HostArray, "v 3"]:
+    """The mirror images of points."""
+    normal = np.asarray(plane[:3]) / np.dot(plane[:3], plane[:3])
+    return vertices - 2 * (vertices @ np.asarray(plane[:3]) - plane[3])[:, None] * normal
+
+
+class Evaluation(NamedTuple):
+    """The loss of a shape, and what a fit needs beside it.
+
+    - `loss`: the mean over all views of their mean square differences under the blur.
+    - `gradient`: (v, 3), by the vertices.
+    - `images`: for each group of views, (n, h, w), their visibilities.
+    - `crossings`: the most sides of texels that the silhouettes in a map cross. If there are more than there was memory
+        for, all of these are wrong.
+    """
+
+    loss: Scalar
+    gradient: Vertices
+    images: list[Float[Array, "n h w"]]
+    crossings: Int[Array, ""]
+
+
+@eqx.filter_jit
+def evaluate(
+    vertices: Vertices,
+    faces: Faces,
+    edges: Edges,
+    groups: list[ShapeView],
+    technique: ShadowMapping,
+    blur: Scalar,
+    crossings: int,
+) -> Evaluation:
+    """The loss of a mesh.
+
+    **Arguments:**
+
+    - `groups`: views of one structure, with a leading axis. They are scanned, each with its own reverse pass, so that
+        one view's program is compiled for a group, and memory holds one view.
+    - `crossings`: for how many crossings of silhouettes with the sides of texels there is memory.
+    """
+    count = sum(group.reference.shape[0] for group in groups)
+
+    def loss_of(vertices: Vertices, view: ShapeView) -> tuple[Scalar, Any]:
+        mesh = _mesh(vertices, faces)
+        drawn = technique.map.draw(mesh, view.light, edges=edges, crossings=crossings, raises=False)
+        image = technique.visibility(drawn, view.surface) * cone_fraction(view.light, view.surface)
+        difference = blurred((image - view.reference) * jnp.sqrt(view.weight), blur)
+        return jnp.sum(difference**2) / jnp.sum(view.weight), (image, drawn.crossings)
+
+    def add(total: Any, view: ShapeView) -> tuple[Any, Any]:
+        (loss, seen), gradient = jax.value_and_grad(loss_of, has_aux=True)(vertices, view)
+        return (total[0] + loss / count, total[1] + gradient / count), seen
+
+    total, images, needed = (jnp.zeros((), vertices.dtype), jnp.zeros_like(vertices)), [], []
+    for group in groups:
+        total, (image, of_group) = jax.lax.scan(add, total, group)
+        images.append(image)
+        needed.append(jnp.max(of_group))
+    return Evaluation(total[0], total[1], images, jnp.max(jnp.stack(needed)))
+
+
+def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
+    """A mesh whose normals and albedo are 0, since shadows do not depend on them."""
+    none = jnp.zeros((faces.shape[0], 3, 3), vertices.dtype)
+    return Mesh(vertices, faces, none, none[:, 0])
+
+
+@eqx.filter_jit
+def pixels_reached(groups: list[ShapeView]) -> list[Int[Array, " n"]]:
+    """For each view, how many pixels that count lie in its map and are turned to its light."""
+
+    def of_view(view: ShapeView) -> Int[Array, ""]:
+        surface = view.surface
+        towards = jnp.sum(view.light.towards(surface.position) * surface.normal, axis=-1) > 0
+        clip = view.light.view().facing(view.light.layer(surface.position)).clip(surface.position)
+        inside = jnp.all(jnp.abs(clip[..., :3]) <= clip[..., 3:], axis=-1)
+        return jnp.sum((view.weight > 0) & surface.mask & towards & inside, dtype=jnp.int32)
+
+    return [jax.lax.map(of_view, group) for group in groups]
+
+
+def crossings_for(resolution: Resolution) -> int:
+    """Memory for the crossings of most shapes, whichever they are, so that all share a program."""
+    return round_up_to_power_of_two(_CROSSINGS_PER_SIDE * sum(resolution))

@@ -1,0 +1,54 @@
+"""How far a shape is from another, and a shadow from another."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from .._types import HostArray
+
+Triangles = tuple[HostArray, HostArray]
+"""Vertices (v, 3) and faces (f, 3), of which each mesh has its own numbers."""
+
+# Of 20,000 points, a mesh is half a percent of its size from itself.
+_SAMPLES, _QUERIES = 600_000, 20_000
+
+
+def intersection_over_union(image: Float[HostArray, "h w"], reference: Float[HostArray, "h w"]) -> float:
+    """The area that is dark in both images over the area that is dark in one: 1 for equal shadows, 0 for disjoint ones.
+
+    A pixel is dark if its visibility is below 0.5. 1 if no pixel is.
+    """
+    dark, other = np.asarray(image) < 0.5, np.asarray(reference) < 0.5
+    union = int((dark | other).sum())
+    return int((dark & other).sum()) / union if union else 1.0
+
+
+def chamfer_distance(first: Triangles, second: Triangles, *, samples: int = _SAMPLES, seed: int = 0) -> float:
+    """The mean distance from points of either surface to the nearest point of the other, in world units.
+
+    Both surfaces are sampled, uniformly over their areas. The distance of equal surfaces is that between samples: 0.1 %
+    of the size or less with the default number.
+
+    **Arguments:**
+
+    - `first`, `second`: vertices (v, 3) and faces (f, 3).
+    - `samples`: points on each surface; 20,000 of them look for the nearest.
+    - `seed`: of the points.
+    """
+    rng = np.random.default_rng(seed)
+    one, other = (_sampled(vertices, faces, samples, rng) for vertices, faces in (first, second))
+    far = [np.mean(KDTree(a).query(b[:_QUERIES])[0]) for a, b in ((one, other), (other, one))]
+    return float(np.mean(far))
+
+
+def _sampled(
+    vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], count: int, rng: np.random.Generator
+) -> Float[HostArray, "n 3"]:
+    """Points uniform over the area of triangles, in random order."""
+    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    face = rng.choice(len(faces), count, p=area / area.sum())
+    first, second = rng.random((2, count, 1))
+    outside = first + second > 1
+    u, v = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
+    return a[face] + u * (b - a)[face] + v * (c - a)[face]

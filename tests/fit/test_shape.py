@@ -1,0 +1,245 @@
+"""Fits of shapes: that shadows come closer to their targets, the gradient, resuming, what stays, and refusals."""
+
+import dataclasses
+import itertools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffshadow import geometry
+from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
+from diffshadow.fit import _shape as shapes
+from diffshadow.fit._large_steps import LargeSteps
+from diffshadow.fit.problems._shape import pixels_reached
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, split_in_four
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping
+
+SIDE = 32
+PHASES = (ShapePhase(strength=5.0, rate=0.1, steps=14), ShapePhase(2.0, 0.03, 6))
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def sphere(radius=0.5, subdivisions=2):
+    """A sphere of 162 vertices about the origin."""
+    mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=subdivisions)
+    return Mesh(np.asarray(mesh.vertices) - [0, radius, 0], mesh.faces)
+
+
+def wall(way, away=2.0, size=2.0, side=SIDE):
+    """A light along `way`, and the surface of a wall behind the origin that it falls on."""
+    light = DirectionalLight(way, np.zeros(3), (size, size), -away - 1.0, away + 1.0, 0.0, UP)
+    way = np.asarray(way)
+    u, v, centre = np.cross(way, UP) * size, UP * size, way * away
+    mesh = Mesh([centre - u - v, centre + u - v, centre + u + v, centre - u + v], [[0, 1, 2], [0, 2, 3]])
+    return light, draw_surface(mesh, OrthographicCamera(way * (away - 0.5), centre, UP, size, 0.1, 1.0, (side, side)))
+
+
+def ellipse(half_width, half_height, side=SIDE, size=2.0):
+    """The shadow of an ellipsoid, with soft pixels at its outline."""
+    x = (np.arange(side) + 0.5) / side * size - size / 2
+    far = np.hypot(x / half_width, x[:, None] / half_height)
+    return np.clip((far - 1) * half_width * side / size + 0.5, 0, 1)
+
+
+@pytest.fixture(scope="module")
+def walls():
+    return [wall((0.0, 0.0, -1.0)), wall((-1.0, 0.0, 0.0))]
+
+
+@pytest.fixture(scope="module")
+def views(walls):
+    halves = (0.7, 0.5), (0.35, 0.5)
+    return [ShapeView(*each, ellipse(width, height)) for each, (width, height) in zip(walls, halves, strict=True)]
+
+
+def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
+    start = sphere()
+    free = np.asarray(start.vertices)[:, 1] > -0.45
+    seen = []
+    problem = ShapeProblem(start, views, free=free, symmetry=(1.0, 0.0, 0.0, 0.0))
+    found = fit_shape(problem, PHASES, on_step=seen.append)
+    assert found.loss < 0.1 * found.initial_loss
+    assert found.loss == found.losses[found.chosen] == min(found.losses)
+    assert [(step.phase, step.step) for step in seen] == [(0, n) for n in range(14)] + [(1, n) for n in range(6)]
+    assert [step.loss for step in seen] == [loss for _, loss in found.history]
+    after, before = np.asarray(found.mesh.vertices), np.asarray(start.vertices)
+    np.testing.assert_array_equal(after[~free], before[~free])
+    assert np.abs(after[free] - before[free]).max() > 0.1
+    partner = shapes.mirror_partners(before.astype(float), (1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(after[partner], after * [-1, 1, 1], atol=1e-6)
+
+
+def test_a_stopped_fit_goes_on_to_the_same_bits(views):
+    problem = ShapeProblem(sphere(), views)
+    whole = fit_shape(problem, PHASES)
+    for last in ((0, 9), (0, 13), (1, 2)):
+        stopped = fit_shape(problem, PHASES, on_step=lambda step, last=last: (step.phase, step.step) == last)
+        assert len(stopped.history) == sum(last) + 1 + 13 * last[0]
+        resumed = fit_shape(problem, PHASES, resume=stopped.state)
+        np.testing.assert_array_equal(resumed.mesh.vertices, whole.mesh.vertices)
+        assert (resumed.losses, resumed.history) == (whole.losses, whole.history)
+
+
+def test_another_mesh_and_subdivisions_of_one_padded_size_share_a_program(views, monkeypatch):
+    asked = []
+    monkeypatch.setattr(shapes, "compiled", lambda function, given: asked.append(kinds(given)) or STUB)
+    coarse = ShapePhase(5.0, 0.05, 1), ShapePhase(5.0, 0.05, 1, subdivisions=1)
+    fit_shape(ShapeProblem(sphere(subdivisions=2), views), coarse)
+    fit_shape(ShapeProblem(sphere(0.4, subdivisions=3), views), PHASES[:1])
+    assert len(asked) > 10
+    assert all(each == asked[0] for each in asked)
+
+
+def kinds(given):
+    """The structure, shapes and types that a program is compiled for."""
+    leaves, tree = jax.tree.flatten(given)
+    return tree, [(leaf.shape, leaf.dtype) if hasattr(leaf, "shape") else leaf for leaf in leaves]
+
+
+def STUB(vertices, faces, edges, groups, technique, blur, crossings):
+    """An evaluation that pulls all vertices inwards."""
+    images: Any = [np.zeros(group.reference.shape) for group in groups]
+    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), images, np.asarray(9)
+    return shapes.Evaluation(*found)
+
+
+def test_memory_for_crossings_doubles_when_it_is_full_and_compiles_before(views, monkeypatch):
+    needed, asked = itertools.count(100, 30), []
+
+    def compiled(function, given):
+        asked.append(given[-1])
+        return lambda *given: STUB(*given)._replace(crossings=np.asarray(next(needed)))
+
+    monkeypatch.setattr(shapes, "compiled", compiled)
+    monkeypatch.setattr(shapes, "crossings_for", lambda resolution: 256)
+    found = fit_shape(ShapeProblem(sphere(), views), (ShapePhase(5.0, 0.05, 9),))
+    assert asked[0] == 256
+    assert asked.index(512) < len(asked) - 1
+    assert found.state.crossings == 512
+
+
+def test_large_steps_solve_their_equations_and_leave_pinned_vertices():
+    mesh = sphere()
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    free = vertices[:, 1] > -0.3
+    large = LargeSteps(vertices, faces, free, 7.0)
+    u = large.u_of(vertices)
+    np.testing.assert_allclose(large.vertices_of(u), vertices, atol=1e-12)
+    rng = np.random.default_rng(0)
+    moved, gradient = u + 0.1 * rng.normal(size=u.shape), rng.normal(size=vertices.shape)
+    found = large.vertices_of(moved)
+    np.testing.assert_array_equal(found[~free], vertices[~free])
+    # The gradient by u is that by x times dx/du.
+    change = np.sum(gradient * (found - vertices))
+    assert change == pytest.approx(np.sum(large.gradient_of(gradient) * (moved - u)))
+    plain = LargeSteps(vertices, faces, free, 0.0)
+    np.testing.assert_array_equal(plain.gradient_of(gradient), gradient[free])
+
+
+def test_splitting_keeps_the_surface_and_the_number_of_holes():
+    mesh = geometry.library_mesh("torus", segments=12, sides=8)
+    vertices, faces, ends = split_in_four(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    edges = Edges.of(Mesh(vertices, faces))
+    assert edges.is_closed
+    assert len(faces) == 4 * len(mesh.faces)
+    assert len(vertices) - len(edges.vertices) + len(faces) == 0
+    np.testing.assert_allclose(vertices[len(mesh.vertices) :], np.asarray(mesh.vertices)[ends].mean(axis=1))
+
+
+def bad_views(walls):
+    light, surface = walls[0]
+    dark = ellipse(0.5, 0.5)
+    yield lambda: ShapeView(light, surface, dark[:, :16]), r"reference has shape \(32, 16\), and its surface \(32, 32\)"
+    yield lambda: ShapeView(light, surface, np.ones_like(dark)), "is lit wherever pixels count"
+    yield lambda: ShapeView(light, surface, 255 * dark), "is 255 at a pixel; expected visibility"
+    yield lambda: ShapeView(light, surface, dark - 1), "reference has negative"
+    yield lambda: ShapeView(light, surface, dark, np.zeros_like(dark)), "no pixel of the view counts"
+
+
+def test_views_that_cannot_be_fitted_are_refused(walls):
+    for make, message in bad_views(walls):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+
+def test_problems_that_cannot_be_fitted_are_refused(walls, views):
+    start = sphere()
+    twice = geometry.merge([start, start])
+    plain = ShadowMapping(Bilinear(), ConstantBias(0.0), map=MapSettings((SIDE, SIDE)))
+    for make, message in (
+        (lambda: ShapeProblem(start, []), "got no view"),
+        (lambda: ShapeProblem(start, views, free=np.zeros(162, bool)), "True for at least one"),
+        (lambda: ShapeProblem(start, views, free=[True]), r"shape \(1,\)"),
+        (lambda: ShapeProblem(twice, views), "vertices are at one place"),
+        (lambda: ShapeProblem(start, views, symmetry=(1, 0, 0, 0.3)), "no mirror image of itself"),
+        (lambda: ShapeProblem(start, views, symmetry=(0, 0, 0, 0)), "a normal"),
+        (lambda: ShapeProblem(start, views, technique=plain), "no silhouettes"),
+        (lambda: fit_shape(ShapeProblem(start, views), ()), "got no phase"),
+        (lambda: fit_shape(ShapeProblem(start, views), (ShapePhase(blur=9.0),)), "blur is 9 pixels"),
+        (lambda: ShapePhase(strength=-1.0), "ShapePhase.strength is -1.0"),
+        (lambda: ShapePhase(steps=0), "ShapePhase.steps is 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+
+def test_lights_that_miss_their_screen_and_starts_without_a_shadow_are_refused(walls, views):
+    far = eqx.tree_at(lambda light: light.center, walls[1][0], jnp.array([0.0, 0.0, 9.0]))
+    aside = dataclasses.replace(views[1], light=far)
+    with pytest.raises(ValueError, match="light of view 1 reaches none"):
+        check_shape(ShapeProblem(sphere(), [views[0], aside]), PHASES)
+    start = sphere()
+    away = Mesh(np.asarray(start.vertices) + np.array([1.9, 0, 0]), start.faces)
+    with pytest.raises(ValueError, match="start casts no shadow in view 0"):
+        check_shape(ShapeProblem(away, views), PHASES)
+
+
+def test_a_state_of_another_fit_is_refused(views):
+    problem = ShapeProblem(sphere(), views)
+    stopped = fit_shape(problem, PHASES, on_step=lambda step: step.step == 3)
+    other = ShapeProblem(sphere(subdivisions=1), views)
+    for make in (
+        lambda: fit_shape(other, PHASES, resume=stopped.state),
+        lambda: fit_shape(problem, PHASES[:1], resume=stopped.state._replace(phase=3)),
+        lambda: fit_shape(problem, PHASES, resume=stopped.state._replace(step=15)),
+    ):
+        with pytest.raises(ValueError, match="expected a state of a fit with the same mesh and phases"):
+            make()
+
+
+def test_point_lights_reach_screens_in_every_layer(walls):
+    _, surface = walls[0]
+    light = PointLight((0.0, 0.0, 0.0), near=0.1, far=9.0)
+    group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
+    (reached,) = pixels_reached([group])
+    assert reached[0] == SIDE * SIDE
+
+
+@pytest.mark.exhaustive
+def test_the_whole_gradient_matches_differences():
+    """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink."""
+    with jax.enable_x64(True):
+        points, faces = np.asarray(sphere(0.6).vertices, float), np.asarray(sphere(0.6).faces)
+        points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+        points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
+        seen = [wall(way, side=48) for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
+        views = [ShapeView(*each, ellipse(0.5, 0.45, 48)) for each in seen]
+        fit = shapes._Fit(ShapeProblem(Mesh(points, faces), views), PHASES)
+        level = fit._level(points, faces, np.ones(len(points), bool))
+        at = lambda points: fit._program(level, points, 0.0, 1024)
+        found, step = np.asarray(at(points).gradient)[: len(points)], 2e-4
+        difference = np.zeros_like(found)
+        for vertex, axis in zip(*np.nonzero(found), strict=True):
+            aside = np.zeros_like(points)
+            aside[vertex, axis] = step
+            difference[vertex, axis] = (at(points + aside).loss - at(points - aside).loss) / (2 * step)
+    moves = np.abs(found).sum(axis=1) > 0
+    error = np.linalg.norm(difference - found, axis=1)[moves] / np.linalg.norm(difference, axis=1)[moves]
+    assert moves.sum() > 30
+    assert np.quantile(error, 0.9) < 2e-3
+    assert np.linalg.norm(difference - found) < 0.03 * np.linalg.norm(difference)

@@ -1,0 +1,163 @@
+"""Runs of fits of shapes: their folder, page and checkpoint, and mistakes of their configurations."""
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from diffshadow import io, study
+from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
+from diffshadow.study.files._stored import read_result
+from diffshadow.study.runs._checkpoint import Checkpoint
+from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._shape import shape_problem
+
+TINY = """
+name: tiny
+scene:
+  meshes:
+    - {path: builtin:box, size: 1.0}
+  lights: [{azimuth: 0, elevation: 20}, {azimuth: 90, elevation: 20}]
+fit:
+  shape:
+    resolution: [32, 32]
+    start: {path: builtin:sphere, size: 1.0, options: {subdivisions: 2}}
+    unseen: [{azimuth: 45, elevation: 20}]
+    phases: [{strength: 5, rate: 0.05, steps: 3}]
+"""
+QUIET = Console(quiet=True)
+
+
+def config(*overrides, text=TINY):
+    return parse_config(text, overrides, fitting=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    output = tmp_path_factory.mktemp("runs")
+    return study.run_fit(config(f"output={output}"), console=QUIET)
+
+
+def test_run_of_a_shape_has_the_mesh_the_numbers_and_a_page(folder):
+    result = read_result(folder)
+    assert sorted(entry.name for entry in folder.iterdir()) == result["files"]
+    assert {"shape.ply", "turntable.webp", "progress.webp", "report.html", CONFIG_FILE} <= set(result["files"])
+    measured = result["metrics"]
+    assert [light["light"] for light in measured["lights"]] == ["scene.lights.0", "scene.lights.1"]
+    assert all(light["rays"] > light["before"] - 0.02 for light in measured["lights"])
+    assert measured["loss"] < measured["initial_loss"]
+    assert 0.3 < measured["unseen"][0]["rays"] < 1
+    assert 0 < measured["chamfer"] < 0.3 * measured["size"] == pytest.approx(0.3)
+    mesh = io.load_mesh(folder / "shape.ply")
+    assert (len(mesh.vertices), len(mesh.faces)) == (162, 320)
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/webp") == 2
+    assert load_config(folder / CONFIG_FILE, fitting=True).fit.shape == config().fit.shape
+    assert list(folder.parent.iterdir()) == [folder]
+
+
+def test_page_of_a_shape_is_made_again_from_its_files(folder):
+    page = (folder / "report.html").read_bytes()
+    study.report(folder)
+    assert (folder / "report.html").read_bytes() == page
+
+
+def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
+    class StopError(Exception):
+        pass
+
+    original = Checkpoint.at
+
+    def at(self, state):
+        original(self, state)
+        if state.step == 2:
+            raise StopError
+
+    again = config(f"output={tmp_path}", "fit.shape.seconds=0")
+    monkeypatch.setattr(Checkpoint, "at", at)
+    with pytest.raises(StopError):
+        study.run_fit(again, console=QUIET)
+    kept = Checkpoint(again, tmp_path / "tiny").read()
+    assert kept is not None
+    assert (kept.phase, kept.step) == (0, 2)
+    assert Checkpoint(config(f"output={tmp_path}", "seed=1"), tmp_path / "tiny").read() is None
+    monkeypatch.setattr(Checkpoint, "at", original)
+    resumed = study.run_fit(again, console=QUIET)
+    assert (resumed / "shape.ply").read_bytes() == (folder / "shape.ply").read_bytes()
+    assert list(tmp_path.iterdir()) == [resumed]
+
+
+def test_damaged_checkpoints_are_ignored(tmp_path):
+    checkpoint = Checkpoint(config(), tmp_path / "tiny")
+    checkpoint.file.write_bytes(b"PK\x03\x04 and no more")
+    assert checkpoint.read() is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["fit.shape.screen=below", "scene.lights.0.elevation=-20"], "expected light from above"),
+        (["fit.shape.pinned=3"], "above all of the start's vertices"),
+        (["scene.lights=[{type: point, position: [0, 0.5, 0.1]}]"], "expected it outside of the pictured square"),
+        (["scene.lights=[{type: rectangle, position: [0, 3, 0]}]"], "is a rectangle, whose shadows are soft"),
+        (["fit.shape.symmetry=x", "fit.shape.start.path=builtin:blob"], "no mirror image of itself"),
+    ],
+)
+def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):
+    with pytest.raises(ConfigError, match=words), Stages(QUIET) as stages:
+        shape_problem(config(*overrides), stages)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (
+            ["fit.shape.targets=[{path: builtin:box}]", "fit.shape.unseen=[]"],
+            "has 1 entries, and the scene has 2 light",
+        ),
+        (["fit.shape.targets=[{path: builtin:box}, {path: builtin:box}]"], "unseen: is given together with targets"),
+        (["fit.parameters={bias.constant: {lower: 0, upper: 1}}"], "are given with fit.shape"),
+        (["fit.shape.phases=[{blur: 9}]"], "at most 4 pixels, an eighth"),
+        (["technique.type=shadow_volumes"], "fit.shape draws plain shadow maps"),
+        (["fit.shape.images=[none.png]"], "there is no file"),
+        (["fit.shape.start.path=none.ply"], "there is no file"),
+    ],
+)
+def test_mistakes_between_keys_of_a_shape_are_named(overrides, words):
+    with pytest.raises(ConfigError, match=words):
+        config(*overrides)
+
+
+def test_images_are_targets_and_masks_their_weights(tmp_path):
+    dark = np.ones((32, 32), np.float32)
+    dark[8:24, 8:20] = 0
+    for name, image in (("dark", dark), ("light", np.ones((32, 32))), ("large", np.ones((64, 32)))):
+        io.write_visibility(tmp_path / f"{name}.png", image)
+    given = lambda first, *others: config(
+        f"fit.shape.images=[{tmp_path}/{first}.png, {tmp_path}/dark.png]", "fit.shape.unseen=[]", *others
+    )
+    plan = build_shape(given("dark"))
+    np.testing.assert_allclose(plan.images[0], dark, atol=1e-4)
+    assert plan.targets == []
+    assert plan.truth is None
+    with pytest.raises(ConfigError, match=r"is an image of \[64, 32\] pixels"):
+        build_shape(given("large"))
+    with pytest.raises(ConfigError, match="is light in all pixels that count"):
+        build_shape(given("light"))
+    masked = f"fit.shape.masks=[{tmp_path}/dark.png, {tmp_path}/light.png]"
+    with pytest.raises(ConfigError, match="is light in all pixels that count"):
+        build_shape(given("dark", masked))
+
+
+def test_lights_of_all_kinds_have_screens_that_show_the_shape():
+    lights = "[{azimuth: 20, elevation: 60}, {type: spot, position: [1, 4, 1]}, {type: point, position: [0, 3, 1]}]"
+    for screen in ("facing", "below"):
+        plan = build_shape(config(f"scene.lights={lights}", f"fit.shape.screen={screen}"))
+        assert plan.truth is not None
+        middle = np.asarray(plan.truth.bounds).mean(axis=0)
+        for each in plan.seen:
+            place = getattr(each.light, "position", None)
+            way = np.asarray(getattr(each.light, "direction", None)) if place is None else middle - np.asarray(place)
+            eye, target = (np.asarray(point) for point in (each.camera.eye, each.camera.target))
+            # The light's ray through the middle meets the screen where the camera looks.
+            np.testing.assert_allclose(np.cross(target - middle, way), 0, atol=1e-5)
+            assert (target - eye) @ way > 0
