@@ -192,6 +192,7 @@ def test_every_number_of_an_arrangement_has_a_path():
         resolve(arrangement, "lights.1.azimuth")
 
 
+@pytest.mark.exhaustive
 def test_a_problem_of_a_scene_is_the_one_of_its_parts():
     scene = Scene([FLOOR, CARD], floor_camera(1.5, (64, 64)), LIGHTS["point"], casts=(False, True))
     truth = trace_visibility(scene, samples=1)
@@ -555,6 +556,7 @@ def absolute(predicted, reference, mask):
     return jnp.sum(jnp.abs(predicted - reference), where=mask) / jnp.sum(mask)
 
 
+@pytest.mark.exhaustive
 def test_a_users_loss_of_poses_sees_images_and_their_blur():
     paths = (AZIMUTH, ELEVATION)
     one = problem(SUN)

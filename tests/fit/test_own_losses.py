@@ -165,6 +165,7 @@ def test_residuals_of_the_mean_square_error_find_what_that_finds(by_residuals, k
     assert last.loss == pytest.approx(float(known.mean_square_error(soft)), rel=2e-3, abs=1e-8)
 
 
+@pytest.mark.exhaustive
 def test_numbers_of_a_users_loss_and_solver_are_no_part_of_the_program(by_residuals, known):
     with compiled_programs() as compiled:
         solver = Solver(method=optx.Dogleg(1e-4, 1e-7), max_steps=60)

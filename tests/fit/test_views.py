@@ -451,6 +451,7 @@ def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(waved):
     assert [float(problem.factor) for problem in corrected.problems] == [0.25, 4.0]
 
 
+@pytest.mark.exhaustive
 def test_a_fit_to_a_sample_ends_near_that_to_all(views):
     whole, part = fitted(views[:1]), fitted(twice(views[0]), search=FEW)
     assert part.fitted["filter.radius"] == pytest.approx(whole.fitted["filter.radius"], abs=0.3)

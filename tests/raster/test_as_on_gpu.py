@@ -67,6 +67,7 @@ def test_the_first_items_follow_the_last(on):
     assert np.all((owner >= 0) & (owner < 6))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("columns", [(), (3,)])
 def test_reading_in_runs_is_reading(columns):
     rng = np.random.default_rng(0)

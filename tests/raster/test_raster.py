@@ -126,6 +126,7 @@ def test_depth_of_unclipped_soups_is_that_of_their_planes():
         assert (error <= exact.layers.depth_error[pixel][plain]).all(), kinds
 
 
+@pytest.mark.exhaustive
 def test_a_mesh_in_perspective_sees_the_nearest_face():
     mesh = library_mesh("torus", segments=24, sides=12)
     camera = PinholeCamera((0.6, 0.5, 0.7), (0.0, 0.1, 0.0), near=0.05, far=4.0, resolution=RESOLUTION)

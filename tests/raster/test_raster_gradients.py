@@ -78,6 +78,7 @@ def positions_by_bands(face, mesh, pixels):
     return jax.jvp(positions, (jnp.ones(()),), (jnp.ones(()),))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("pixels", marked([1, 3 * 32, 32], {3 * 32, 32}))
 def test_bands_of_rows_make_the_whole_image(pixels):
     face = rasterize(CAMERA.view().clip(MESH.vertices), MESH.faces, RESOLUTION).face

@@ -84,6 +84,7 @@ def fan(centre, radius, spokes):
     return np.concatenate([[[0, 0]], rim]) + centre
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
@@ -125,6 +126,7 @@ def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):
     np.testing.assert_array_equal(coverage(_clip(camera, stretched), mesh.faces), 1)
 
 
+@pytest.mark.exhaustive
 def test_both_halves_of_a_fine_mesh_cover_what_the_whole_covers():
     mesh = library_mesh("torus", segments=48, sides=24)
     camera = PinholeCamera((0.7, 0.6, 0.8), (0.0, 0.1, 0.0), near=0.05, far=4.0)

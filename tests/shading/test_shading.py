@@ -195,6 +195,7 @@ SHONE_ON = {"sun": sun(), "full spot": spot(2.0), "spot": spot(2.0, inner_angle=
 USUAL = [("blinn_phong", "spot"), ("phong", "sun")]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("model", "light"),
     [

@@ -18,6 +18,7 @@ def map_from(light, size=SIZE) -> ShadowMap:
     return ShadowMap(jnp.zeros(size), light)
 
 
+@pytest.mark.exhaustive
 def test_texels_on_a_plane_under_light_from_above_have_their_closed_form():
     # Of a level camera at height h with a focal length of F pixels: t F / z across, and t F h / z² along the view.
     height, texels, width = 1.7, 64, 30.0

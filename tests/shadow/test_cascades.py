@@ -117,6 +117,7 @@ def test_given_slices_end_where_they_are_said_to():
     assert np.asarray(layers).tolist() == [0, 1, 1, 1]
 
 
+@pytest.mark.exhaustive
 def test_sample_distribution_splits_what_is_seen():
     mesh, camera = floor_and_card(), side_camera(SIZE)
     surface, sunlight = draw_surface(mesh, camera), sun(mesh)
@@ -173,13 +174,14 @@ def _contained(layout, size, eye, target, fov, aside, direction, fractions):
 
 
 # Maps without shares are not square.
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("stabilize", "select", "shares"),
     [
         (True, "interval", None),
         (False, "map", None),
         (False, "interval", SHARES),
-        pytest.param(True, "map", SHARES, marks=pytest.mark.exhaustive),
+        (True, "map", SHARES),
     ],
 )
 def test_every_point_of_the_view_lies_in_its_map_with_its_kernel(stabilize, select, shares):
@@ -315,6 +317,7 @@ def overlap(first, second, layer):
 MOVES = [np.array(move) for move in ((0.003, 0.0, 0.001), (1.37, 0.2, -2.9), (-7.7, 1.1, 5.3))]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("shares", [None, (9.0, 4.0, 4.0, 1.0)])
 def test_texels_stay_in_place_as_the_camera_moves(shares):
     first, *others = moved_maps(cascades(0.5, shares=shares), MOVES)
@@ -383,6 +386,7 @@ LIT_PLANES = [
 ]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "select", "stabilize", "shares"), LIT_PLANES)
 def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize, shares):
     layout = cascades(shares=shares, select=select, stabilize=stabilize, blend=0.2)
@@ -395,6 +399,7 @@ def test_a_lit_plane_is_lit_at_every_split(name, select, stabilize, shares):
 TIGHT = Cascades(4, 0.8, blend=0.0, stabilize=False, margin=RADIUS + 0.5)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "layout",
     [
@@ -568,6 +573,7 @@ def test_four_small_cascades_beat_one_large_map():
     assert error["cascades"] < 0.6 * error["plain"]
 
 
+@pytest.mark.exhaustive
 def test_cascades_lower_the_aliasing():
     mesh = posts()
     scene = Scene(mesh, along_corridor(), sun(mesh, (0.5, -1.0, -0.4)))

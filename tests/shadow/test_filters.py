@@ -81,6 +81,7 @@ def test_box_at_a_texels_centre_is_the_mean_of_five_by_five(rng):
     np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 1.0, 1.7, 3.0])
 def test_box_does_not_depend_on_the_largest_radius(radius, rng):
     shadow_map, lookup = random_map(rng), random_lookups(rng)

@@ -158,6 +158,7 @@ def test_pictures_follow_a_change_of_the_scene(light):
             assert (CHANGES[name].back(image) != expected).sum() <= 2, name
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", EACH_LIGHT)
 def test_visibility_is_that_of_the_toolkits_own_reference(light):
     scene = scene_of("torus", light)

@@ -124,6 +124,7 @@ def test_monte_carlo_converges_as_the_root_of_samples(occluder):
         np.testing.assert_allclose(found, np.sqrt(0.36 * 0.64 / np.array(COUNTS)), rtol=0.1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("occluder", marked(OCCLUDERS, ["disk"]))
 @pytest.mark.parametrize("name", SLOPES)
 def test_even_patterns_converge_faster(name, occluder):

@@ -107,6 +107,7 @@ def check_penumbra(light, height, compare, shadow_map, surface, across):
     assert np.interp(0.5, visibility, across) == pytest.approx(0, abs=0.05 * exact)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", marked(["directional", "wide", "spot"], {"directional", "wide"}))
 def test_penumbra_grows_as_the_blocker_rises(light):
     light = LIGHTS[light]
@@ -206,9 +207,10 @@ def test_sizes_of_lights():
         half_width_of.__wrapped__(unknown, None)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "compare",
-    [pytest.param(HARD, id="hard"), pytest.param(SoftCompare(0.7), id="soft", marks=pytest.mark.exhaustive)],
+    [pytest.param(HARD, id="hard"), pytest.param(SoftCompare(0.7), id="soft")],
 )
 def test_one_radius_for_all_is_the_random_disk(compare):
     rng = np.random.default_rng(5)

@@ -92,6 +92,7 @@ def test_every_point_falls_in_the_face_that_looks_along_its_largest_coordinate()
     assert reach.max() == pytest.approx(1 / 1.25, rel=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_faces_hold_what_spot_lights_that_look_the_same_way_hold():
     mesh = merge([cube(2.0), cube(0.3, (1.2, 0.4, 0.2)), cube(0.4, (-0.5, -1.3, -0.8)), cube(0.2, (0.2, 1.0, 0.5))])
     light = PointLight(PLACE, 0.05, 5.0)

@@ -525,6 +525,7 @@ def _along_x(shadow_map, lookup, along):
     return jacfwd_and_value(lit)(along)
 
 
+@pytest.mark.exhaustive
 def test_receivers_that_move_see_outlines_pass_and_no_steps_between_texels():
     """A light that moves takes texels along: what only depends on where these lie, such as acne, has no derivative."""
     shadow_map = _scene()

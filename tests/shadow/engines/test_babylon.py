@@ -113,7 +113,7 @@ def test_the_engines_map_gives_the_engines_picture(name):
     assert agreement(golden, from_read_back(golden, preset(golden))) >= ENOUGH
 
 
-OWN_MAPS = ("directional_none_bias", "point_none_bias")
+OWN_MAPS = ("point_none_bias",)
 """Those whose maps are drawn in every run of the tests."""
 
 
