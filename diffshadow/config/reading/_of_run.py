@@ -35,12 +35,13 @@ class SettingsFile(NamedTuple):
     origin: str
 
 
-def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
+def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> SettingsFile:
     """The configuration with the values that a run found.
 
     **Arguments:**
 
     - `path`: a run's folder, its `config.yaml`, or any other configuration.
+    - `sweep`: whether a folder of a sweep is expected, whose configuration is then returned.
 
     **Returns** `fitted.yaml` of a fit, `recommended.yaml` of a recommendation, `config.yaml` of a render, and otherwise
     `path`.
@@ -53,7 +54,11 @@ def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
     folder = given if is_folder else given.parent
     if not is_folder and (given.name != CONFIG_FILE or not (folder / RESULT_FILE).is_file()):
         return SettingsFile(given, str(given))
-    name, origin = _found(_result(folder, str(given)), str(given))
+    result = _result(folder, str(given))
+    if sweep and result.get("kind") == "sweep":
+        name, origin = CONFIG_FILE, "the sweep"
+    else:
+        name, origin = _found(result, str(given))
     if not (folder / name).is_file():
         mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ... import metrics
+from ... import geometry, metrics, raster
 from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
@@ -20,8 +20,18 @@ def shade(
     config: Config, drawn: Sequence[Drawn], visibility: Sequence[Float[HostArray, "h w"]]
 ) -> Float[HostArray, "h w 3"]:
     """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB from 0 to 1."""
-    lights, seen = [each.scene.light for each in drawn], [as_float(image) for image in visibility]
-    linear = _shaded(build_shading(config), drawn[0].surface, seen, lights, drawn[0].scene.camera)
+    return shade_lit(config, drawn[0].surface, [each.scene for each in drawn], visibility)
+
+
+def shade_lit(
+    config: Config,
+    surface: raster.Surface,
+    lit: Sequence[geometry.Scene],
+    visibility: Sequence[Float[HostArray, "h w"]],
+) -> Float[HostArray, "h w 3"]:
+    """As `shade`, of a `surface` in scenes that have one of the lights each."""
+    lights, seen = [scene.light for scene in lit], [as_float(image) for image in visibility]
+    linear = _shaded(build_shading(config), surface, seen, lights, lit[0].camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 
