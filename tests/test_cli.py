@@ -58,6 +58,21 @@ def test_command_runs_the_config_with_its_overrides(command, runner, capsys):
     assert err == ""
 
 
+@pytest.mark.parametrize("command", ["fit", "render"])
+def test_a_run_s_folder_stands_for_what_the_run_found(command, runner, tmp_path, capsys):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name, bias in (("config", 1), ("fitted", 2)):
+        (folder / f"{name}.yaml").write_text(QUICKSTART.read_text().replace("constant: 0.5", f"constant: {bias}"))
+    (folder / "result.json").write_text('{"kind": "fit", "fitted": {"bias.constant": 2.0}}')
+    assert run(command, folder) == 0
+    assert runner[0].bias.constant == 2
+    assert f"note: the values are taken from the fit, {folder / 'fitted.yaml'}" in capsys.readouterr().out
+    # A file is meant as it is.
+    assert run(command, folder / "config.yaml") == 0
+    assert runner[1].bias.constant == 1
+
+
 def test_render_writes_debug_views_on_request(runner):
     assert run("render", QUICKSTART, "seed=1", "--debug") == 0
     assert runner == [load_config(QUICKSTART, ["seed=1"]), "debug"]
@@ -269,6 +284,11 @@ def test_validate_lists_settings_with_units(capsys, tmp_path, monkeypatch):
     assert radius.split()[1::2] == ["filter.radius", "3.0", "texels"]
     assert "is valid; its scene has 14 triangles" in out
     assert list(tmp_path.iterdir()) == []
+    assert run("validate", QUICKSTART, *small, "--preview") == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[-1] == str(Path("runs") / "quickstart-preview.png")
+    assert re.search(r"[1-9][0-9.]*% of the picture is in shadow", out)
+    assert (tmp_path / "runs" / "quickstart-preview.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_validate_finds_what_only_building_shows(tmp_path, capsys):
@@ -305,7 +325,14 @@ def test_validate_takes_techniques_that_cannot_be_fitted(capsys):
 def test_help_tells_of_commands_and_overrides_with_examples(capsys):
     assert run("--help") == 0
     out = capsys.readouterr().out
-    for word in ("fit", "render", "validate", "KEY=VALUE", "diffshadow fit configs/quickstart.yaml filter.samples=64"):
+    for word in (
+        "fit",
+        "render",
+        "validate",
+        "KEY=VALUE",
+        "diffshadow fit builtin:quickstart filter.samples=64",
+        "init",
+    ):
         assert word in out
     for command in ("fit", "render", "validate"):
         assert run(command, "--help") == 0

@@ -93,7 +93,7 @@ def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
     inside = inside_of(turned)
     light = None if given.light is None else _turned(given.light, turn, middle)
     view = None if given.camera is None else (local(given.camera[0]), local(given.camera[1]))
-    angles = lamp = plane = camera = None
+    angles = lamp = plane = camera = scene = None
     if inside is not None:
         if wanted.light:
             lamp = world(lamp_in(inside)), _LAMP_RADIUS * (inside.ceiling - inside.floor)
@@ -115,7 +115,7 @@ def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
         camera = framed._replace(eye=world(framed.eye), target=world(framed.target))
     found_sun = angles if wanted.light and inside is None else None
     direction = None if found_sun is None else turn.T @ sun(*found_sun).direction  # type: ignore[operator]
-    has_ground = inside is None and scene.ground is not None
+    has_ground = scene is not None and scene.ground is not None
     return Arranged(camera, found_sun, direction, lamp, plane, inside is not None, has_ground)
 
 

@@ -36,6 +36,8 @@ def asked_in(data: Mapping[str, Any]) -> Asked:
         return Asked(False, False, False)
     camera = scene.get("camera", {})
     placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE)
+    # Views that place the camera themselves start from its default place.
+    placeless &= not any(_places_camera(value_at(data, "fit", kind)) for kind in ("views", "validation"))
     return Asked(placeless, value_at(scene, "light", "type") == AUTO, scene.get("ground") == AUTO)
 
 
@@ -51,3 +53,13 @@ def without_auto(data: dict[str, Any]) -> dict[str, Any]:
 def is_placed_sun(light: Mapping[str, Any]) -> bool:
     """Whether a light that is to be found must be a sun, since some of its angles are given."""
     return bool(given(light, *_SUN))
+
+
+def _places_camera(value: Any) -> bool:
+    """Whether a key somewhere in `value`, a section of views, is of a camera's place."""
+    if isinstance(value, Mapping):
+        keys = (str(key).split(".") for key in value)
+        if any(key[:2] == ["scene", "camera"] and (len(key) == 2 or key[2] in _PLACE) for key in keys):
+            return True
+        value = [*value.values()]
+    return isinstance(value, list | tuple) and any(map(_places_camera, value))

@@ -71,7 +71,7 @@ def _written(
     written = {key: value for key, value in scene.items() if key != "ground"}
     notes = []
     if found.camera is not None:
-        camera = {"eye": point(found.camera.eye), "target": point(found.camera.target)}
+        camera: dict[str, Any] = {"eye": point(found.camera.eye), "target": point(found.camera.target)}
         given = {key: value for key, value in (scene.get("camera") or {}).items() if value is not None}
         if given.get("type") == "orthographic":
             camera["height"] = number(found.camera.height)

@@ -27,6 +27,9 @@ from ._templates import DEFAULT_TEMPLATE, resolved_path, template_text
 from ._views import resolve_views, views_of
 from ._yaml import read_yaml
 
+# Engines have no slope-scaled bias, so that a fit without it converts to all of them.
+_AS_ENGINES = "bias.slope=0"
+
 
 def load_config(
     path: str | os.PathLike[str], overrides: Sequence[str] = (), *, fitting: bool = False, files: bool = True
@@ -112,7 +115,7 @@ def _draft_of_mesh(file: Path, overrides: Sequence[str]) -> Draft:
     name = file.stem.strip() or "mesh"
     text = template_text(DEFAULT_TEMPLATE, source=str(file), file=f"{name}.yaml", scene=made.scene, side=made.side)
     text = re.sub(r"^name: .*\n", "", text, count=1, flags=re.MULTILINE)
-    draft = parse_draft(text, overrides, source=str(file), folder=file.absolute().parent, name=name)
+    draft = parse_draft(text, [_AS_ENGINES, *overrides], source=str(file), folder=file.absolute().parent, name=name)
     # Lines would be of the template.
     places = {path: replace(place, line=None, column=None) for path, place in draft.origin.places.items()}
     return draft._replace(origin=Origin(str(file), places, made.notes))

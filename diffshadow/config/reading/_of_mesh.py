@@ -45,7 +45,8 @@ def scene_of_mesh(file: Path) -> MeshScene:
     except (ValueError, OSError) as error:
         raise ConfigError([Mistake(Location(str(file)), "", str(error))]) from error
     is_gltf = file.suffix.lower() in (".glb", ".gltf")
-    notes, mesh = [], {"path": path}
+    notes: list[str] = []
+    mesh: dict[str, Any] = {"path": path}
     if geometry.up_of(corners, is_gltf) == "z":
         mesh["rotate"] = [-90.0, 0.0, 0.0]
         notes.append(

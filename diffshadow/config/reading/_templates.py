@@ -22,7 +22,7 @@ _SIDE_OF_TEMPLATES = 2.0
 
 def folder_of_templates() -> Path:
     """The folder of the templates: in the package where it was installed from a wheel, and beside it in a clone."""
-    package = Path(str(resources.files(__package__.partition(".")[0])))
+    package = Path(str(resources.files(__name__.partition(".")[0])))
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
 
