@@ -14,6 +14,7 @@ import diffshadow.study
 from diffshadow.cli import main
 from diffshadow.config import Config, load_config
 from diffshadow.console import WIDTH_OF_FILES, Console
+from diffshadow.study.runs._check import Checked
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
 
@@ -121,7 +122,7 @@ def test_every_problem_of_a_file_is_in_the_one_message(tmp_path, capsys):
         (["fti", QUICKSTART], 'Did you mean "fit"?'),
         (["fit", "--fast", QUICKSTART], "--fast"),
         (["fit", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
-        (["fit", "."], "cannot be read"),
+        (["fit", "."], "is a folder without result.json"),
     ],
 )
 def test_wrong_arguments_are_reported_on_one_line(arguments, said, runner, capsys):
@@ -198,7 +199,7 @@ def test_files_and_pipes_are_wide_enough_for_tables(capsys, monkeypatch):
 
 
 def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(diffshadow.study, "check", lambda config, *, console: 12)
+    monkeypatch.setattr(diffshadow.study, "check", lambda config, *, console, preview: Checked(12))
     (tmp_path / "\x1b[1m\n").mkdir()
     file = tmp_path / "\x1b[1m\n" / "\x85\udcff.yaml"
     file.write_text("scene: {meshes: [path: a.obj]}\n")

@@ -267,8 +267,11 @@ def _pixels(
     across, upward, backward = axes @ (points - eye).T
     depth = -backward
     tx, ty = lens.tangents
-    scale = np.maximum(depth, np.finfo(float).tiny) if lens.is_perspective else half / ty
-    x, y = across / (tx * scale), upward / (ty * scale)
-    inside = (np.abs(x) < 1) & (np.abs(y) < 1) & (depth > 0)
-    cell = lambda part: np.clip(((part + 1) / 2 * _PIXELS), 0, _PIXELS - 1).astype(int)
+    in_front = depth > 0
+    # Points at the eye lie far beside the picture, and points behind it are in none.
+    with np.errstate(over="ignore"):
+        scale = np.where(in_front, depth, 1.0) if lens.is_perspective else half / ty
+        x, y = across / (tx * scale), upward / (ty * scale)
+    inside = (np.abs(x) < 1) & (np.abs(y) < 1) & in_front
+    cell = lambda part: ((np.clip(part, -1, 1) + 1) / 2 * _PIXELS).clip(max=_PIXELS - 1).astype(int)
     return cell(y) * _PIXELS + cell(x), depth, inside

@@ -321,25 +321,29 @@ def written(tmp_path, content):
     return path
 
 
-GLTF_MISTAKES = {
-    "no light": ("light", "add a directional, spot or point light, and export the scene with its lights (KHR_lights"),
-    "no camera": ("camera", "export the scene with its cameras, or give another file that has one with --camera"),
-    "no mesh": ("mesh", "export the scene with its meshes, as triangles"),
-}
+def test_a_gltf_file_without_meshes_is_refused_with_its_own_remedy(tmp_path):
+    content = gltf()
+    for node in content["nodes"]:
+        node.pop("mesh", None)
+        # Whatever else is missing, the mesh is what cannot be added.
+        node.pop("camera", None)
+    with pytest.raises(
+        ValueError, match=r"has no mesh.*; expected one: export the scene with its meshes"
+    ):
+        import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
 
 
-@pytest.mark.parametrize("name", GLTF_MISTAKES)
-def test_remedies_are_those_of_the_files_format(tmp_path, name):
-    what, remedy = GLTF_MISTAKES[name]
+@pytest.mark.parametrize("what", ["light", "camera"])
+def test_a_gltf_file_gets_what_it_lacks(tmp_path, what):
     content = gltf()
     for node in content["nodes"]:
         node.pop(what, None)
         if what == "light":
             node.pop("extensions", None)
-    with pytest.raises(ValueError, match=rf"the scene has no {what}.*; expected one: ") as caught:
-        import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
-    assert remedy in str(caught.value)
-    assert "toJSON" not in str(caught.value)
+    with (tmp_path / "said").open("w+") as said:
+        import_scene(written(tmp_path, content), console=Console(file=said, width=300), output=tmp_path)
+        said.seek(0)
+        assert f"note: the file has no {what}" in said.read()
 
 
 BULB = {"uuid": "bulb", "type": "SphereGeometry", "radius": 0.05}

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ... import geometry, io
 from ..._types import HostArray
 from ...settings.scene import UP, PinholeCamera
+from ._settings import check_casters
 
 # Near plane of a camera that is added, as a part of the distance to what it looks at.
 _NEAR = 0.01
@@ -19,14 +20,15 @@ def completed(scene: io.SceneFile, camera: str | None, light: str | None, remark
     """`scene` with a camera and a light, unless it has them or they are named; each that is added is remarked.
 
     A scene without camera or light that stands on nothing gets a ground, too: its shadow would fall on nothing.
+
+    **Raises** `ValueError` if it has no mesh that casts shadows.
     """
     wanted = geometry.Wanted(
         camera=not scene.cameras and camera is None, light=not scene.lights and light is None, ground=True
     )
-    casts = any(mesh.casts for mesh in scene.meshes)
-    if not (wanted.camera or wanted.light) or not casts:
-        # `choose` reports a scene without meshes.
+    if not (wanted.camera or wanted.light):
         return scene
+    check_casters(scene, scene.meshes)
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in scene.meshes])
     found = geometry.arrange(corners, _given(scene), wanted)
     if wanted.light:
