@@ -100,7 +100,7 @@ def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, outpu
     mesh
         Mesh file that replaces the template's meshes; a camera, a light and a ground are found for it.
     output
-        Path of the configuration, by default named like the mesh or the template, in the current folder.
+        Path of the configuration, by default named like the mesh and the template, in the current folder.
     """
     written, notes = write_template(template, mesh, output)
     _print_notes(notes)

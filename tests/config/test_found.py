@@ -138,7 +138,7 @@ def test_a_template_takes_a_mesh_of_any_size(name):
     path, _ = write_template(f"builtin:{name}", Path("my_chair.ply"))
     assert "# " in path.read_text(encoding="utf-8")
     config = load_config(path, fitting=True)
-    assert config.name == "my_chair"
+    assert config.name == ("my_chair" if name == "quickstart" else f"my_chair_{name}")
     assert config.scene.camera.resolution == load_config(f"builtin:{name}").scene.camera.resolution
     if name != "quickstart" and "technique.normal_bias" in config.fit.parameters:
         # A length, which has grown with the mesh: its longest side is 1000 instead of 2.

@@ -327,9 +327,7 @@ def test_a_gltf_file_without_meshes_is_refused_with_its_own_remedy(tmp_path):
         node.pop("mesh", None)
         # Whatever else is missing, the mesh is what cannot be added.
         node.pop("camera", None)
-    with pytest.raises(
-        ValueError, match=r"has no mesh.*; expected one: export the scene with its meshes"
-    ):
+    with pytest.raises(ValueError, match=r"has no mesh.*; expected one: export the scene with its meshes"):
         import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
 
 

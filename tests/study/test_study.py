@@ -902,7 +902,7 @@ def test_first_commands_of_a_page_run_as_they_stand_there(page, until, capsys):
             run_by.append("--dry-run")
         if command == "init":
             # Pages write the same file for several readers.
-            Path(f"{'your_mesh' if '--mesh' in words else 'quickstart'}.yaml").unlink(missing_ok=True)
+            Path("your_mesh_three_js.yaml").unlink(missing_ok=True)
         with pytest.raises(SystemExit) as caught:
             main(run_by)
         out, error = capsys.readouterr()

@@ -20,13 +20,19 @@ class Asked(NamedTuple):
 
 
 def spell_out(data: dict[str, Any]) -> None:
-    """Writes the parts of `data` that are `auto` as sections, so that overrides can set other keys in them."""
+    """Writes the parts of `data` that are `auto` as sections, so that overrides can set other keys in them.
+
+    A camera that views orbit with starts from its default orbit.
+    """
     scene = data.get("scene")
     if isinstance(scene, dict):
         if scene.get("camera") == AUTO:
             scene["camera"] = {}
         if scene.get("light") == AUTO:
             scene["light"] = {"type": AUTO}
+        camera = scene.get("camera", {})
+        if isinstance(camera, dict) and not given(camera, *_PLACE) and _views_place(data, ("orbit",)):
+            scene["camera"] = {**camera, "orbit": {}}
 
 
 def asked_in(data: Mapping[str, Any]) -> Asked:
@@ -36,8 +42,8 @@ def asked_in(data: Mapping[str, Any]) -> Asked:
         return Asked(False, False, False)
     camera = scene.get("camera", {})
     placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE)
-    # Views that place the camera themselves start from its default place.
-    placeless &= not any(_places_camera(value_at(data, "fit", kind)) for kind in ("views", "validation"))
+    # The key of a place that is found would stand beside the key of the views.
+    placeless &= not _views_place(data, _PLACE)
     return Asked(placeless, value_at(scene, "light", "type") == AUTO, scene.get("ground") == AUTO)
 
 
@@ -55,11 +61,16 @@ def is_placed_sun(light: Mapping[str, Any]) -> bool:
     return bool(given(light, *_SUN))
 
 
-def _places_camera(value: Any) -> bool:
-    """Whether a key somewhere in `value`, a section of views, is of a camera's place."""
+def _views_place(data: Any, keys: tuple[str, ...]) -> bool:
+    """Whether views of the fit set one of these `keys` of the camera."""
+    return any(_sets_camera(value_at(data, "fit", kind), keys) for kind in ("views", "validation"))
+
+
+def _sets_camera(value: Any, keys: tuple[str, ...]) -> bool:
+    """Whether a key somewhere in `value`, a section of views, is one of these `keys` of the camera."""
     if isinstance(value, Mapping):
-        keys = (str(key).split(".") for key in value)
-        if any(key[:2] == ["scene", "camera"] and (len(key) == 2 or key[2] in _PLACE) for key in keys):
+        words = (str(key).split(".") for key in value)
+        if any(key[:2] == ["scene", "camera"] and len(key) > 2 and key[2] in keys for key in words):
             return True
         value = [*value.values()]
-    return isinstance(value, list | tuple) and any(map(_places_camera, value))
+    return isinstance(value, list | tuple) and any(_sets_camera(each, keys) for each in value)

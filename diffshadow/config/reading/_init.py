@@ -5,7 +5,7 @@ from pathlib import Path
 from .._errors import ConfigError, Location, Mistake
 from ..sections._scene import BUILTIN
 from ._of_mesh import scene_of_mesh
-from ._templates import template_text
+from ._templates import DEFAULT_TEMPLATE, template_text
 
 
 def write_template(name: str, mesh: Path | None = None, output: Path | None = None) -> tuple[Path, tuple[str, ...]]:
@@ -14,14 +14,16 @@ def write_template(name: str, mesh: Path | None = None, output: Path | None = No
     **Arguments:**
 
     - `mesh`: a mesh file that replaces the template's scene.
-    - `output`: the file to write; by default named like the mesh or the template, in the current folder.
+    - `output`: the file to write; by default named like the mesh and the template, in the current folder.
 
     **Returns** the file, and notes on the mesh.
 
     **Raises** `ConfigError` if there is no such template or mesh, or the file exists already or cannot be written.
     """
     name = name.removeprefix(BUILTIN)
-    file = Path(f"{name if mesh is None else mesh.stem}.yaml") if output is None else output
+    # A run is named like its file: the mesh alone and each template have runs of their own.
+    stem = name if mesh is None else mesh.stem if name == DEFAULT_TEMPLATE else f"{mesh.stem}_{name}"
+    file = Path(f"{stem}.yaml") if output is None else output
     notes: tuple[str, ...] = ()
     if mesh is None:
         text = template_text(name, source=name, file=str(file))
