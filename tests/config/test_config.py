@@ -818,7 +818,7 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
             "bias.plane: is empty; expected a section with the key type; write {type: none}, or remove the key to get "
             "its default",
         ),
-        ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights, ground; give it a value"),
+        ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights, ground; give it"),
     ],
 )
 def test_fault_of_an_override_is_reported_with_the_override(override, expected):
