@@ -36,8 +36,16 @@ before JAX makes its first array, sets the process up for fast work. It calls th
     ```
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+if sys.version_info < (3, 12):  # noqa: UP036
+    # Before any module that an older Python cannot read. An installer refuses these, but a copied folder does not ask.
+    raise ImportError(
+        f"diffshadow needs Python 3.12 or newer, and this is {sys.version.split()[0]}; "
+        "make an environment with a newer one, such as: python3.12 -m venv .venv"
+    )
 
 from ._memory import collect_rarely, keep_freed_memory
 from ._setup import setup

@@ -22,7 +22,18 @@ from rich.table import Table
 from rich.text import Text
 
 from ._setup import setup
-from .config import ConfigError, describe, load_advice, load_config, load_sweep, printable, settings_file
+from .config import (
+    DEFAULT_TEMPLATE,
+    Config,
+    ConfigError,
+    describe,
+    load_advice,
+    load_config,
+    load_sweep,
+    printable,
+    settings_file,
+    write_template,
+)
 from .console import Console
 from .settings.engines import ImportedTechnique, ShadowType, ThreeJs
 
@@ -44,20 +55,25 @@ _NO_MEMORY = (
 _HELP = """
 Fits the settings of shadow maps to a ray-traced reference, using gradients.
 
-CONFIG is a YAML file. Each KEY=VALUE after it replaces a value of the file. Keys are dotted, list entries are numbered
-from 0, and values are YAML.
+CONFIG is a YAML file, a mesh file, the folder of a finished run, or builtin:NAME, a template that comes with the
+package. Each KEY=VALUE after it replaces a value. Keys are dotted, list entries are numbered from 0, and values are
+YAML.
 
 For example:
 
-    diffshadow validate configs/quickstart.yaml
+    diffshadow fit my_mesh.glb
 
-    diffshadow fit configs/quickstart.yaml
+    diffshadow init quickstart
 
-    diffshadow fit configs/quickstart.yaml filter.samples=64 bias.slope=1
+    diffshadow fit builtin:quickstart filter.samples=64 bias.slope=1
 
-    diffshadow render configs/spot.yaml scene.meshes.0.path=bunny.obj
+    diffshadow validate configs/quickstart.yaml --preview
 
-    diffshadow render configs/spot.yaml 'scene.camera.resolution=[256, 256]'
+    diffshadow render runs/quickstart 'scene.camera.resolution=[256, 256]'
+
+    diffshadow convert runs/quickstart
+
+Completion of commands and options in bash, zsh and fish: diffshadow --install-completion
 """
 
 app = App(
@@ -68,6 +84,27 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
+app.register_install_completion_command(add_to_startup=False)
+
+
+@app.command
+def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, output: Path | None = None) -> None:
+    """Writes a configuration with comments to start from. Its path is the last line printed.
+
+    Example: `diffshadow init three_js --mesh my_mesh.glb`
+
+    Parameters
+    ----------
+    template
+        Name of a template, such as quickstart, three_js, babylon_js or many_views.
+    mesh
+        Mesh file that replaces the template's meshes; a camera, a light and a ground are found for it.
+    output
+        Path of the configuration, by default named like the mesh and the template, in the current folder.
+    """
+    written, notes = write_template(template, mesh, output)
+    _print_notes(notes)
+    _print_path(written)
 
 
 @app.command
@@ -81,11 +118,11 @@ def fit(config: Path, /, *overrides: str) -> None:
     Parameters
     ----------
     config
-        YAML file of the fit.
+        YAML file, mesh file, folder of a finished run or builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     """
-    settings = load_config(config, overrides, fitting=True)
+    settings = _loaded(config, overrides, fitting=True)
     _start_jax()
     from . import study
 
@@ -103,13 +140,13 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     Parameters
     ----------
     config
-        YAML file of the render.
+        YAML file, mesh file, folder of a finished run or builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     debug
         Also write images of intermediate results: depths, silhouettes, blockers, patterns, volume counts.
     """
-    settings = load_config(config, overrides)
+    settings = _loaded(config, overrides)
     _start_jax()
     from . import study
 
@@ -117,8 +154,8 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
 
 
 @app.command
-def validate(config: Path, /, *overrides: str) -> None:
-    """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes no files.
+def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
+    """Checks CONFIG, draws its scene, and lists every setting with its unit. Writes no files without --preview.
 
     Finds every mistake that a render or a fit would report before it traces its reference.
 
@@ -127,22 +164,27 @@ def validate(config: Path, /, *overrides: str) -> None:
     Parameters
     ----------
     config
-        YAML file to check.
+        YAML file, mesh file, folder of a run or builtin:NAME to check.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    preview
+        Also write a picture of the scene with its mapped shadow. Its path is the last line printed.
     """
-    settings = load_config(config, overrides, fitting=True)
+    settings = _loaded(config, overrides, fitting=True)
     _start_jax()
     from . import study
 
     console = Console()
-    triangles = study.check(settings, console=console)
+    checked = study.check(settings, console=console, preview=preview)
     table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
     for row in describe(settings):
         table.add_row(*(Text(printable(cell)) for cell in row))
     console.print(table)
-    message = printable(f"{config} is valid; its scene has {triangles:,} triangles")
+    message = printable(f"{config} is valid; its scene has {checked.triangles:,} triangles")
     console.print(Text(message), soft_wrap=True)
+    if checked.preview is not None:
+        console.print(f"{checked.shadow:.1%} of the picture is in shadow")
+        _print_path(checked.preview)
 
 
 @app.command
@@ -159,12 +201,13 @@ def convert(config: Path, /, *overrides: str) -> None:
     Parameters
     ----------
     config
-        YAML file with technique type shadow_map, or the folder of a finished run.
+        YAML file with technique type shadow_map, mesh file, folder of a finished run or builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
     """
     file, origin = settings_file(config)
     settings = load_config(file, overrides)
+    _print_notes(settings.notes)
     origin += f", with {' '.join(overrides)}" if overrides else ""
     _start_jax()
     from . import study
@@ -192,7 +235,7 @@ def sweep(
     Parameters
     ----------
     config
-        YAML file with a section `sweep`.
+        YAML file with a section `sweep`, or the folder of a sweep.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `sweep.repeats=2`.
     scheduler
@@ -207,7 +250,7 @@ def sweep(
     _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
     with _checking() as progress:
-        plan = load_sweep(config, overrides, check=not dry_run, progress=progress)
+        plan = load_sweep(_file_of(config, sweep=True), overrides, check=not dry_run, progress=progress)
     _start_jax()
     from . import study
 
@@ -238,7 +281,7 @@ def advise(
     Parameters
     ----------
     config
-        YAML file of a fit.
+        YAML file, mesh file, folder of a finished run or builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `'advise.resolutions=[[512, 512]]'`.
     scheduler
@@ -250,7 +293,7 @@ def advise(
     """
     _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
     with _checking() as progress:
-        advice = load_advice(config, overrides, progress=progress)
+        advice = load_advice(_file_of(config), overrides, progress=progress)
     _start_jax()
     from . import study
 
@@ -474,6 +517,32 @@ def _repeated_interrupts() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
         sys.unraisablehook = others
+
+
+def _file_of(given: Path, *, sweep: bool = False) -> Path:
+    """The configuration's file. Of a run's folder, the one with the values that the run found, which is said.
+
+    **Arguments:**
+
+    - `sweep`: whether the folder may be of a sweep, whose own configuration is meant.
+    """
+    if not given.is_dir():
+        return given
+    file, origin = settings_file(given, sweep=sweep)
+    _print_notes([f"the values are taken from {origin}"])
+    return file
+
+
+def _loaded(given: Path, overrides: Sequence[str], *, fitting: bool = False) -> Config:
+    """The configuration of a run. Says what was found for it."""
+    settings = load_config(_file_of(given), overrides, fitting=fitting)
+    _print_notes(settings.notes)
+    return settings
+
+
+def _print_notes(notes: Iterable[str]) -> None:
+    for note in notes:
+        Console().print(Text(printable(f"note: {note}")), soft_wrap=True)
 
 
 def _check_count(option: str, value: int | None, least: int, most: int | None = None) -> None:

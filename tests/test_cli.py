@@ -14,6 +14,7 @@ import diffshadow.study
 from diffshadow.cli import main
 from diffshadow.config import Config, load_config
 from diffshadow.console import WIDTH_OF_FILES, Console
+from diffshadow.study.runs._check import Checked
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
 
@@ -56,6 +57,21 @@ def test_command_runs_the_config_with_its_overrides(command, runner, capsys):
     assert out.splitlines()[0] == "working"
     assert out.splitlines()[-1].endswith("somewhere")
     assert err == ""
+
+
+@pytest.mark.parametrize("command", ["fit", "render"])
+def test_a_run_s_folder_stands_for_what_the_run_found(command, runner, tmp_path, capsys):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name, bias in (("config", 1), ("fitted", 2)):
+        (folder / f"{name}.yaml").write_text(QUICKSTART.read_text().replace("constant: 0.5", f"constant: {bias}"))
+    (folder / "result.json").write_text('{"kind": "fit", "fitted": {"bias.constant": 2.0}}')
+    assert run(command, folder) == 0
+    assert runner[0].bias.constant == 2
+    assert f"note: the values are taken from the fit, {folder / 'fitted.yaml'}" in capsys.readouterr().out
+    # A file is meant as it is.
+    assert run(command, folder / "config.yaml") == 0
+    assert runner[1].bias.constant == 1
 
 
 def test_render_writes_debug_views_on_request(runner):
@@ -106,7 +122,7 @@ def test_every_problem_of_a_file_is_in_the_one_message(tmp_path, capsys):
         (["fti", QUICKSTART], 'Did you mean "fit"?'),
         (["fit", "--fast", QUICKSTART], "--fast"),
         (["fit", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
-        (["fit", "."], "cannot be read"),
+        (["fit", "."], "is a folder without result.json"),
     ],
 )
 def test_wrong_arguments_are_reported_on_one_line(arguments, said, runner, capsys):
@@ -183,7 +199,7 @@ def test_files_and_pipes_are_wide_enough_for_tables(capsys, monkeypatch):
 
 
 def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(diffshadow.study, "check", lambda config, *, console: 12)
+    monkeypatch.setattr(diffshadow.study, "check", lambda config, *, console, preview: Checked(12))
     (tmp_path / "\x1b[1m\n").mkdir()
     file = tmp_path / "\x1b[1m\n" / "\x85\udcff.yaml"
     file.write_text("scene: {meshes: [path: a.obj]}\n")
@@ -269,6 +285,11 @@ def test_validate_lists_settings_with_units(capsys, tmp_path, monkeypatch):
     assert radius.split()[1::2] == ["filter.radius", "3.0", "texels"]
     assert "is valid; its scene has 14 triangles" in out
     assert list(tmp_path.iterdir()) == []
+    assert run("validate", QUICKSTART, *small, "--preview") == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[-1] == str(Path("runs") / "quickstart-preview.png")
+    assert re.search(r"[1-9][0-9.]*% of the picture is in shadow", out)
+    assert (tmp_path / "runs" / "quickstart-preview.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_validate_finds_what_only_building_shows(tmp_path, capsys):
@@ -305,7 +326,14 @@ def test_validate_takes_techniques_that_cannot_be_fitted(capsys):
 def test_help_tells_of_commands_and_overrides_with_examples(capsys):
     assert run("--help") == 0
     out = capsys.readouterr().out
-    for word in ("fit", "render", "validate", "KEY=VALUE", "diffshadow fit configs/quickstart.yaml filter.samples=64"):
+    for word in (
+        "fit",
+        "render",
+        "validate",
+        "KEY=VALUE",
+        "diffshadow fit builtin:quickstart filter.samples=64",
+        "init",
+    ):
         assert word in out
     for command in ("fit", "render", "validate"):
         assert run(command, "--help") == 0

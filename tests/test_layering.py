@@ -26,7 +26,7 @@ FOLDERS = {
         *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_how", "_front", "_bounds"),
         *("_fit", "_train", "_shape"),
     ),
-    "config": ("sections", "whole", "reading", "building"),
+    "config": ("sections", "whole", "framing", "reading", "building"),
     "study": ("files", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
 }
 # Outside the order: what each may import, and which may import it.

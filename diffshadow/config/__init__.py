@@ -14,6 +14,7 @@ from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
 from .reading._dump import fit_units as fit_units
+from .reading._init import write_template as write_template
 from .reading._load import load_config, parse_config
 from .reading._of_run import CONFIG_FILE as CONFIG_FILE
 from .reading._of_run import FITTED_FILE as FITTED_FILE
@@ -22,6 +23,7 @@ from .reading._of_run import RESULT_FILE as RESULT_FILE
 from .reading._of_run import SettingsFile as SettingsFile
 from .reading._of_run import settings_file, with_fitted
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
+from .reading._templates import DEFAULT_TEMPLATE as DEFAULT_TEMPLATE
 from .sections._axes import LABEL as LABEL
 from .sections._fitted import fit_paths as fit_paths
 from .sections._fitted import is_limit as is_limit

@@ -25,13 +25,14 @@ class Location:
 
 @dataclass(eq=False)
 class Origin:
-    """Where the keys of a configuration were written.
+    """Where the keys of a configuration were written, and `notes` on parts that were found where nothing was written.
 
     All origins compare equal, so that two configurations with the same content are equal wherever they were written.
     """
 
     source: str = "configuration"
     places: Mapping[KeyPath, Location] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def place(self, path: KeyPath) -> Location:
         """Where `path` was written; otherwise, where its nearest enclosing section was."""

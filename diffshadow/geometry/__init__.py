@@ -1,10 +1,21 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
 from ..settings.techniques import CascadeSelection
+from ._arrange import ROOM_FOV as ROOM_FOV
+from ._arrange import Arranged as Arranged
+from ._arrange import Given as Given
+from ._arrange import Wanted as Wanted
+from ._arrange import angles_of as angles_of
+from ._arrange import arrange as arrange
+from ._arrange import turn_up as turn_up
 from ._camera import AbstractCamera, MatrixCamera, OrthographicCamera, PinholeCamera, orbit_eye
 from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
 from ._edges import Edges
 from ._edges import share_vertices as share_vertices
+from ._framing import FrameLight as FrameLight
+from ._framing import Lens as Lens
+from ._framing import sun as frame_sun
+from ._ground import up_of as up_of
 from ._library import LIBRARY, OptionError, library_mesh
 from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge
 from ._normals import crease_normals, weld

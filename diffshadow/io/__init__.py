@@ -14,7 +14,9 @@ from ._errors import FileError, FileWarning, ImageWarning, MeshWarning
 from ._images import read_visibility, write_animation, write_png, write_visibility
 from ._meshes import coarse_steps as coarse_steps
 from ._meshes import load_mesh
+from ._paths import existing_file as existing_file
 from ._ply import write_ply
+from ._trimesh import suffix_of_others as suffix_of_others
 from ._write_gltf import write_gltf
 from .scenes._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, SceneShadow
 from .scenes._read import read_scene

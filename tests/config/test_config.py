@@ -49,7 +49,7 @@ def fault(text: str, *overrides: str) -> str:
 def test_tiny_config_is_complete_by_its_defaults():
     config = parse_config(TINY, name="tiny")
     assert config.name == "tiny"
-    assert config.scene.camera.orbit is not None
+    assert config.scene.camera.eye is not None
     assert config.scene.light.type == "directional"
     assert (config.scene.light.azimuth, config.scene.light.elevation) == (60, 45)
     assert isinstance(config.filter, filters.RandomDisk)
@@ -818,7 +818,7 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
             "bias.plane: is empty; expected a section with the key type; write {type: none}, or remove the key to get "
             "its default",
         ),
-        ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights; give it a value"),
+        ("scene=", "scene: is empty; expected a section with the keys meshes, camera, light, lights, ground; give it"),
     ],
 )
 def test_fault_of_an_override_is_reported_with_the_override(override, expected):

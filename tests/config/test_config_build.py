@@ -165,7 +165,7 @@ def test_near_and_far_hold_the_scene_tightly(kind):
 
 
 def test_orthographic_camera_holds_the_whole_scene_by_default():
-    scene = build("scene.camera={type: orthographic, resolution: [64, 32]}")
+    scene = build("scene.camera={type: orthographic, orbit: {}, resolution: [64, 32]}")
     clip = np.asarray(scene.camera.view().clip(scene.mesh.vertices))
     reach = np.abs(clip[:, :2]).max()
     assert 0.9 < reach <= 1

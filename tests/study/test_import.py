@@ -9,6 +9,7 @@ import pytest
 from gltf_scene import gltf
 from rich.console import Console
 
+from diffshadow import geometry, io
 from diffshadow.cli import main
 from diffshadow.config import build_scene, build_technique, dump_resolved, load_config, parse_config
 from diffshadow.geometry import PointLight
@@ -154,9 +155,37 @@ def unset(key, kinds):
     return change
 
 
+@pytest.mark.parametrize(
+    ("kind", "said"), [("PerspectiveCamera", "the file has no camera"), ("SpotLight", "the file has no light")]
+)
+def test_a_camera_and_a_light_that_a_scene_lacks_are_added(tmp_path, capsys, kind, said):
+    made = tmp_path / "made"
+    with pytest.raises(SystemExit) as caught:
+        main(["import", str(scene_file(tmp_path, without(kind))), "--output", str(made)])
+    assert caught.value.code == 0
+    assert f"note: {said}" in capsys.readouterr().out
+    config = load_config(made / "changed.yaml", fitting=True)
+    assert config.scene.camera.eye is not None
+    assert config.scene.light is not None
+
+
+def test_a_mesh_file_alone_becomes_a_scene(tmp_path, capsys):
+    mesh = geometry.library_mesh("chair")
+    io.write_ply(tmp_path / "chair.ply", 100 * np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    with pytest.raises(SystemExit) as caught:
+        main(["import", str(tmp_path / "chair.ply"), "--output", str(tmp_path / "made")])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    for what in ("camera", "light", "ground"):
+        assert f"note: the file has no {what}" in out
+    config = load_config(tmp_path / "made" / "chair.yaml", fitting=True)
+    assert len(config.scene.meshes) == 2
+    # Rounded edges stay smooth: the mesh keeps the normals that its creases give it.
+    assert config.scene.meshes[0].normals == "file"
+    assert build_scene(config).meshes[0].faces.shape[0] == mesh.faces.shape[0]
+
+
 MISTAKES = {
-    "no camera": (without("PerspectiveCamera"), [], "the scene has no camera; expected one"),
-    "no light": (without("SpotLight"), [], "the scene has no light that casts shadows (no directional, spot or point"),
     "no casting light": (unset("castShadow", ["SpotLight"]), [], "(1 without castShadow)"),
     "no meshes": (without("Mesh"), [], "the scene has no mesh that casts shadows (no triangles"),
     "no casters": (
@@ -292,25 +321,27 @@ def written(tmp_path, content):
     return path
 
 
-GLTF_MISTAKES = {
-    "no light": ("light", "add a directional, spot or point light, and export the scene with its lights (KHR_lights"),
-    "no camera": ("camera", "export the scene with its cameras, or give another file that has one with --camera"),
-    "no mesh": ("mesh", "export the scene with its meshes, as triangles"),
-}
+def test_a_gltf_file_without_meshes_is_refused_with_its_own_remedy(tmp_path):
+    content = gltf()
+    for node in content["nodes"]:
+        node.pop("mesh", None)
+        # Whatever else is missing, the mesh is what cannot be added.
+        node.pop("camera", None)
+    with pytest.raises(ValueError, match=r"has no mesh.*; expected one: export the scene with its meshes"):
+        import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
 
 
-@pytest.mark.parametrize("name", GLTF_MISTAKES)
-def test_remedies_are_those_of_the_files_format(tmp_path, name):
-    what, remedy = GLTF_MISTAKES[name]
+@pytest.mark.parametrize("what", ["light", "camera"])
+def test_a_gltf_file_gets_what_it_lacks(tmp_path, what):
     content = gltf()
     for node in content["nodes"]:
         node.pop(what, None)
         if what == "light":
             node.pop("extensions", None)
-    with pytest.raises(ValueError, match=rf"the scene has no {what}.*; expected one: ") as caught:
-        import_scene(written(tmp_path, content), console=Console(quiet=True), output=tmp_path)
-    assert remedy in str(caught.value)
-    assert "toJSON" not in str(caught.value)
+    with (tmp_path / "said").open("w+") as said:
+        import_scene(written(tmp_path, content), console=Console(file=said, width=300), output=tmp_path)
+        said.seek(0)
+        assert f"note: the file has no {what}" in said.read()
 
 
 BULB = {"uuid": "bulb", "type": "SphereGeometry", "radius": 0.05}
@@ -411,7 +442,7 @@ def test_a_scene_of_gltf_gets_the_techniques_defaults(tmp_path, light, kind):
     assert config.scene.light.type == kind
     assert (config.technique.bias, config.technique.radius, config.technique.side) == (0, 1, "double")
     scene, said = build_scene(config), (tmp_path / "said.txt").read_text()
-    assert "glTF has no settings of shadows" in said
+    assert "the file has no settings of shadows" in said
     assert "it has no aspect ratio" in said
     np.testing.assert_allclose(scene.meshes[0].corner_normals, [[[0, -1, 0]] * 3], atol=1e-6)
     towards = np.asarray(scene.lights[0].towards(scene.mesh.vertices))

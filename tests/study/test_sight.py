@@ -53,7 +53,7 @@ def test_camera_that_sees_nothing_names_the_cause(camera, cause):
 
 
 def test_near_that_follows_from_a_far_mesh_is_reported():
-    said = blind_camera(*scene_of("scene.meshes.0.translate=[1e6, 0, 0]"), NOTHING)
+    said = blind_camera(*scene_of("scene.meshes.0.translate=[1e6, 0, 0]", "scene.camera.orbit={}"), NOTHING)
     assert said is not None
     assert "its target is 2.17 world units away; its near is " in said
     assert "check the sizes and positions of the meshes" in said

@@ -7,6 +7,7 @@ import importlib.util
 import io as text_io
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from rich.console import Console
 from scenes import staying_in
 from stored_runs import TINY
 
-from diffshadow import fit, io, metrics, reference, study
+from diffshadow import fit, geometry, io, metrics, reference, study
 from diffshadow._arithmetic import as_array, as_float
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
@@ -871,6 +872,46 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
     assert "float shadow_visibility(" in capsys.readouterr().out
+
+
+SMALL = (
+    *("scene.camera.resolution=[48, 48]", "shadow_map.resolution=[64, 64]", "reference.samples=4", "fit.front=0"),
+    *("fit.solver.max_steps=2", "fit.anneal.phases=1", "fit.intervals=[]"),
+)
+
+
+def commands_of(page, until):
+    """The words of each command of the command-line program on a page, before the first text `until`."""
+    text = (ROOT / page).read_text(encoding="utf-8").partition(until)[0]
+    blocks = re.findall(r"```\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("diffshadow ")]
+    lines += re.findall(r"`(diffshadow (?:convert|init|fit|advise)[^`]*)`", text) if page == "README.md" else []
+    return [shlex.split(line, comments=True)[1:] for line in lines]
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("page", "until"), [("README.md", "## Techniques"), ("docs/usage.md", "### What is found")])
+def test_first_commands_of_a_page_run_as_they_stand_there(page, until, capsys):
+    chair = geometry.library_mesh("chair")
+    chair.to_trimesh().export("your_mesh.glb")
+    commands = commands_of(page, until)
+    assert len(commands) >= 6
+    for command, *words in commands:
+        run_by = [command, *words]
+        if command in ("fit", "render", "convert", "validate"):
+            run_by += SMALL
+        if command == "advise" and "--dry-run" not in words:
+            run_by.append("--dry-run")
+        if command == "init":
+            # Pages write the same file for several readers.
+            Path("your_mesh_three_js.yaml").unlink(missing_ok=True)
+        with pytest.raises(SystemExit) as caught:
+            main(run_by)
+        out, error = capsys.readouterr()
+        assert caught.value.code == 0, (run_by, error)
+        if "--preview" in words:
+            assert Path("runs/your_mesh-preview.png").is_file()
+            assert "of the picture is in shadow" in out
 
 
 @pytest.fixture

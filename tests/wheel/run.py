@@ -7,7 +7,6 @@ The environment has the pinned packages that the wheel asks for, and no others.
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -36,8 +35,7 @@ def main(wheel: Path) -> None:
             sys.exit("README.md has no example in Python")
         (folder / "example.py").write_text(found[1], encoding="utf-8")
         run(folder, str(programs / "python"), "example.py")
-        shutil.copy(ROOT / "configs" / "quickstart.yaml", folder)
-        run(folder, str(programs / "diffshadow"), "fit", "quickstart.yaml", *FIT)
+        run(folder, str(programs / "diffshadow"), "fit", "builtin:quickstart", *FIT)
         if not (folder / "runs" / "quickstart" / "report.html").is_file():
             sys.exit("diffshadow fit wrote no report")
 

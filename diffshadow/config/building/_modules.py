@@ -14,6 +14,8 @@ from ...settings.engines import Engine
 from ...settings.shading import INTENSITY, ModulatedShadow
 from ...settings.techniques import Mapped, OwnTechnique
 from .._errors import ConfigError, KeyPath, Location, Mistake, dotted
+from ..framing._meshes import Placed, place_mesh
+from ..framing._meshes import build_mesh as build_mesh
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
@@ -21,8 +23,7 @@ from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
 from ..whole._preferences import preferences
 from ..whole._schema import Config
-from ._scene import Placed, build_camera, build_light, place_mesh, stage_of
-from ._scene import build_mesh as build_mesh
+from ._scene import build_camera, build_light, stage_of
 from ._shape import Screen as Screen
 from ._shape import ShapePlan as ShapePlan
 from ._shape import plan_shape

@@ -1,16 +1,15 @@
-"""Builds meshes, cameras and lights from their sections."""
+"""Builds cameras and lights from their sections."""
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from ... import geometry, io, shadow
+from ... import geometry, shadow
 from ..._arithmetic import as_float
-from ..._types import Faces, HostArray, Vec3
+from ..._types import HostArray, Vec3
 from ...settings import scene
-from ...settings.quantities import FARTHEST
+from ..framing._meshes import Triple
 from ..sections._lights import (
     DirectionalLightConfig,
     PointLightConfig,
@@ -18,57 +17,12 @@ from ..sections._lights import (
     ShadowCamera,
     SpotLightConfig,
 )
-from ..sections._scene import MeshConfig, OrthographicCameraConfig, PinholeCameraConfig
-
-Triple = tuple[float, float, float]
+from ..sections._scene import OrthographicCameraConfig, PinholeCameraConfig
 
 # Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01
 # Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
 _MIN_NEAR = 1e-3
-
-
-class Placed(NamedTuple):
-    """The arrays of a mesh, placed in the world: vertices (v, 3) in double precision, faces, the normals of their
-    corners, and albedo."""
-
-    vertices: Float[HostArray, "v 3"]
-    faces: Faces
-    corner_normals: Float[HostArray, "f 3 3"]
-    albedo: Float[HostArray, "3"]
-
-    def counted_from(self, origin: geometry.Origin) -> geometry.Mesh:
-        """The mesh with its coordinates counted from `origin`, which single precision can then hold."""
-        return geometry.Mesh(self.vertices - np.asarray(origin), *self[1:])
-
-    @property
-    def bounds(self) -> Float[HostArray, "2 3"]:
-        """Least and greatest coordinates of the vertices that faces use, (2, 3), in double precision."""
-        used = self.vertices[np.unique(self.faces)]
-        return np.stack([used.min(axis=0), used.max(axis=0)])
-
-
-def build_mesh(config: MeshConfig) -> geometry.Mesh:
-    """One mesh, placed in the world.
-
-    **Raises** `ValueError` if its file cannot be used, its options are not valid, or it reaches too far.
-    """
-    return place_mesh(config).counted_from(geometry.WORLD)
-
-
-def place_mesh(config: MeshConfig) -> Placed:
-    """`build_mesh` in double precision."""
-    # In NumPy: nothing is compiled.
-    with jax.enable_x64(True):
-        if config.builtin is not None:
-            mesh = geometry.library_mesh(config.builtin, **config.options)
-        else:
-            mesh = io.load_mesh(config.path, config.crease_angle if config.normals == "creases" else None)
-        if config.size is not None:
-            mesh = geometry.fit_to_size(mesh, config.size)
-        if config.drop_to_ground:
-            mesh = geometry.drop_to_ground(mesh)
-        return _placed(mesh, config.scale, config.rotate, config.translate, config.albedo)
 
 
 class Stage(NamedTuple):
@@ -98,32 +52,6 @@ def stage_of(
     middle = np.asarray(first.bounds).mean(axis=0)
     radius = float(np.linalg.norm(corners - middle, axis=-1).max())
     return Stage(used(whole), used(casters), middle, radius, origin)
-
-
-def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple, albedo: Triple) -> Placed:
-    """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
-
-    It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
-
-    **Raises** `ValueError` if it reaches too far.
-    """
-    turn = np.eye(3)
-    for axis, angle in enumerate(np.radians(rotate)):
-        cosine, sine = np.cos(angle), np.sin(angle)
-        about_z = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-        # The axes that follow this one, in the order of a rotation about it.
-        turn = np.roll(about_z, axis + 1, axis=(0, 1)) @ turn
-    vertices = np.asarray(mesh.vertices, np.float64) @ turn.T * scale + np.asarray(translate)
-    reach = float(np.abs(vertices).max())
-    if not reach <= FARTHEST:
-        raise ValueError(
-            f"reaches {reach:.3g} world units from the origin; expected at most {FARTHEST:g}; give it a size, or a "
-            "smaller scale"
-        )
-    normals = np.asarray(mesh.corner_normals, np.float64) @ turn.T
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = (normals / np.where(length > 0, length, 1)).astype(np.float32)
-    return Placed(vertices, mesh.faces, normals, np.asarray(albedo))
 
 
 def build_camera(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:

@@ -12,11 +12,12 @@ from ..._arithmetic import as_float
 from ..._types import HostArray, Resolution
 from ...settings import scene
 from .._errors import KeyPath
+from ..framing._meshes import build_mesh
 from ..sections._lights import DirectionalLightConfig
 from ..sections._section import changed
 from ..sections._shape import ShapeConfig
 from ..whole._schema import Config
-from ._scene import Stage, build_light, build_mesh
+from ._scene import Stage, build_light
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
 

@@ -2,7 +2,9 @@
 
 import difflib
 import os
+import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,22 @@ from pydantic_core import PydanticCustomError
 
 from ...settings.scene import PIECES
 from .._errors import ConfigError, KeyPath, Location, Mistake, Origin, dotted, show
+from ..framing._auto import asked_in, spell_out, without_auto
 from ..sections._paths import path_of
 from ..sections._scene import BUILTIN
 from ..whole._between import data_faults_of_fit, fit_faults
 from ..whole._schema import Config
 from ._draft import Draft
 from ._mistakes import mistakes_at, mistakes_of
+from ._of_mesh import is_mesh, scene_of_mesh
 from ._overrides import apply_overrides
 from ._plugins import add_plugins
+from ._templates import DEFAULT_TEMPLATE, resolved_path, template_text
 from ._views import resolve_views, views_of
 from ._yaml import read_yaml
+
+# Engines have no slope-scaled bias, so that a fit without it converts to all of them.
+_AS_ENGINES = "bias.slope=0"
 
 
 def load_config(
@@ -80,9 +88,14 @@ def parse_config(
 def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
     """Reads the YAML file `path` and applies `overrides`, without checking the result.
 
+    `path` may also be `builtin:NAME`, a configuration that comes with the package, or a mesh file, which is put into
+    the scene of `builtin:quickstart`.
+
     **Raises** `ConfigError` if the file cannot be read, or is not YAML.
     """
-    file = Path(path)
+    file = resolved_path(path)
+    if "\0" not in str(file) and is_mesh(file):
+        return _draft_of_mesh(file, overrides)
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -97,6 +110,18 @@ def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> D
     return parse_draft(text, overrides, source=str(path), folder=file.absolute().parent, name=file.stem)
 
 
+def _draft_of_mesh(file: Path, overrides: Sequence[str]) -> Draft:
+    """A draft with a mesh file in the scene of the default template."""
+    made = scene_of_mesh(file)
+    name = file.stem.strip() or "mesh"
+    text = template_text(DEFAULT_TEMPLATE, source=str(file), file=f"{name}.yaml", scene=made.scene, side=made.side)
+    text = re.sub(r"^name: .*\n", "", text, count=1, flags=re.MULTILINE)
+    draft = parse_draft(text, [_AS_ENGINES, *overrides], source=str(file), folder=file.absolute().parent, name=name)
+    # Lines would be of the template.
+    places = {path: replace(place, line=None, column=None) for path, place in draft.origin.places.items()}
+    return draft._replace(origin=Origin(str(file), places, made.notes))
+
+
 def parse_draft(
     text: str, overrides: Sequence[str], *, source: str, folder: str | os.PathLike[str], name: str
 ) -> Draft:
@@ -108,6 +133,7 @@ def parse_draft(
     if not isinstance(data, dict):
         message = f"holds {show(data)}; expected a section with keys; write 'key: value' lines"
         raise ConfigError([*mistakes, Mistake(places[()], "", message)])
+    spell_out(data)
     mistakes += apply_overrides(data, places, overrides)
     data.setdefault("name", name)
     return Draft(data, Origin(source, places), Path(folder), mistakes)
@@ -125,10 +151,25 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     data, origin = draft.data, draft.origin
     missing = _resolve_files(data, origin, draft.folder)
     resolve_views(data, origin, draft.folder)
+    # Views and runs of a sweep may set a part to auto.
+    spell_out(data)
     mistakes = [*draft.mistakes, *(missing if files else ())]
     if unusable := add_plugins(data, origin, draft.folder, needed=files):
         # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
         raise ConfigError([*mistakes, *unusable])
+    config = _valid(without_auto(data), origin, mistakes, fitting)
+    if not files:
+        return config
+    config, data = _found(config, data)
+    config._views, config._validation = views_of(config, draft._replace(data=data), checked)
+    return config
+
+
+def _valid(data: dict[str, Any], origin: Origin, mistakes: list[Mistake], fitting: bool) -> Config:
+    """The configuration of `data`.
+
+    **Raises** `ConfigError` with `mistakes` and everything that is wrong with it.
+    """
     # Checked on the data, so that messages quote numbers as they were written.
     of_fit = mistakes_at(data_faults_of_fit(data), origin) if fitting else []
     try:
@@ -140,12 +181,27 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
         raise ConfigError([*mistakes, *(p for p in found if (p.key, p.place.line) not in reported)]) from None
     config._origin = origin
     if fitting:
-        mistakes += [*of_fit, *mistakes_at(fit_faults(config), origin)]
+        mistakes = [*mistakes, *of_fit, *mistakes_at(fit_faults(config), origin)]
     if mistakes:
         raise ConfigError(mistakes)
-    if files:
-        config._views, config._validation = views_of(config, draft, checked)
     return config
+
+
+def _found(config: Config, data: dict[str, Any]) -> tuple[Config, dict[str, Any]]:
+    """`config` and `data` with the parts of the scene that `data` leaves to the program."""
+    asked = asked_in(data)
+    if not any(asked):
+        return config, data
+    # It loads JAX, which other configurations do without.
+    from ..framing._find import find
+
+    found = find(config, data["scene"], asked)
+    if found is None:
+        return config, without_auto(data)
+    data = {**data, "scene": found.scene}
+    complete = Config.model_validate(data)
+    complete._origin = replace(config.origin, notes=(*config.origin.notes, *found.notes))
+    return complete, data
 
 
 def _single(config: Config) -> Config:

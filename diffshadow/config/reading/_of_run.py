@@ -35,12 +35,13 @@ class SettingsFile(NamedTuple):
     origin: str
 
 
-def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
+def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> SettingsFile:
     """The configuration with the values that a run found.
 
     **Arguments:**
 
     - `path`: a run's folder, its `config.yaml`, or any other configuration.
+    - `sweep`: whether a folder of a sweep is expected, whose configuration is then returned.
 
     **Returns** `fitted.yaml` of a fit, `recommended.yaml` of a recommendation, `config.yaml` of a render, and otherwise
     `path`.
@@ -57,7 +58,10 @@ def settings_file(path: str | os.PathLike[str]) -> SettingsFile:
     if result.get("kind") == "fit" and not (folder / CONFIG_FILE).is_file():
         what = "holds a fit that was made in Python, which has no configuration"
         raise _mistake(str(given), f"{what}; expected a run of the command; write the values of result.json into one")
-    name, origin = _found(result, str(given))
+    if sweep and result.get("kind") == "sweep":
+        name, origin = CONFIG_FILE, "the sweep"
+    else:
+        name, origin = _found(result, str(given))
     if not (folder / name).is_file():
         mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")

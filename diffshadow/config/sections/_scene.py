@@ -119,11 +119,15 @@ class SceneConfig(Section):
         Form("a list of meshes, each with a path"),
         "surfaces, each a caster and a receiver; cameras and lights orbit the first",
     ]
-    camera: CameraConfig = Field(default_factory=CAMERAS.make, description="camera of the image")
-    light: Annotated[LightConfig | None, "light that casts the shadows"] = None
+    camera: CameraConfig = Field(
+        default_factory=CAMERAS.make,
+        description="camera of the image; without eye and orbit, or as auto, it frames the casters and their shadows",
+    )
+    light: Annotated[LightConfig | None, "light that casts the shadows; auto: a sun, or a lamp inside a room"] = None
     lights: Annotated[
         Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
     ] = None
+    ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that stand on nothing"] = None
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:

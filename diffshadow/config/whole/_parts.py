@@ -74,6 +74,11 @@ class Parts(Section):
         """Where the keys were written, for errors found after loading."""
         return self._origin
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found for parts of the scene that were left to the program, each a sentence without a full stop."""
+        return self._origin.notes
+
     def initial(self, name: str) -> float:
         """The start of the fit of the parameter `name`."""
         initial = self.fit.parameters[name].initial

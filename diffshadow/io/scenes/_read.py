@@ -2,27 +2,39 @@
 
 import json
 import os
+import warnings
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .._errors import FileError, MeshError
+from ...geometry import up_of
+from ...settings.scene import MESH_SUFFIXES, NO_MESH_SUFFIXES
+from .._errors import FileError, MeshError, MeshWarning
+from .._meshes import load_mesh
 from .._paths import existing_file
 from .._text import decode
+from .._trimesh import suffix_of_others
 from ._gltf import read_gltf_scene
-from ._parts import SceneFile
+from ._parts import SceneFile, SceneMesh
 from ._three_json import read_three
+
+# Formats that also hold cameras and lights.
+_SCENES = (".glb", ".gltf")
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """Reads a scene: a JSON file of three.js (`scene.toJSON()`, or its editor's), GLB or glTF 2.0.
+    """Reads a scene: a JSON file of three.js (`scene.toJSON()`, or its editor's), GLB, glTF 2.0, or any mesh file.
 
-    The content decides which it is.
+    The content decides which of the first three it is. A mesh file has no camera and no light. It is turned if its `z`
+    is up.
 
     **Raises** `FileError` if the file is missing, damaged, or none of these.
     """
     file = existing_file(path, "scene")
+    if _is_mesh(file):
+        return _of_mesh(file)
     try:
         data = file.read_bytes()
         # NaN and infinite coordinates are checked after reading.
@@ -37,6 +49,34 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise FileError(f"the scene file {file} is nested too deeply; flatten its groups") from error
     except OSError as error:
         raise FileError(f"cannot read the scene file {file}: {error.strerror or error}") from error
+
+
+def _is_mesh(file: Path) -> bool:
+    """Whether the suffix of `file` is of a format that has meshes only."""
+    suffix = file.suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        return suffix not in _SCENES
+    return suffix not in NO_MESH_SUFFIXES and suffix_of_others(file) is not None
+
+
+def _of_mesh(file: Path) -> SceneFile:
+    """The scene of a mesh file.
+
+    **Raises** `FileError` if it cannot be read.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MeshWarning)
+        mesh = load_mesh(file)
+    remarks = [str(each.message) for each in caught]
+    # Corners of one vertex may have several normals.
+    faces = np.asarray(mesh.faces)
+    corners = np.asarray(mesh.vertices, np.float64)[faces]
+    normals = np.asarray(mesh.corner_normals, np.float64)
+    if up_of(corners, False) == "z":
+        remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
+        corners, normals = (np.stack([v[..., 0], v[..., 2], -v[..., 1]], axis=-1) for v in (corners, normals))
+    parts = SceneMesh(file.stem, corners.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), normals.reshape(-1, 3))
+    return SceneFile([parts], [], [], None, remarks)
 
 
 def _content(data: bytes) -> Mapping[str, Any]:

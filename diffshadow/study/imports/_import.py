@@ -16,6 +16,7 @@ from ... import geometry, io
 from ...config import ConfigError, Location, Mistake, dump, parse_config
 from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table
+from ._complete import completed
 from ._lamp import mesh_of
 from ._settings import Chosen, choose, settings_of
 
@@ -36,7 +37,8 @@ def import_scene(
 
     **Arguments:**
 
-    - `path`: a JSON file of three.js, GLB or glTF 2.0.
+    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. A camera, a light and a ground that it lacks
+        are added.
     - `camera`, `light`: names; by default the first camera, and the first light that casts shadows. `camera` may also
         be a scene's file that holds a camera.
     - `shadow_type`: `renderer.shadowMap.type`, which no scene's file holds.
@@ -45,9 +47,15 @@ def import_scene(
     **Returns** the path of the configuration.
 
     **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already,
-    `ValueError` for a scene without camera, light or meshes, and `ConfigError` for one that no configuration can hold.
+    `ValueError` for a scene without meshes, or whose lights cast no shadows, and `ConfigError` for one that no
+    configuration can hold.
     """
     file = Path(path)
+    if file.is_dir():
+        raise io.FileError(
+            f"{file} is a folder; expected a scene's or a mesh's file; of a run's folder, fit, render and convert take "
+            "the configuration"
+        )
     name = _plain_name(file.stem)
     folder = Path(name) if output is None else Path(output)
     written = folder / f"{name}.yaml"
@@ -60,6 +68,7 @@ def import_scene(
     remarks = list(scene.remarks)
     if camera is not None and Path(camera).is_file():
         scene, camera = scene._replace(cameras=io.read_scene(camera).cameras), None
+    scene = completed(scene, camera, light, remarks)
     chosen = choose(scene, camera, light, remarks)
     if scene.engine is None:
         chosen = _with_lamp(chosen, remarks)
@@ -69,7 +78,7 @@ def import_scene(
     remarks += [f"{mesh.name} {coarse}" for mesh in chosen.meshes if (coarse := io.coarse_steps(mesh.vertices))]
     settings = settings_of(chosen, files, origins, scene.engine is not None, technique, shadow_type, remarks)
     if technique == "three.js" and scene.engine is None:
-        remarks.append("glTF has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
+        remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
         remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
     text = _text({"name": name, **settings}, file.name)

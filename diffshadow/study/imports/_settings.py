@@ -22,18 +22,15 @@ _DIGITS = 9
 class _Remedies(NamedTuple):
     """What makes a scene's file have what it lacks."""
 
-    camera: str
     light: str
     mesh: str
 
 
 _THREE_JS = _Remedies(
-    "add it to the scene before scene.toJSON(), or give the camera's own file with --camera",
     "set light.castShadow = true before scene.toJSON()",
     "set mesh.castShadow = true before scene.toJSON()",
 )
 _GLTF = _Remedies(
-    "export the scene with its cameras, or give another file that has one with --camera",
     "add a directional, spot or point light, and export the scene with its lights (KHR_lights_punctual)",
     "export the scene with its meshes, as triangles",
 )
@@ -54,7 +51,8 @@ def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: 
     **Raises** `ValueError` if there is no such camera or light, or no mesh.
     """
     remedies = _GLTF if scene.engine is None else _THREE_JS
-    seen = _named("camera", scene.cameras, camera, remarks, remedies.camera)
+    check_casters(scene, scene.meshes)
+    seen = _named("camera", scene.cameras, camera, remarks)
     lit = [each for each in scene.lights if each.layers & seen.layers]
     casting = [each for each in lit if each.casts]
     if not casting and light is None:
@@ -62,24 +60,28 @@ def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: 
         named = ", or name a light with --light" if lit else ""
         raise ValueError(f"the scene has no light that casts shadows ({found}); expected one: {remedies.light}{named}")
     remarks += [f"{each.name}: castShadow = false; left out" for each in lit if not each.casts and each.name != light]
-    shining = _named("light", lit if light is not None else casting, light, remarks, remedies.light)
+    shining = _named("light", lit if light is not None else casting, light, remarks)
     meshes = [mesh for mesh in scene.meshes if mesh.layers & seen.layers]
     unseen = [mesh.name for mesh in scene.meshes if not mesh.layers & seen.layers]
     remarks += [f"{name}: not in the camera's layers; left out" for name in unseen]
-    if not any(mesh.casts for mesh in meshes):
-        found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
-        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {remedies.mesh}")
+    check_casters(scene, meshes)
     return Chosen(meshes, seen, shining)
 
 
+def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
+    """**Raises** `ValueError` unless one of `meshes`, which the camera of `scene` sees, casts shadows."""
+    if not any(mesh.casts for mesh in meshes):
+        remedies = _GLTF if scene.engine is None else _THREE_JS
+        found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
+        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {remedies.mesh}")
+
+
 def _named[T: (io.SceneCamera, io.SceneLight)](
-    what: str, entries: Sequence[T], name: str | None, remarks: list[str], remedy: str
+    what: str, entries: Sequence[T], name: str | None, remarks: list[str]
 ) -> T:
-    """The entry of this name, by default the first. `remedy` is for a scene that has none."""
+    """The entry of this name, by default the first."""
     names = ", ".join(dict.fromkeys(each.name for each in entries))
     if name is None:
-        if not entries:
-            raise ValueError(f"the scene has no {what}; expected one: {remedy}")
         remarks += [f"{each.name}: another {what}; left out, or take it with --{what}" for each in entries[1:]]
         return entries[0]
     found = [each for each in entries if each.name == name]

@@ -1,8 +1,12 @@
 """Checks of a run that trace few rays."""
 
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 from rich.console import Console
 
-from ... import fit
+from ... import fit, io, shadow
 from ...config import Config, build_fit, build_technique
 from ...settings.engines import Engine
 from ...settings.techniques import Mapped
@@ -11,16 +15,30 @@ from ..pages import _table as table
 from ..remarks._scene import scene_remarks
 from ._progress import Stages
 from ._render import SUFFIX
-from ._setup import check_comparable, load, see
+from ._setup import SeenScene, check_comparable, load, see
+from ._shade import shade_lit
 from ._shape import shape_problem
 
+PREVIEW = "-preview.png"
+"""What follows the configuration's name in the name of a preview."""
+# Visibility below which a pixel counts as shadowed.
+_SHADOWED = 0.5
 
-def check(config: Config, *, console: Console) -> int:
+
+class Checked(NamedTuple):
+    """The number of triangles in a scene that was checked; if asked for, the path of its picture, and the part of the
+    picture's pixels that are in shadow."""
+
+    triangles: int
+    preview: Path | None = None
+    shadow: float = 0.0
+
+
+def check(config: Config, *, console: Console, preview: bool = False) -> Checked:
     """Checks `config`: does everything that a render or a fit does before it traces its reference.
 
-    A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written.
-
-    **Returns** the number of triangles in the scene.
+    A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written, unless
+    a `preview` is asked for: a picture `<output>/<name>-preview.png`, drawn with the technique unfitted.
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """
@@ -42,13 +60,24 @@ def check(config: Config, *, console: Console) -> int:
             check_comparable(config, seen, stages)
     of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
     table.print_lines(console, [*remarks, *seen.remarks, *of_scene], warn=True)
-    return scene.mesh.faces.shape[0]
+    triangles = int(scene.mesh.faces.shape[0])
+    return Checked(triangles, *_preview(config, technique, seen)) if preview else Checked(triangles)
 
 
-def _check_shape(config: Config, console: Console) -> int:
-    """Makes all that a fit of a shape needs. **Returns** the number of triangles that it starts from."""
+def _preview(config: Config, technique: shadow.AbstractTechnique, seen: SeenScene) -> tuple[Path, float]:
+    """Writes a picture of the scene. **Returns** its path, and the part of its pixels that are in shadow."""
+    visibility = [np.asarray(technique.visibility(state, seen.surface), np.float32) for state in seen.states]
+    file = config.output_folder / f"{config.name}{PREVIEW}"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    io.write_png(file, shade_lit(config, seen.surface, seen.lit, visibility))
+    dark = np.all([image < _SHADOWED for image in visibility], axis=0)
+    return file, float((dark & np.asarray(seen.surface.mask)).mean())
+
+
+def _check_shape(config: Config, console: Console) -> Checked:
+    """Makes all that a fit of a shape needs. It counts the triangles that the fit starts from."""
     folder_of(config)
     with Stages(console) as stages:
         plan, problem, _ = shape_problem(config, stages)
         fit.check_shape(problem, plan.phases)
-    return plan.start.faces.shape[0]
+    return Checked(plan.start.faces.shape[0])

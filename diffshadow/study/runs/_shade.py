@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ... import metrics
+from ... import geometry, metrics, raster
 from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
@@ -25,9 +25,19 @@ def shade(
 
     **Arguments:** `config`: whose shading it is; the default one if there is none.
     """
-    lights, seen = [each.scene.light for each in drawn], [as_float(image) for image in visibility]
+    return shade_lit(config, drawn[0].surface, [each.scene for each in drawn], visibility)
+
+
+def shade_lit(
+    config: Config | None,
+    surface: raster.Surface,
+    lit: Sequence[geometry.Scene],
+    visibility: Sequence[Float[HostArray, "h w"]],
+) -> Float[HostArray, "h w 3"]:
+    """As `shade`, of a `surface` in scenes that have one of the lights each."""
+    lights, seen = [scene.light for scene in lit], [as_float(image) for image in visibility]
     shading = Phong(intensity=INTENSITY / len(lights)) if config is None else build_shading(config)
-    linear = _shaded(shading, drawn[0].surface, seen, lights, drawn[0].scene.camera)
+    linear = _shaded(shading, surface, seen, lights, lit[0].camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 

@@ -1,0 +1,1 @@
+"""Cameras, lights and grounds that a configuration leaves to the program."""

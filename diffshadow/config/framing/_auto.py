@@ -1,0 +1,76 @@
+"""Which parts of a scene a configuration leaves to the program."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ..sections._section import given, value_at
+
+AUTO = "auto"
+"""The word for a part that is found."""
+_PLACE = ("eye", "orbit", "target")
+_SUN = ("azimuth", "elevation", "direction")
+
+
+class Asked(NamedTuple):
+    """Which parts are to be found: a camera without a place, a light of the type auto, and a ground."""
+
+    camera: bool
+    light: bool
+    ground: bool
+
+
+def spell_out(data: dict[str, Any]) -> None:
+    """Writes the parts of `data` that are `auto` as sections, so that overrides can set other keys in them.
+
+    A camera that views orbit with starts from its default orbit.
+    """
+    scene = data.get("scene")
+    if isinstance(scene, dict):
+        if scene.get("camera") == AUTO:
+            scene["camera"] = {}
+        if scene.get("light") == AUTO:
+            scene["light"] = {"type": AUTO}
+        camera = scene.get("camera", {})
+        if isinstance(camera, dict) and not given(camera, *_PLACE) and _views_place(data, ("orbit",)):
+            scene["camera"] = {**camera, "orbit": {}}
+
+
+def asked_in(data: Mapping[str, Any]) -> Asked:
+    """The parts that `data` leaves to the program, whose other values may have any type."""
+    scene = data.get("scene")
+    if not isinstance(scene, Mapping):
+        return Asked(False, False, False)
+    camera = scene.get("camera", {})
+    placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE)
+    # The key of a place that is found would stand beside the key of the views.
+    placeless &= not _views_place(data, _PLACE)
+    return Asked(placeless, value_at(scene, "light", "type") == AUTO, scene.get("ground") == AUTO)
+
+
+def without_auto(data: dict[str, Any]) -> dict[str, Any]:
+    """`data` with a sun in place of a light that is to be found, to check all other values by."""
+    scene = data.get("scene")
+    if not asked_in(data).light or not isinstance(scene, dict):
+        return data
+    light = {key: value for key, value in scene["light"].items() if key != "type"}
+    return {**data, "scene": {**scene, "light": {"type": "directional", **light}}}
+
+
+def is_placed_sun(light: Mapping[str, Any]) -> bool:
+    """Whether a light that is to be found must be a sun, since some of its angles are given."""
+    return bool(given(light, *_SUN))
+
+
+def _views_place(data: Any, keys: tuple[str, ...]) -> bool:
+    """Whether views of the fit set one of these `keys` of the camera."""
+    return any(_sets_camera(value_at(data, "fit", kind), keys) for kind in ("views", "validation"))
+
+
+def _sets_camera(value: Any, keys: tuple[str, ...]) -> bool:
+    """Whether a key somewhere in `value`, a section of views, is one of these `keys` of the camera."""
+    if isinstance(value, Mapping):
+        words = (str(key).split(".") for key in value)
+        if any(key[:2] == ["scene", "camera"] and len(key) > 2 and key[2] in keys for key in words):
+            return True
+        value = [*value.values()]
+    return isinstance(value, list | tuple) and any(_sets_camera(each, keys) for each in value)

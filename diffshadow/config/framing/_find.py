@@ -1,0 +1,179 @@
+"""Finds the parts of a scene that a configuration leaves to the program."""
+
+import math
+import os
+import warnings
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ... import geometry
+from ..._types import HostArray
+from ...settings import scene as settings
+from ..sections._lights import DirectionalLightConfig
+from ..sections._scene import MeshConfig, SceneConfig
+from ..whole._schema import Config
+from ._auto import Asked, is_placed_sun
+from ._meshes import place_mesh
+
+# Digits of lengths, counted from the scene's size.
+_DIGITS = 4
+# Scenes whose triangles are kept, since views and runs share them.
+_MAX_KEPT = 4
+_kept: dict[str, Float[HostArray, "f 3 3"]] = {}
+
+
+class Found(NamedTuple):
+    """The section `scene` with the parts that were found, and what was found, each a sentence without a full stop."""
+
+    scene: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None:
+    """The parts of `scene` that are `asked` for; none if one of its meshes cannot be made, which building it reports.
+
+    **Arguments:**
+
+    - `config`: valid, with other values in place of these parts; `scene`: the section as given.
+    """
+    try:
+        meshes = [corners_of(mesh) for mesh in config.scene.meshes]
+    except (ValueError, OSError):
+        return None
+    corners = np.concatenate(meshes)
+    casts = np.repeat([mesh.casts for mesh in config.scene.meshes], [len(each) for each in meshes])
+    camera = config.scene.camera
+    lens, room_lens = _lens(camera, scene, None), _lens(camera, scene, geometry.ROOM_FOV)
+    up = np.asarray(camera.up, float)
+    light = None if asked.light else _given_light(config.scene, meshes[0])
+    if asked.light and is_placed_sun(scene["light"]):
+        light = _given_light(config.scene, meshes[0])
+    view = None if asked.camera else _given_camera(camera, meshes[0])
+    found = geometry.arrange(
+        corners,
+        geometry.Given(light, view, lens, room_lens, casts, up),
+        geometry.Wanted(asked.camera, asked.light and light is None, asked.ground),
+    )
+    return _written(scene, found, corners, up, asked)
+
+
+def _written(
+    scene: Mapping[str, Any], found: geometry.Arranged, corners: Float[HostArray, "f 3 3"], up: HostArray, asked: Asked
+) -> Found:
+    """The section `scene` with what was found."""
+    size = np.ptp(corners, axis=(0, 1))
+    places = _DIGITS - math.floor(math.log10(max(float(np.linalg.norm(size)), np.finfo(np.float32).tiny)))
+    number = lambda value: float(f"{round(float(value), places):.12g}") + 0.0
+    point = lambda values: [number(value) for value in values]
+    written = {key: value for key, value in scene.items() if key != "ground"}
+    notes = []
+    if found.camera is not None:
+        camera: dict[str, Any] = {"eye": point(found.camera.eye), "target": point(found.camera.target)}
+        given = {key: value for key, value in (scene.get("camera") or {}).items() if value is not None}
+        if given.get("type") == "orthographic":
+            camera["height"] = number(found.camera.height)
+        elif found.is_room:
+            camera["fov_y"] = geometry.ROOM_FOV
+        written["camera"] = {**camera, **given}
+        where = "from inside the room" if found.is_room else "with the casters and their shadows in the picture"
+        notes.append(f"scene.camera was found, {where}: eye {camera['eye']}, target {camera['target']}")
+    if asked.light:
+        given = {key: value for key, value in scene["light"].items() if key != "type" and value is not None}
+        written["light"], said = _light(found, given, point, number, up)
+        notes.append(f"scene.light was found: {said}")
+    if asked.ground:
+        if found.plane is None:
+            what = "it is a room" if found.is_room else "it has one"
+            notes.append(f"scene.ground adds nothing to the scene, since {what}")
+        else:
+            middle, side = point(found.plane[0]), number(found.plane[1])
+            plane: dict[str, Any] = {"path": "builtin:plane", "options": {"size": side}, "translate": middle}
+            if up[1] != np.linalg.norm(up):
+                plane["rotate"] = [*geometry.angles_of(geometry.turn_up(up).T)]
+            written["meshes"] = [*scene["meshes"], plane]
+            notes.append(f"scene.ground was found: a plane of {side:g} world units at {middle}")
+    shown = " × ".join(f"{side:.3g}" for side in size)
+    notes.append(f"the meshes are {shown} world units large; lengths and normal offsets are in these units")
+    return Found(written, tuple(notes))
+
+
+def _light(
+    found: geometry.Arranged, given: dict[str, Any], point: Any, number: Any, up: HostArray
+) -> tuple[dict[str, Any], str]:
+    """The section of a light that was found, and what it is."""
+    if found.lamp is not None:
+        position, radius = point(found.lamp[0]), number(found.lamp[1])
+        lamp = {"type": "point", "position": position, "radius": radius}
+        given = {key: value for key, value in given.items() if key in settings.PointLight.__annotations__}
+        return {**lamp, **given}, f"a lamp under the ceiling, at {position}"
+    if found.sun is None or found.direction is None:
+        # Some of its angles are given; the others have their defaults.
+        return {"type": "directional", **given}, "a sun with the angles that are given"
+    if up[1] == np.linalg.norm(up):
+        azimuth, elevation = found.sun
+        return {"type": "directional", "azimuth": azimuth, "elevation": elevation, **given}, (
+            f"a sun at azimuth {azimuth:g} and elevation {elevation:g} degrees"
+        )
+    direction = [round(float(each), 6) + 0.0 for each in found.direction]
+    return {"type": "directional", "direction": direction, **given}, f"a sun that shines along {direction}"
+
+
+def _lens(camera: Any, scene: Mapping[str, Any], fov: float | None) -> geometry.Lens:
+    """The lens of `camera`, with the field of view `fov` unless one is given."""
+    rows, columns = camera.resolution
+    given = (scene.get("camera") or {}).get("fov_y")
+    degrees = getattr(camera, "fov_y", settings.PinholeCamera.fov_y)
+    degrees = degrees if given is not None or fov is None else fov
+    half = math.tan(math.radians(degrees) / 2)
+    return geometry.Lens((half * columns / rows, half), hasattr(camera, "fov_y"))
+
+
+def _given_light(scene: SceneConfig, first: Float[HostArray, "f 3 3"]) -> geometry.FrameLight:
+    """The scene's first light."""
+    light: Any = next(iter(scene.each_light.values()))
+    if isinstance(light, DirectionalLightConfig):
+        if light.direction is not None:
+            return geometry.FrameLight(np.asarray(light.direction, float))
+        assert light.azimuth is not None
+        assert light.elevation is not None
+        return geometry.frame_sun(light.azimuth, light.elevation)
+    if light.position is not None:
+        return geometry.FrameLight(None, np.asarray(light.position, float))
+    return geometry.FrameLight(None, _orbited(light.orbit, first))
+
+
+def _given_camera(camera: Any, first: Float[HostArray, "f 3 3"]) -> tuple[HostArray, HostArray]:
+    middle = _middle(first)
+    eye = _orbited(camera.orbit, first) if camera.eye is None else np.asarray(camera.eye, float)
+    return eye, middle if camera.target is None else np.asarray(camera.target, float)
+
+
+def _middle(corners: Float[HostArray, "f 3 3"]) -> Float[HostArray, "3"]:
+    return (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
+
+
+def _orbited(orbit: Any, first: Float[HostArray, "f 3 3"]) -> Float[HostArray, "3"]:
+    middle = _middle(first)
+    radius = float(np.linalg.norm(first - middle, axis=-1).max())
+    direction = geometry.frame_sun(orbit.azimuth, orbit.elevation).direction
+    assert direction is not None
+    return middle - orbit.distance * radius * direction
+
+
+def corners_of(section: MeshConfig) -> Float[HostArray, "f 3 3"]:
+    """The triangles of a mesh in the world, in double precision. Warnings on its file come as the scene is built."""
+    key = section.model_dump_json()
+    if section.builtin is None:
+        state = os.stat(section.path)
+        key += f"{state.st_mtime_ns} {state.st_size}"
+    if key not in _kept:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            placed = place_mesh(section)
+        while len(_kept) >= _MAX_KEPT:
+            del _kept[next(iter(_kept))]
+        _kept[key] = placed.vertices[np.asarray(placed.faces)]
+    return _kept[key]

@@ -1,0 +1,277 @@
+"""Places a camera and a sun so that a scene's casters and their shadows on the ground are in the picture.
+
+All is in a world with `+y` up, in any unit. A view is rated by samples of the casters' surfaces, which are drawn as
+points into a small image, together with their shadows.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._types import HostArray
+from ._ground import Corners, Ground, Inside, free_distance
+
+# Each is of another number of points.
+Points = Float[HostArray, "_ 3"]
+Vector = Float[HostArray, "3"]
+
+# The part of the image's half that points may reach.
+_FILLED = 0.88
+# Azimuths of the camera, counted from the light's, and elevations, in degrees. The first of equal ones is taken.
+_ASIDE = (100.0, -100.0, 60.0, -60.0, 140.0, -140.0, 20.0, 180.0)
+_ELEVATIONS = (32.0, 20.0, 48.0, 65.0)
+_DEFAULT_VIEW = (30.0, 30.0)
+# A view must be better than an earlier one by this factor to be taken instead.
+_BETTER = 1.1
+# Azimuths of a sun; its shadow falls beyond what it stands on by this part of the casters' width, if its elevation is
+# within these bounds.
+_AZIMUTHS = (60.0, -60.0, 120.0, -120.0, 20.0, 160.0, -20.0, -160.0)
+_SHADOW_LENGTH, _SUN = 0.5, (20.0, 50.0)
+# The shadows of suns that are lower than this, in degrees, are framed as if they were so high.
+_LOWEST = 4.0
+# Lamps closer to a caster's height than this part of their height throw their shadows out of the picture.
+_LAMP_ABOVE = 0.1
+_SAMPLES, _PIXELS = 1 << 13, 48
+# Of a room: heights of eye and lamp above the floor, as parts of the room's, and the part of the way to the wall.
+_EYE, _LAMP, _TO_WALL, _LOOKS_AT = 0.62, 0.85, 0.85, 0.2
+_AROUND = 16
+
+
+class FrameLight(NamedTuple):
+    """What throws the shadows: the direction in which a sun shines, or the position of a lamp."""
+
+    direction: Vector | None
+    position: Vector | None = None
+
+    def azimuth(self, middle: Vector) -> float:
+        """Where it stands as seen from `middle`: 0 on +z, 90 on +x, in degrees."""
+        x, _, z = -self.direction if self.direction is not None else self.position - middle  # type: ignore[operator]
+        return math.degrees(math.atan2(x, z))
+
+
+class Lens(NamedTuple):
+    """A camera without its place: the tangents of half its fields of view, (x, y), and whether it is perspective."""
+
+    tangents: tuple[float, float]
+    is_perspective: bool = True
+
+
+class Framed(NamedTuple):
+    """A camera's place; `height` of the view is for a parallel one. `shadow` and `casters`: the parts of the picture
+    that they take, as estimated."""
+
+    eye: Vector
+    target: Vector
+    height: float
+    shadow: float
+    casters: float
+
+
+def samples_of(corners: Corners, seed: int = 0) -> Points:
+    """Points on the triangles, evenly by area, and all the triangles' corners where these are few."""
+    rng = np.random.default_rng(seed)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    total = areas.sum()
+    if not total > 0:
+        return corners.reshape(-1, 3)
+    face = np.searchsorted(np.cumsum(areas) / total, rng.random(_SAMPLES)).clip(max=len(corners) - 1)
+    u, v = rng.random((2, _SAMPLES, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    return a + u * (b - a) + v * (c - a)
+
+
+def shadow_of(points: Points, light: FrameLight, height: float) -> Points:
+    """Where the shadows of `points` fall on a level ground at `height`. Those that fall on none are left out."""
+    if light.direction is not None:
+        x, y, z = light.direction / np.linalg.norm(light.direction)
+        if y >= 0:
+            return points[:0]
+        steep = max(-y, math.sin(math.radians(_LOWEST)))
+        across = math.hypot(x, z) or 1.0
+        length = math.sqrt(1 - steep * steep) / steep if -y < steep else across / steep
+        moved = (points[:, 1] - height)[:, None] * np.array([x, 0, z]) / across * length
+    else:
+        assert light.position is not None
+        above = light.position[1] - height
+        points = points[points[:, 1] < height + (1 - _LAMP_ABOVE) * above]
+        if above <= 0:
+            return points[:0]
+        lifted = (points[:, 1] - height)[:, None]
+        moved = (points - light.position) * lifted / (above - lifted)
+    fallen = points + moved
+    fallen[:, 1] = height
+    return fallen
+
+
+def sun_for(samples: Points, ground: float) -> tuple[float, float]:
+    """The azimuth and elevation, in degrees, of a sun whose shadow of `samples` on the ground is large.
+
+    Broad shadows that fall beside the casters count. The elevation is lower where the casters are flat.
+    """
+    tall = max(float(samples[:, 1].max()) - ground, np.finfo(float).tiny)
+    best, most = (_AZIMUTHS[0], _SUN[1]), 0.0
+    cell = max(float(np.ptp(samples, axis=0).max()), tall) / _PIXELS
+    for azimuth in _AZIMUTHS:
+        towards = np.array([math.sin(math.radians(azimuth)), math.cos(math.radians(azimuth))])
+        wide = float(np.ptp(samples[:, [0, 2]] @ towards))
+        elevation = math.degrees(math.atan2(tall, max(_SHADOW_LENGTH * wide, 1e-9 * tall)))
+        elevation = float(round(min(max(elevation, _SUN[0]), _SUN[1])))
+        fallen = shadow_of(samples, sun(azimuth, elevation), ground)
+        # Complex numbers are pairs of whole numbers.
+        cells, under = (np.floor(each[:, [0, 2]] / cell) @ [1, 1j] for each in (fallen, samples))
+        beside = len(np.setdiff1d(cells, under))
+        if beside > _BETTER * most:
+            best, most = (azimuth, elevation), beside
+    return best
+
+
+def sun_for_view(
+    samples: Points, ground: float, eye: Vector, target: Vector, lens: Lens, elevation: float
+) -> tuple[float, float]:
+    """As `sun_for`, of this elevation, with the azimuth whose shadow shows most to a camera that is given."""
+    axes, middle = _axes_of(eye - target), (samples.min(axis=0) + samples.max(axis=0)) / 2
+    away = eye - middle
+    azimuth, half = math.degrees(math.atan2(away[0], away[2])), float(np.linalg.norm(eye - target)) * lens.tangents[1]
+    best, most = azimuth + _ASIDE[0], -1.0
+    for turn in _ASIDE:
+        fallen = shadow_of(samples, sun(azimuth + turn, elevation), ground)
+        shadow, _ = _shares(samples, fallen, axes, eye, lens, half)
+        if shadow > _BETTER * most:
+            best, most = azimuth + turn, shadow
+    return float(round((best + 180) % 360 - 180)), elevation
+
+
+def sun(azimuth: float | int, elevation: float | int) -> FrameLight:
+    """A sun by its angles in degrees: azimuth 0 is on +z, 90 on +x."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return FrameLight(-np.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)]))
+
+
+def frame_outside(
+    points: Points, samples: Points, light: FrameLight, lens: Lens, height: float, ground: Ground | None = None
+) -> Framed:
+    """A camera that sees all casters and their shadows on the ground, from the side from which most can be seen.
+
+    **Arguments:**
+
+    - `points`: all corners of the casters; `samples`: points on their surfaces.
+    - `height`: of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
+    """
+    within = lambda fallen: fallen if ground is None else _on(fallen, ground)
+    framed = np.concatenate([points, within(shadow_of(points, light, height))])
+    fallen = within(shadow_of(samples, light, height))
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    # With no shadow on the ground, any side will do.
+    turns = _ASIDE if len(fallen) else (_DEFAULT_VIEW[0],)
+    azimuth = light.azimuth(middle) if len(fallen) else 0.0
+    best, most = None, 0.0
+    for elevation in _ELEVATIONS:
+        for turn in turns:
+            each = _framed(framed, samples, fallen, lens, azimuth + turn, elevation, middle)
+            # Both shadow and casters must show.
+            worth = min(each.shadow, each.casters) if len(fallen) else each.casters
+            if best is None or worth > _BETTER * most:
+                best, most = each, worth
+    assert best is not None
+    return best
+
+
+def frame_inside(corners: Corners, inside: Inside, lens: Lens) -> Framed:
+    """A camera in the corner of a room that is farthest from the middle, looking across it."""
+    tall = inside.ceiling - inside.floor
+    angles = np.arange(_AROUND) * 2 * np.pi / _AROUND
+    directions = np.stack([np.sin(angles), np.zeros(_AROUND), np.cos(angles)], axis=-1)
+    start = np.array([inside.point[0], inside.floor + _EYE * tall, inside.point[2]])
+    distance = free_distance(corners, start, directions)
+    # Windows let rays out.
+    distance = np.where(np.isfinite(distance), distance, 0)
+    k = int(distance.argmax())
+    eye = start + _TO_WALL * distance[k] * directions[k]
+    across = _LOOKS_AT * distance[(k + _AROUND // 2) % _AROUND]
+    target = start - across * directions[k]
+    target[1] = inside.floor + _LOOKS_AT * tall
+    return Framed(eye, target, 2 * tall, 0.0, 0.0)
+
+
+def lamp_in(inside: Inside) -> Vector:
+    """The position of a lamp under the ceiling of a room."""
+    tall = inside.ceiling - inside.floor
+    return np.array([inside.point[0], inside.floor + _LAMP * tall, inside.point[2]])
+
+
+def _on(fallen: Points, ground: Ground) -> Points:
+    flat = fallen[:, [0, 2]]
+    return fallen[((flat >= ground.low) & (flat <= ground.high)).all(axis=1)]
+
+
+def _framed(
+    points: Points, samples: Points, fallen: Points, lens: Lens, azimuth: float, elevation: float, middle: Vector
+) -> Framed:
+    """The nearest camera in this direction that sees all `points`."""
+    axes = _axes_of(-sun(azimuth, elevation).direction)  # type: ignore[operator]
+    across, upward, backward = axes @ (points - middle).T
+    tx, ty = (_FILLED * tangent for tangent in lens.tangents)
+    if lens.is_perspective:
+        x, away_x = _apex(across, backward, tx)
+        y, away_y = _apex(upward, backward, ty)
+        away, half = max(away_x, away_y), 0.0
+    else:
+        x, y = ((part.max() + part.min()) / 2 for part in (across, upward))
+        half = max(np.ptp(upward) / 2 / _FILLED, np.ptp(across) / 2 / _FILLED * lens.tangents[1] / lens.tangents[0])
+        # Clear of everything, since the view's near plane follows the scene.
+        away = float(backward.max() + 2 * half)
+    eye = middle + np.array([x, y, away]) @ axes
+    # The point of the axis beside the middle of what is seen.
+    target = middle + np.array([x, y, (backward.max() + backward.min()) / 2]) @ axes
+    shares = _shares(samples, fallen, axes, eye, lens, half)
+    return Framed(eye, target, 2 * half, *shares)
+
+
+def _axes_of(back: Vector) -> Float[HostArray, "3 3"]:
+    """The right, upward and backward directions of a view that looks along the opposite of `back`."""
+    back = back / np.linalg.norm(back)
+    right = np.array([back[2], 0, -back[0]])
+    length = float(np.linalg.norm(right))
+    right = right / length if length > 1e-6 else np.array([1.0, 0, 0])
+    return np.stack([right, np.cross(back, right), back])
+
+
+def _apex(across: Float[HostArray, " n"], backward: Float[HostArray, " n"], tangent: float) -> tuple[float, float]:
+    """The place across and backward of the nearest eye that sees all points within a half field of view."""
+    left, right = (backward - across / tangent).max(), (backward + across / tangent).max()
+    return float((right - left) / 2 * tangent), float((right + left) / 2)
+
+
+def _shares(
+    samples: Points, fallen: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
+) -> tuple[float, float]:
+    """The parts of the picture that shadows on the ground and casters take."""
+    nearest = np.full(_PIXELS * _PIXELS, np.inf)
+    pixel, depth, inside = _pixels(samples, axes, eye, lens, half)
+    np.minimum.at(nearest, pixel[inside], depth[inside])
+    casters = np.isfinite(nearest)
+    if not len(fallen):
+        return 0.0, float(casters.mean())
+    pixel, depth, inside = _pixels(fallen, axes, eye, lens, half)
+    shows = inside & ~casters[pixel]
+    return len(np.unique(pixel[shows])) / len(casters), float(casters.mean())
+
+
+def _pixels(
+    points: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
+) -> tuple[Int[HostArray, " n"], Float[HostArray, " n"], Bool[HostArray, " n"]]:
+    """The pixel and the depth of each point, and whether it is in the picture."""
+    across, upward, backward = axes @ (points - eye).T
+    depth = -backward
+    tx, ty = lens.tangents
+    in_front = depth > 0
+    # Points at the eye lie far beside the picture, and points behind it are in none.
+    with np.errstate(over="ignore"):
+        scale = np.where(in_front, depth, 1.0) if lens.is_perspective else half / ty
+        x, y = across / (tx * scale), upward / (ty * scale)
+    inside = (np.abs(x) < 1) & (np.abs(y) < 1) & in_front
+    cell = lambda part: ((np.clip(part, -1, 1) + 1) / 2 * _PIXELS).clip(max=_PIXELS - 1).astype(int)
+    return cell(y) * _PIXELS + cell(x), depth, inside

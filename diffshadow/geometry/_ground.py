@@ -1,0 +1,208 @@
+"""What a scene stands on, which way is up, and whether it is a room: found from its triangles alone.
+
+All functions take the corners of triangles, (f, 3, 3), in any unit. Except for `up_of`, they expect `+y` up.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .._types import HostArray
+
+Corners = Float[HostArray, "f 3 3"]
+Directions = Float[HostArray, "d 3"]
+
+# A face is level if its normal is this close to vertical, and lies at the bottom within this part of the scene's
+# largest side.
+_LEVEL, _AT_BOTTOM = 0.99, 0.01
+# A ground covers this part of the scene's outline, and what stands on it at most this part of the ground.
+_COVERED, _STANDING = 0.5, 0.7
+# A foot, which an object stands on, covers this part of the outline, and this many times as much as along another axis.
+_FOOT, _MORE = 0.05, 3.0
+# A room hides this part of all directions, and shows its faces' front sides in this part of these.
+_CLOSED, _FRONT = 0.8, 0.9
+# Where a point inside a room is looked for, as parts of the box; middles first.
+_ACROSS, _HEIGHTS = (0.5, 0.3, 0.7), (0.5, 0.7)
+_DIRECTIONS = 96
+# Pairs of rays and triangles that are tested at a time.
+_PAIRS = 1 << 21
+
+
+class Ground(NamedTuple):
+    """A level ground: its height, its least and greatest x and z, and which faces belong to it (f,)."""
+
+    height: float
+    low: Float[HostArray, "2"]
+    high: Float[HostArray, "2"]
+    faces: Bool[HostArray, " f"]
+
+
+class Inside(NamedTuple):
+    """A point inside a room with the most space around it, and the heights of floor and ceiling there."""
+
+    point: Float[HostArray, "3"]
+    floor: float
+    ceiling: float
+
+
+def ground_of(corners: Corners) -> Ground | None:
+    """The level ground that everything else of a scene stands on; none if the scene has none.
+
+    The bottom of an object is no ground: what stands on a ground covers less than the ground does.
+    """
+    size = _size(corners)
+    bottom, level = _level_at_bottom(corners, 1)
+    if not level.any() or level.all():
+        # A level surface alone is an object.
+        return None
+    flat = corners[level][..., (0, 2)]
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+    above = corners[corners[..., 1].max(axis=1) > bottom + _AT_BOTTOM * size][..., (0, 2)]
+    if len(above) == 0:
+        return None
+    outline = np.prod(np.ptp(corners[..., (0, 2)], axis=(0, 1)))
+    standing = np.prod(np.ptp(above, axis=(0, 1)))
+    area = np.abs(_cross(flat)).sum() / 2
+    if area < _COVERED * outline or standing > _STANDING * np.prod(high - low):
+        return None
+    # Feet of objects are level, too; the ground is the largest face.
+    return Ground(float(corners[level][np.abs(_cross(flat)).argmax(), :, 1].mean()), low, high, level)
+
+
+def has_floor(corners: Corners) -> bool:
+    """Whether level faces at the bottom show their front sides from above: a plane at their height would meet them."""
+    _, level = _level_at_bottom(corners, 1)
+    return bool((_normals(corners[level])[:, 1] > 0).any())
+
+
+def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
+    """Which axis is up: y unless the scene lies flat across z.
+
+    A ground across z, and none across y, is always taken as a sign. A flat foot of an object is one only in formats
+    that do not say which axis is up.
+    """
+    # z becomes y, by a quarter turn about x.
+    turned = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
+    if ground_of(corners) is not None:
+        return "y"
+    if ground_of(turned) is not None:
+        return "z"
+    if is_y_up_format:
+        return "y"
+    foot, turned_foot = _foot(corners), _foot(turned)
+    return "z" if turned_foot > max(_FOOT, _MORE * foot) else "y"
+
+
+def inside_of(corners: Corners) -> Inside | None:
+    """A point from which a scene is seen as a room: closed around the point, with a level floor and front faces.
+
+    None if there is no such point. A solid object seen from its middle shows the back sides of its faces.
+    """
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    normals, least, most = _normals(corners), corners.min(axis=1), corners.max(axis=1)
+    found = []
+    for height in _HEIGHTS:
+        for x in _ACROSS:
+            for z in _ACROSS:
+                point = low + (high - low) * np.array([x, height, z])
+                # Only faces that lie across one of the axes through the point can be met.
+                is_between = (least <= point) & (point <= most)
+                near = np.flatnonzero(is_between.sum(axis=1) >= 2)
+                if len(near) == 0:
+                    continue
+                distance, is_front, face = _hits(corners[near], normals[near], point, _AXES)
+                is_level = normals[near[face[_DOWN]], 1] > _LEVEL
+                if is_level and is_front[_UP] and is_front[_DOWN] and is_front.sum() >= len(_AXES) - 1:
+                    heights = float(point[1] - distance[_DOWN]), float(point[1] + distance[_UP])
+                    found.append((float(distance.min()), Inside(point, *heights)))
+    for _, inside in sorted(found, key=lambda each: -each[0]):
+        distance, is_front, _ = _hits(corners, normals, inside.point, _SPHERE)
+        seen = np.isfinite(distance)
+        if seen.mean() >= _CLOSED and is_front.sum() >= _FRONT * seen.sum():
+            return inside
+    return None
+
+
+def free_distance(corners: Corners, point: Float[HostArray, "3"], directions: Directions) -> Float[HostArray, " d"]:
+    """The distance from `point` to the first face along each direction; infinite where there is none."""
+    return _hits(corners, _normals(corners), point, directions)[0]
+
+
+def _size(corners: Corners) -> float:
+    return float(np.ptp(corners, axis=(0, 1)).max())
+
+
+def _level_at_bottom(corners: Corners, axis: int) -> tuple[float, Bool[HostArray, " f"]]:
+    """The least coordinate along `axis`, and which faces are level there."""
+    along = corners[..., axis]
+    bottom = float(along.min())
+    at_bottom = along.max(axis=1) <= bottom + _AT_BOTTOM * _size(corners)
+    return bottom, at_bottom & (np.abs(_normals(corners)[:, axis]) > _LEVEL)
+
+
+def _foot(corners: Corners) -> float:
+    """The part of the outline that level faces at the bottom cover."""
+    _, level = _level_at_bottom(corners, 1)
+    outline = np.prod(np.ptp(corners[..., (0, 2)], axis=(0, 1)))
+    return float(np.abs(_cross(corners[level][..., (0, 2)])).sum() / 2 / max(outline, np.finfo(float).tiny))
+
+
+def _cross(flat: Float[HostArray, "f 3 2"]) -> Float[HostArray, " f"]:
+    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _normals(corners: Corners) -> Float[HostArray, "f 3"]:
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals / np.where(length > 0, length, 1)
+
+
+def _hits(
+    corners: Corners,
+    normals: Float[HostArray, "f 3"],
+    point: Float[HostArray, "3"],
+    directions: Directions,
+) -> tuple[Float[HostArray, " d"], Bool[HostArray, " d"], HostArray]:
+    """The first faces that rays from `point` meet: distance (infinite if none), whether from the front, and index."""
+    distance = np.full(len(directions), np.inf)
+    face = np.zeros(len(directions), int)
+    some = max(_PAIRS // len(directions), 1)
+    for start in range(0, len(corners), some):
+        t = _crossings(corners[start : start + some] - point, directions)
+        nearest = t.argmin(axis=1)
+        closer = np.take_along_axis(t, nearest[:, None], axis=1)[:, 0]
+        face = np.where(closer < distance, start + nearest, face)
+        distance = np.minimum(distance, closer)
+    is_front = np.isfinite(distance) & (np.einsum("dk,dk->d", normals[face], directions) < 0)
+    return distance, is_front, face
+
+
+def _crossings(corners: Corners, directions: Directions) -> Float[HostArray, "d f"]:
+    """The distance from the origin to each triangle along each direction; infinite where it is missed (Möller and
+    Trumbore 1997)."""
+    a, e, g = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # Scalar triple products with the direction are linear in it.
+    across = np.cross(e, g)
+    determinant = -directions @ across.T
+    u = directions @ np.cross(a, g).T
+    v = -directions @ np.cross(a, e).T
+    # A ray along a triangle's plane misses it, by NaN or infinity.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = u / determinant, v / determinant
+        t = -np.einsum("fk,fk->f", a, across)[None] / determinant
+        return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+
+
+def _sphere(count: int) -> Float[HostArray, "d 3"]:
+    """Even directions, on a Fibonacci spiral."""
+    i = np.arange(count) + 0.5
+    y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    across = np.sqrt(1 - y * y)
+    return np.stack([across * np.cos(turn), y, across * np.sin(turn)], axis=-1)
+
+
+_UP, _DOWN = 2, 3
+_AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+_SPHERE = _sphere(_DIRECTIONS)

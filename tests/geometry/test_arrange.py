@@ -1,0 +1,149 @@
+"""Cameras, lights and grounds that are found: all casters and their shadows are in the picture, at every size."""
+
+import math
+
+import numpy as np
+import pytest
+
+from diffshadow import geometry
+from diffshadow.geometry import _ground as ground
+
+LENS = geometry.Lens((math.tan(math.radians(20)),) * 2)
+WIDE = geometry.Lens((math.tan(math.radians(35)),) * 2)
+ALL = geometry.Wanted(True, True, True)
+UP_Y, UP_Z = np.array([0.0, 1, 0]), np.array([0.0, 0, 1])
+
+
+def corners_of(name, **options):
+    mesh = geometry.library_mesh(name, **options)
+    return np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+
+
+def moved(corners, *by):
+    return corners + np.array(by, float)
+
+
+def standing(corners):
+    return corners - [0, corners[..., 1].min(), 0]
+
+
+def z_up(corners):
+    return np.stack([corners[..., 0], -corners[..., 2], corners[..., 1]], axis=-1)
+
+
+def room():
+    """A box that is seen from inside, with a table in it."""
+    return np.concatenate(
+        [corners_of("box", size=[6, 3, 5])[:, ::-1], moved(corners_of("box", size=[1, 0.8, 1]), 1, 0, 1)]
+    )
+
+
+def opened():
+    sphere = corners_of("sphere", subdivisions=2)
+    return sphere[sphere.mean(axis=1)[:, 1] > 0]
+
+
+SCENES = {
+    "closed": lambda: standing(corners_of("torus_knot")),
+    "chair": lambda: corners_of("chair"),
+    "open": opened,
+    "flat": lambda: corners_of("box", size=[1, 0.05, 1]),
+    "panel": lambda: corners_of("thin_wall"),
+    "with a ground": lambda: np.concatenate([corners_of("chair"), corners_of("plane", size=4.0)]),
+}
+
+
+def found_for(corners, up=UP_Y, camera=None, wanted=ALL):
+    return geometry.arrange(corners, geometry.Given(None, camera, LENS, WIDE, np.ones(len(corners), bool), up), wanted)
+
+
+def seen(points, camera, up):
+    """Where points are in the picture, from -1 to 1 (n, 2)."""
+    back = camera.eye - camera.target
+    back /= np.linalg.norm(back)
+    right = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    x, y, away = np.stack([right, np.cross(back, right), back]) @ (points - camera.eye).T
+    assert (away < 0).all()
+    return np.stack([x / -away / LENS.tangents[0], y / -away / LENS.tangents[1]], axis=-1)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 1000.0])
+@pytest.mark.parametrize("turn", [lambda c: c, z_up], ids=["y up", "z up"])
+@pytest.mark.parametrize("name", SCENES)
+def test_casters_and_their_shadows_are_in_the_picture(name, turn, size):
+    corners = size * turn(SCENES[name]()) + size * np.array([3.0, -2, 5])
+    up = turn(UP_Y)
+    found = found_for(corners, up)
+    assert not found.is_room
+    assert found.has_ground == (name == "with a ground")
+    assert (found.plane is None) == found.has_ground
+    flat = ground.ground_of((corners - corners.mean(axis=(0, 1))) @ geometry.turn_up(up).T)
+    casters = (corners if flat is None else corners[~flat.faces]).reshape(-1, 3)
+    height = (corners @ up).min()
+    along = found.direction / -(found.direction @ up)
+    fallen = casters + (casters @ up - height)[:, None] * along
+    assert np.abs(seen(np.concatenate([casters, fallen]), found.camera, up)).max() < 0.9
+    assert found.camera.shadow > 0.02
+    if found.plane is not None:
+        middle, side = found.plane
+        assert np.abs(middle @ up - height) <= 2e-3 * size
+        assert np.abs(fallen - middle).max() < side / 2 + 2e-3 * size
+
+
+@pytest.mark.parametrize("size", [0.01, 1000.0])
+def test_a_room_is_seen_and_lit_from_inside(size):
+    corners = size * room()
+    found = found_for(corners)
+    assert found.is_room
+    assert found.plane is None
+    assert found.sun is None
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    for point in (found.camera.eye, found.camera.target, found.lamp[0]):
+        assert ((low < point) & (point < high)).all()
+    # Seen from outside, the same walls are an object.
+    assert not found_for(corners[:, ::-1]).is_room
+
+
+def test_a_sun_is_found_for_a_camera_that_is_given():
+    corners = corners_of("box")
+    camera = np.array([0.0, 3, 5]), np.array([0.0, 0, 0])
+    found = found_for(corners, camera=camera, wanted=geometry.Wanted(light=True))
+    # From behind the camera, the box would hide its shadow.
+    assert 50 < abs(found.sun[0]) < 150
+    assert found.camera is None
+
+
+def test_a_ground_is_level_and_larger_than_what_stands_on_it():
+    plane, box = corners_of("plane", size=4.0), corners_of("box")
+    assert ground.ground_of(np.concatenate([box, plane])).height == 0
+    assert ground.ground_of(box) is None
+    assert ground.ground_of(plane) is None
+    # Floor and walls of the same outline are an object without its lid.
+    assert ground.ground_of(corners_of("box", size=[4, 1, 4])[2:]) is None
+    assert ground.ground_of(np.concatenate([moved(box, 0, 2, 0), moved(plane, 0, -5, 0)])).height == -5
+
+
+def test_what_lies_flat_across_z_has_z_up():
+    scene = SCENES["with a ground"]()
+    assert ground.up_of(scene, True) == "y"
+    assert ground.up_of(z_up(scene), True) == "z"
+    # A column with a flat foot, under a ball that hides no part of it.
+    column = np.concatenate([corners_of("box"), moved(corners_of("sphere", subdivisions=1) * 1.5, 0, 1.5, 0)])
+    assert ground.up_of(z_up(column), False) == "z"
+    assert ground.up_of(column, False) == "y"
+    assert ground.up_of(z_up(SCENES["chair"]()), True) == "y"
+    assert ground.up_of(corners_of("sphere", subdivisions=2), False) == "y"
+
+
+def test_angles_turn_as_their_matrix_does():
+    for up in (UP_Z, -UP_Y, np.array([1.0, 0, 0]), np.array([0.3, 0.5, -0.8])):
+        turn = geometry.turn_up(up)
+        assert np.allclose(turn @ up, [0, np.linalg.norm(up), 0])
+        x, y, z = np.radians(geometry.angles_of(turn))
+        about = lambda angle, k: np.roll(
+            [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]],
+            k + 1,
+            axis=(0, 1),
+        )
+        assert np.allclose(about(z, 2) @ about(y, 1) @ about(x, 0), turn, atol=1e-6)
