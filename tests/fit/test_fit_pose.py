@@ -207,6 +207,7 @@ def test_a_problem_of_a_scene_is_the_one_of_its_parts():
     assert PoseProblem.of(scene, without, truth).settings.silhouettes is False
 
 
+@pytest.mark.exhaustive
 def test_traced_references_are_dark_outside_the_cone_and_images_are_left_alone():
     light = SpotLight((0, 2, 0), (0, -1, 0), 30.0, 0.1, 9, inner_angle=15.0)
     scene = Scene([FLOOR, CARD], floor_camera(1.5, (64, 64)), light)

@@ -174,6 +174,7 @@ def test_numbers_of_a_users_loss_and_solver_are_no_part_of_the_program(by_residu
     assert again.errors == pytest.approx(tuple(2 * error for error in by_residuals.errors), rel=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_a_fit_shows_its_steps_unless_it_has_a_listener(by_residuals, known):
     told = []
 

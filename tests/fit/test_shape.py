@@ -57,6 +57,7 @@ def views(walls):
     return [ShapeView(*each, ellipse(width, height)) for each, (width, height) in zip(walls, halves, strict=True)]
 
 
+@pytest.mark.exhaustive
 def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
     start = sphere()
     free = np.asarray(start.vertices)[:, 1] > -0.45
@@ -74,6 +75,7 @@ def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
     np.testing.assert_allclose(after[partner], after * [-1, 1, 1], atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_stopped_fit_goes_on_to_the_same_bits(views):
     problem = ShapeProblem(sphere(), views)
     whole = fit_shape(problem, PHASES)

@@ -112,6 +112,7 @@ def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
 _clip = eqx.filter_jit(lambda camera, vertices: camera.view().clip(vertices))
 
 
+@pytest.mark.exhaustive
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):

@@ -151,7 +151,10 @@ ROWS = {
     "Babylon.js, cube": Row(BabylonJs(0.02, back_face_culling=False, **ENGINE), "point", IN_A_CUBE, **CLOSE),
 }
 """Each technique, and what must leave its picture as it is."""
-RARE = ("three.js, variance", "Babylon.js, cube", "pages", "warp", "soft shadows", "cascades")
+RARE = (
+    *("three.js, basic", "three.js, variance", "Babylon.js, cube"),
+    *("pages", "warp", "soft shadows", "cascades", "cube"),
+)
 TABLE = [
     pytest.param(name, change, id=f"{name}-{change}", marks=pytest.mark.exhaustive if name in RARE else ())
     for name, row in ROWS.items()

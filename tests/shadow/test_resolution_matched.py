@@ -79,7 +79,8 @@ def window_of(whole, pages, layer) -> np.ndarray:
     return np.asarray(whole)[y : y + side, x : x + side]
 
 
-@pytest.mark.parametrize("depth_layer", ["nearest", pytest.param("midpoint", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("depth_layer", ["nearest", "midpoint"])
 def test_pages_are_parts_of_the_plain_map_bit_for_bit(depth_layer):
     scene, _ = scene_and_surface()
     settings = {"depth_layer": depth_layer, "polygon_offset": (1.5, 4.0)} if depth_layer == "midpoint" else {}
@@ -128,6 +129,7 @@ _FEW = ("percentage closer",)
 BIASES = {"slope": Bias(0.5, 1.0), "plane": Bias(0.5, plane=ReceiverPlane(), normal_offset=0.7)}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=() if n in _FEW else pytest.mark.exhaustive) for n in (*WHOLE_STEPS, *OTHER_STEPS)],

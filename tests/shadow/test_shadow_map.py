@@ -179,6 +179,7 @@ NOON = DirectionalLight((0, -1, 0), (0, 0, 0), (2, 2), -2, 0.5)
 """Straight down on the slab, 2.5 units deep."""
 
 
+@pytest.mark.exhaustive
 def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
     depth = {layer: np.asarray(drawn_map(floor_and_slab(), NOON, depth_layer=layer).depth) for layer in LAYERS}
     window = lambda y: (2 - y) / 2.5

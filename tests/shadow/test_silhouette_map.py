@@ -616,6 +616,7 @@ def test_texels_whose_parts_compare_alike_need_no_correction():
     np.testing.assert_allclose(lit(HardCompare()), lit(_Everywhere()), atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_hard_shadows_end_where_casters_do():
     shadow_map, surface = _scene(), _ground(WIDE)
     visibility, plain = (

@@ -363,6 +363,7 @@ def scattered_points(light, slope_x, slope_z):
     return eqx.tree_at(lambda s: s.mask, surface, jnp.asarray(np.pad(np.ones((60, 60), bool), 2)))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.5, 0.0), (0.2, -0.6)])
 def test_least_acne_free_constant_bias_of_a_tilted_plane(slopes):
     light = warped(PerspectiveWarp(strength=4.0))

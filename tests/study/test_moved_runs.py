@@ -39,6 +39,7 @@ def run(*arguments: Any) -> int:
     return caught.value.code
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("folder", ["plain", "b\u65e5 \x1b[1m\n$x_^"])
 def test_report_and_comparison_of_a_run_whose_inputs_have_gone(folder, tmp_path, monkeypatch, capsys):
     home = tmp_path / folder

@@ -113,11 +113,8 @@ def test_the_engines_map_gives_the_engines_picture(name):
     assert agreement(golden, from_read_back(golden, preset(golden))) >= ENOUGH
 
 
-OWN_MAPS = ("point_none_bias",)
-"""Those whose maps are drawn in every run of the tests."""
-
-
-@pytest.mark.parametrize("name", marked(CASES, set(CASES) - set(OWN_MAPS)))
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", CASES)
 def test_the_own_map_gives_the_engines_picture(name):
     golden = engine_golden("babylon", name)
     assert agreement(golden, from_own_map(golden, preset(golden))) >= CUT_OPEN.get(name, ENOUGH_BY_OWN_MAP)
