@@ -234,7 +234,7 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
         assert len(re.findall(r'<div class="wide[^>]*><table', each)) == each.count("<table")
 
 
-def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path):
+def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypatch):
     from diffshadow.study.files._run_folder import final_folder, write_whole
     from diffshadow.study.pages._next import after_run
 
@@ -244,6 +244,9 @@ def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path):
     assert final_folder(seen[0]) == final_folder(tmp_path / "a-run") == tmp_path / "a-run"
     (draw, *_) = after_run(seen[0], {"kind": "render", "command": "diffshadow render a.yaml"}, "shadow_map")
     assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
+    # The commands work in any folder.
+    monkeypatch.chdir(tmp_path)
+    assert after_run(Path("a-run"), {"kind": "render"}, "shadow_map")[0] == draw
 
 
 def test_comparison_of_different_scenes_is_remarked(tmp_path):

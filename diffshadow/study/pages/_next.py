@@ -23,7 +23,9 @@ class Command(NamedTuple):
 
 
 def _command(why: str, verb: str, *arguments: Path | str) -> Command:
-    return Command(why, shlex.join(["diffshadow", verb, *map(str, arguments)]))
+    # A page cannot know the folder in which its commands are pasted.
+    words = (str(each.absolute()) if isinstance(each, Path) else each for each in arguments)
+    return Command(why, shlex.join(["diffshadow", verb, *words]))
 
 
 def _figures(folder: Path) -> Command:
