@@ -189,7 +189,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
 
 @app.command
 def convert(config: Path, /, *overrides: str) -> None:
-    """Prints the bias of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
+    """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
 
     Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
     it fits the shadows of three.js and Babylon.js, which takes as long as two fits.

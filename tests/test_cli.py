@@ -311,6 +311,9 @@ def test_convert_speaks_the_units_of_engines(capsys):
     assert re.search(r"three\.js +light\.shadow\.bias +-0\.01 ", out)
     assert re.search(r"Babylon\.js +generator\.bias \(PCF\) +0\.02 ", out)
     assert re.search(r"Bevy .*not verified against the engine", out)
+    # The default disk has a radius of 2 texels.
+    assert re.search(r"three\.js +light\.shadow\.radius +2 ", out)
+    assert re.search(r"Bevy +ShadowFilteringMethod +– +no counterpart", out)
     assert run("convert", QUICKSTART, "scene.light={type: rectangle, position: [0, 3, 0]}", *small) == 2
     assert "scene.light: the light is a RectangleLight; expected a directional" in capsys.readouterr().err
     assert run("convert", QUICKSTART, "technique.type=shadow_volumes", *small) == 2

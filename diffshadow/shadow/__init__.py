@@ -30,6 +30,7 @@ from .biases import (
 )
 from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, ThreeJs, engine_code, engine_settings
 from .engines import EngineSetting as EngineSetting
+from .engines import radius_settings as radius_settings
 from .filters import AbstractFilter
 from .filters._castano import Castano
 from .filters._exponential import ExponentialShadowMap
@@ -125,6 +126,7 @@ __all__ = [
     "mean_of_taps",
     "plan_crossings",
     "poisson_disk",
+    "radius_settings",
     "receiver",
     "shadow_volumes",
     "sobol",

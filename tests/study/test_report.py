@@ -77,7 +77,7 @@ def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
     assert "<i>" not in parsed.page
     differences = ["Before − reference", "After − reference"]
     shaded = [f"{title}, shaded" for title in ("Reference", "Before", "After")]
-    assert parsed.names == ["Reference", "Before", "After", *differences, *shaded]
+    assert parsed.names == [*shaded, "Reference", "Before", "After", *differences]
     assert 'type="range"' in parsed.page
     assert len(parsed.page) < 400_000
 
@@ -195,9 +195,81 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     assert "filter.samples" not in printed
     assert "bias.slope 0.5 0.25 texels" in parsed.text
     # The same shadow is one reference; folders of one name are told apart by their paths.
-    assert parsed.names[0] == "Reference"
-    assert parsed.names[1:3] == [str(first), str(second)]
+    assert parsed.names[:3] == [f"{first}, shaded", f"{second}, shaded", "Reference"]
+    assert parsed.names[3:5] == [str(first), str(second)]
     assert "Reference of" not in parsed.text
+
+
+def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
+    """The picture, the code, the values, and at last commands that work as they are."""
+    folder = write_fit(tmp_path / "my runs" / "tiny")
+    result = json.loads((folder / "result.json").read_text())
+    (folder / "result.json").write_text(
+        json.dumps(result | {"code": {"scene.light": "light.bias = 1 < 2;\nlight.on();"}})
+    )
+    (folder / "fitted.yaml").write_text((folder / "config.yaml").read_text())
+    page = Parsed(study.report(folder)).page
+    parts = [
+        'class="frames"',
+        "<pre>light.bias = 1 &lt; 2;\nlight.on();</pre>",
+        "<h2>Results</h2>",
+        "<h2>What to do next</h2>",
+    ]
+    assert sorted(parts, key=page.index) == parts
+    # The slider shows the shaded pictures first.
+    assert 'data-left="Before, shaded" data-right="After, shaded"' in page
+    place = f"&#39;{folder}"
+    for command in (
+        f"render {place}/fitted.yaml&#39; --debug",
+        f"convert {place}&#39;",
+        f"advise {place}/config.yaml&#39;",
+    ):
+        assert f"<pre>diffshadow {command}</pre>" in page
+    sweep = Parsed(study.report(write_sweep(tmp_path / "radii-sweep"))).page
+    assert sweep.index("<svg") < sweep.index("<table")
+    assert f"<pre>diffshadow report {tmp_path}/radii-sweep --figures pdf</pre>" in sweep
+    # Every block to copy has a button, and every table scrolls in a box of its own.
+    for each in (page, sweep):
+        assert each.count("<pre>") == each.count('class="copy"') > 1
+        assert len(re.findall(r'<div class="wide[^>]*><table', each)) == each.count("<table")
+
+
+def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypatch):
+    from diffshadow.study.files._run_folder import final_folder, write_whole
+    from diffshadow.study.pages._next import after_run
+
+    seen = []
+    write_whole(tmp_path / "a-run", seen.append)
+    assert seen[0] != tmp_path / "a-run"
+    assert final_folder(seen[0]) == final_folder(tmp_path / "a-run") == tmp_path / "a-run"
+    (draw, *_) = after_run(seen[0], {"kind": "render", "command": "diffshadow render a.yaml"}, "shadow_map")
+    assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
+    # The commands work in any folder.
+    monkeypatch.chdir(tmp_path)
+    assert after_run(Path("a-run"), {"kind": "render"}, "shadow_map")[0] == draw
+
+
+def test_comparison_of_different_scenes_is_remarked(tmp_path):
+    first, second = (write_fit(tmp_path / name, shift=i) for i, name in enumerate("ab", 1))
+    stored = dict(np.load(second / "arrays.npz"))
+    said = "warning: the runs are of different scenes or references (scene.camera.fov_y)"
+
+    def compared() -> tuple[str, str]:
+        out = text_io.StringIO()
+        page = study.compare([first, second], tmp_path / "page.html", console=Console(file=out, width=300))
+        return out.getvalue(), Parsed(page).text
+
+    # Noise makes another reference of the same scene.
+    np.savez(second / "arrays.npz", **stored | {"reference": np.clip(stored["reference"] + 0.01, 0, 1)})
+    assert not any("different scenes" in text for text in compared())
+    config = (second / "config.yaml").read_text()
+    (second / "config.yaml").write_text(config.replace("fov_y: ", "fov_y: 1"))
+    printed, shown = compared()
+    assert said in printed
+    assert said.removeprefix("warning: ") in shown
+    # With the same references, errors are of the same shadow.
+    np.savez(second / "arrays.npz", **stored)
+    assert not any("different scenes" in text for text in compared())
 
 
 def test_comparison_marks_the_greatest_ssim_and_the_least_of_the_other_errors():

@@ -7,4 +7,5 @@ from ._convert import EngineSetting as EngineSetting
 from ._convert import engine_settings as engine_settings
 from ._engine_map import EngineMap as EngineMap
 from ._light import EngineLight as EngineLight
+from ._radius import radius_settings as radius_settings
 from ._three import ThreeJs as ThreeJs

@@ -153,7 +153,7 @@ def _babylon_filter(settings: BabylonJs, is_point: bool) -> dict[str, str]:
 
 def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
     if is_linear:
-        scale = "Bias is a part of the depth range: with another range, multiply it by the old range over the new one."
+        scale = "With another depth range (far - near), multiply the bias by the old range over the new one."
     else:
         scale = "Bias is window depth, which depends on near and far: with others, fit it again."
     return [

@@ -18,13 +18,13 @@ class EngineSetting(NamedTuple):
     """A setting of an engine.
 
     - `engine`, `setting`: their names, such as `"three.js"` and `"light.shadow.bias"`.
-    - `value`: in the engine's unit; `note`: what else it depends on.
+    - `value`: in the engine's unit, or None if the engine has no counterpart; `note`: what else it depends on.
     - `is_verified`: whether the formula is checked against the engine's own pictures.
     """
 
     engine: str
     setting: str
-    value: float
+    value: float | None
     note: str
     is_verified: bool
 
@@ -112,8 +112,9 @@ def engine_settings(
 
 
 _AT = "holds at this distance only"
-_RANGE = "a part of far - near"
 _DEPTH = "window depth"
+# Depth from -1 to 1, in which Babylon.js moves the casters of PCF.
+_TWICE = "twice window depth"
 _WORLD = "world units"
 # How an engine's normal offset grows with the angle to the light. Godot's goes across the light.
 _PROFILES: dict[str, OffsetProfile | None] = {
@@ -127,20 +128,22 @@ _PROFILES: dict[str, OffsetProfile | None] = {
 
 
 def _three(c: _Common, kind: str) -> list[EngineSetting]:
-    value, note = (0.0 - c.b / c.depth, _RANGE) if kind == "directional" else (-c.b * c.slope, _DEPTH)
+    value = 0.0 - c.b / c.depth if kind == "directional" else -c.b * c.slope
     return [
-        EngineSetting("three.js", "light.shadow.bias", value, c.shift(note, 2), True),
+        EngineSetting("three.js", "light.shadow.bias", value, c.shift(_DEPTH, 2), True),
         EngineSetting("three.js", "light.shadow.normalBias", c.m * c.t, c.offset(_WORLD, 0), True),
     ]
 
 
 def _babylon(c: _Common, kind: str) -> list[EngineSetting]:
     linear = c.b / (c.n + c.f) if kind == "point" else c.b / c.depth
+    # In a parallel view, window depth is a part of the depth range.
+    unit = _DEPTH if kind == "directional" else "parts of the depth range"
     pcf = {"directional": 2 * c.b / c.depth, "spot": 2 * c.b * c.slope, "point": linear}[kind]
-    note = {"directional": _RANGE, "spot": c.shift(_DEPTH, 2), "point": c.shift("PCF becomes POISSON", 0)}[kind]
+    note = c.shift("PCF becomes POISSON", 0) if kind == "point" else c.shift(_TWICE, 2)
     of = lambda setting, value, note: EngineSetting("Babylon.js", f"generator.{setting}", value, note, True)
     return [
-        of("bias (NONE, POISSON, ESM)", linear, c.shift("a part of the range", 0)),
+        of("bias (NONE, POISSON, ESM)", linear, c.shift(unit, 0)),
         of("bias (PCF)", pcf, note),
         of("normalBias", c.m * c.t, c.offset("world units, of casters, times sin θ", 0)),
     ]

@@ -17,7 +17,8 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
     **Returns** the page. **Raises** `FileError` if the recommendation is incomplete or damaged.
     """
     from .. import style
-    from ..pages._page import write_page
+    from ..pages._next import after_advice
+    from ..pages._page import lines_of, write_page
     from ._figure import draw_front
 
     result = read_result(folder)
@@ -44,11 +45,11 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
         verdict=advice["verdict"],
         problems=advice["problems"],
         figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
-        recommended=(folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace").splitlines(),
+        recommended=lines_of((folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace")),
         file=RECOMMENDED,
         machine=versions.get("processor", "an unknown processor"),
         environment=[(name, value, "") for name, value in versions.items()],
-        command=result.get("command", ""),
+        commands=after_advice(folder, result.get("command", "")),
     )
     return folder / REPORT
 

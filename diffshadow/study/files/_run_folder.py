@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from ._schema import read_json
 _TOKEN_BYTES = 6
 _OLD = "-old"
 _ADDED = len(f".-{'0' * 2 * _TOKEN_BYTES}{_OLD}")
+_DRAFT = re.compile(rf"\.(.+)-[0-9a-f]{{{2 * _TOKEN_BYTES}}}", re.DOTALL)
 # The longest name of a file in a run's folder, including its temporary names.
 _LONGEST_FILE = 80
 
@@ -129,6 +131,12 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
             with contextlib.suppress(OSError):
                 for level in made:
                     level.rmdir()
+
+
+def final_folder(folder: Path) -> Path:
+    """The folder that a draft of `write_whole` becomes; any other folder itself."""
+    found = _DRAFT.fullmatch(folder.name)
+    return folder.with_name(found[1]) if found else folder
 
 
 def remove(path: Path) -> None:

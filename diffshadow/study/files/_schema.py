@@ -327,6 +327,8 @@ class _ShapePhase(_Part):
 
 class _Shape(_Run):
     kind: Literal["shape"]
+    seed: Seed
+    command: str
     metrics: _ShapeMetrics
     vertices: Count
     chosen_phase: int = Field(ge=-1)

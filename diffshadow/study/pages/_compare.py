@@ -10,11 +10,16 @@ from rich.console import Console
 from ... import io
 from ..._checks import text_within
 from ..files._stored import StoredRun, read_run
+from . import _table as table
+from ._next import after_comparison
 from ._table import ERRORS, UNEXPLAINED, UNITS, number, print_comparison
 
 # A run's name and folder do not count as differences.
 _NOT_COMPARED = ("name", "output")
 _NONE = "–"
+# Settings of what the shadow should be, and the most of them that a remark names.
+_SCENE = ("scene.", "reference.path")
+_MAX_KEYS = 4
 
 
 class Line(NamedTuple):
@@ -49,8 +54,10 @@ def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
     print_comparison(
         console, labels, [[(line.name, *line.cells, line.unit) for line in part] for part in parts.values()]
     )
+    remarks = _scene_remarks(runs, parts["settings that differ"])
+    table.print_lines(console, remarks, warn=True)
     page.parent.mkdir(parents=True, exist_ok=True)
-    _write(page, runs, labels, parts)
+    _write(page, runs, labels, parts, remarks)
     return page
 
 
@@ -96,6 +103,27 @@ def _errors(runs: Sequence[StoredRun]) -> list[Line]:
     return lines
 
 
+def _scene_remarks(runs: Sequence[StoredRun], differing: Sequence[Line]) -> list[str]:
+    """That the runs are of different scenes or references, if they are; errors do not rank techniques then.
+
+    Runs with the same reference images show the same scene. A fit's own parameters, such as a light's pose, are no
+    difference of scenes.
+    """
+    images = [[light.reference for light in run.lights] for run in runs]
+    if all(len(each) == len(images[0]) and all(map(np.array_equal, each, images[0])) for each in images):
+        return []
+    sizes = list(dict.fromkeys(f"{len(each)} of {each[0].shape[1]} × {each[0].shape[0]}" for each in images))
+    fitted = {name for run in runs for name in run.result.get("fitted", {})}
+    keys = [line.name for line in differing if line.name.startswith(_SCENE) and line.name not in fitted]
+    if not keys and len(sizes) > 1:
+        keys = [f"images: {', '.join(sizes)} pixels"]
+    if not keys:
+        return []
+    more = f" and {len(keys) - _MAX_KEYS} more" if len(keys) > _MAX_KEYS else ""
+    named = f"{', '.join(keys[:_MAX_KEYS])}{more}"
+    return [f"the runs are of different scenes or references ({named}); their errors do not rank their techniques"]
+
+
 def _warnings(run: StoredRun) -> list[str]:
     """The remarks on a run; first, that a fit does not explain its references."""
     found = run.result.get("verdict")
@@ -103,7 +131,9 @@ def _warnings(run: StoredRun) -> list[str]:
     return [*unexplained, *(run.result.get("warnings") or [])]
 
 
-def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]]) -> None:
+def _write(
+    page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]], remarks: Sequence[str]
+) -> None:
     # Imported here, since they load Matplotlib.
     from .. import style
     from . import _figures as figures
@@ -123,8 +153,12 @@ def _write(page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: 
         folders=[str(run.folder) for run in runs],
         # Results come first.
         parts_of_table=dict(reversed(parts.items())),
-        warnings=[f"{label}: {warning}" for label, run in _named(labels, runs) for warning in _warnings(run)],
-        slides=pictures[-2:],
+        warnings=[
+            *remarks,
+            *(f"{label}: {warning}" for label, run in _named(labels, runs) for warning in _warnings(run)),
+        ],
+        slides=([p.name for p in shaded] if len(shaded) > 1 else pictures)[-2:],
+        commands=after_comparison([run.folder for run in runs], page),
         groups=groups,
         scale=difference_scale(limit, extend == "both"),
         shaded=shaded,

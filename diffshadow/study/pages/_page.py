@@ -93,6 +93,11 @@ def data_uri(content: bytes, suffix: str) -> str:
     return f"data:{_MEDIA[suffix]};base64,{base64.b64encode(content).decode('ascii')}"
 
 
+def lines_of(text: str) -> Markup:
+    """`text` as HTML, with its line ends; other unprintable characters are escaped."""
+    return Markup("\n").join(printable(line) for line in text.splitlines())
+
+
 def _shown(value: Any) -> Any:
     """`value` with unprintable characters escaped, unless it is markup."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value

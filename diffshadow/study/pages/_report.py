@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._checks import text_within
 from ..files._stored import REPORT, LightImages, StoredRun
+from ._next import after_run
 from ._table import ERRORS, LIGHT_ERRORS, UNEXPLAINED, UNITS, interval_text, knee_text, noise_text, number, within_text
 
 # Figures in the folder that the page draws itself.
@@ -28,11 +29,12 @@ def write_report(run: StoredRun) -> Path:
     # Imported here, since they load Matplotlib.
     from .. import style
     from . import _figures as figures
-    from ._page import difference_scale, file_pictures, write_page
+    from ._page import difference_scale, file_pictures, lines_of, write_page
 
     result, is_fit = run.result, run.kind == "fit"
     limit, extend = figures.difference_limit(run.shown)
     lights = [_light(light, limit, many=len(run.lights) > 1) for light in run.shown]
+    shaded = _shaded(run)
     write_page(
         run.folder / REPORT,
         "report.html.j2",
@@ -49,10 +51,10 @@ def write_report(run: StoredRun) -> Path:
         by_light=_by_light(run),
         has_views="shown" in result["metrics"],
         aliasing=_aliasing(run),
-        slides=[p.name for p in lights[0]["visibility"][-2:]],
+        slides=[p.name for p in (shaded or lights[0]["visibility"])[-2:]],
         lights=lights,
         scale=difference_scale(limit, extend == "both"),
-        shaded=_shaded(run),
+        shaded=shaded,
         widths=list(map(within_text, figures.widths(result))) if is_fit else [],
         profiles=style.inline_svg(figures.profiles(result), "profiles") if is_fit and result.get("profiles") else "",
         front=_front(result) if is_fit else [],
@@ -62,7 +64,8 @@ def write_report(run: StoredRun) -> Path:
         is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
         phases=_phases(result) if is_fit else [],
         starts=_starts(result) if is_fit else [],
-        code={key: text.splitlines() for key, text in result.get("code", {}).items()} if is_fit else {},
+        code={key: lines_of(text) for key, text in result.get("code", {}).items()} if is_fit else {},
+        commands=after_run(run.folder, result, {row.key: row.value for row in run.settings}.get("technique.type")),
         files={heading: file_pictures(paths) for heading, paths in _files(run.folder).items()},
         loss=_loss_heads(result) if is_fit else {},
         environment=[

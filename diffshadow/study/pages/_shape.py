@@ -14,6 +14,7 @@ from ..._types import HostArray
 from ...config import CONFIG_FILE, load_config
 from .. import style
 from ..files._stored import ARRAYS, REPORT, read_result
+from ._next import after_shape
 from ._page import picture, write_page
 
 TURNTABLE, PROGRESS = "turntable.webp", "progress.webp"
@@ -49,7 +50,7 @@ def report_shape(folder: Path, form: str | None = None, dpi: int | None = None) 
         loss=style.inline_svg(_loss(result, arrays), _CURVE),
         animations=[(_data(folder / file), text) for file, text in _SHOWN.items() if (folder / file).is_file()],
         vertices=result["vertices"],
-        command=result["command"],
+        commands=after_shape(folder, result["command"]),
         environment=[(name, value, "") for name, value in {**result["versions"], "seed": result["seed"]}.items()],
         seconds=[(name, f"{value:.2f}", "s") for name, value in result["seconds"].items()],
     )

@@ -181,11 +181,15 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
 def print_settings(console: Console, title: str, settings: Sequence[EngineSetting]) -> None:
     """Prints the settings of engines, one on each line."""
     lines = [
-        f"  {each.engine:<12}{each.setting:<37}{each.value:>11.4g}  {each.note}"
+        f"  {each.engine:<12}{each.setting:<37}{_value(each):>11}  {each.note}"
         + ("" if each.is_verified else "; not verified against the engine")
         for each in settings
     ]
     print_code(console, title, "\n".join(lines))
+
+
+def _value(setting: EngineSetting) -> str:
+    return "–" if setting.value is None else f"{setting.value:.4g}"
 
 
 def print_rows(console: Console, errors: Mapping[str, Mapping[str, float | None]]) -> None:

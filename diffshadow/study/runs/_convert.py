@@ -1,6 +1,7 @@
-"""Conversions of a bias to the settings of engines."""
+"""Conversions of a bias and a radius to the settings of engines."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from ...config import Config, ConfigError, Mistake, build_shadow_mapping, dump_r
 from ...geometry import PointLight, Scene
 from ...raster import Surface, draw_surface
 from ...settings.engines import Engine
-from ...shadow import EngineSetting, ShadowMapping, engine_settings, receiver
+from ...shadow import EngineSetting, ShadowMapping, engine_settings, radius_settings, receiver
 from ..pages import _table as table
 from . import _record as record
 from ._engine import along
@@ -24,6 +25,16 @@ from ._views import draw_views
 # Bounds and start of an engine's bias in texels, and of its normal bias and radius.
 _MAX_BIAS, _MAX_OFFSET, _MAX_RADIUS = 32.0, 4.0, 16.0
 _START = 2.0
+# The radius of a uniform disk with the same standard deviation, which is half its radius along each axis, as a multiple
+# of the filter's own radius: of corners (±r, ±r), a disk, a box and a tent. Other filters have no such radius.
+_DISKS = {
+    "nearest": 0.0,
+    "bilinear": 0.0,
+    "four_tap": 2.0,
+    "random_disk": 1.0,
+    "pcf": 2 / math.sqrt(3),
+    "tent": 2 / math.sqrt(6),
+}
 _SIDES = {"none": "double", "back": "front", "front": "back"}
 _CASTING = {"none": "both sides of faces cast", "back": "front faces cast", "front": "back faces cast"}
 
@@ -40,7 +51,7 @@ class _Lit(NamedTuple):
 
 
 def convert(config: Config, *, console: Console, origin: str = "") -> None:
-    """Prints the bias of `config` in the units of engines, for each of its lights.
+    """Prints the bias and the filter's radius of `config` in the units of engines, for each of its lights.
 
     A constant bias and a normal offset are converted by formulas. To a bias that an engine lacks, the shadows of
     three.js and Babylon.js are fitted, over the same views, and their code and errors are printed.
@@ -71,6 +82,7 @@ def convert(config: Config, *, console: Console, origin: str = "") -> None:
         excluded |= dict.fromkeys(one.engine for one in _settings(config, each, every=True) if one.engine not in names)
         if settings:
             table.print_settings(console, _title(config, each), settings)
+            _print_radius(config, each, console)
     if not lacking:
         table.print_lines(console, [f"valid where {_CASTING[config.shadow_map.cull]} (shadow_map.cull)"])
     if excluded:
@@ -139,6 +151,17 @@ def _title(config: Config, lit: _Lit) -> str:
         f"{'.'.join(map(str, lit.key))}: {_shift(config, lit):.4g} world units towards the light, and "
         f"{config.bias.normal_offset:.4g} texels along the normal; a texel is {lit.texel:.4g} world units wide{where}"
     )
+
+
+def _print_radius(config: Config, lit: _Lit, console: Console) -> None:
+    """Prints the radius of the filter in the units of engines, or why it has none."""
+    kind, key = config.filter.type, ".".join(map(str, lit.key))
+    if kind not in _DISKS:
+        table.print_lines(console, [f"the filter {kind} has no radius that engines have; random_disk, for one, has"])
+        return
+    radius = _DISKS[kind] * getattr(config.filter, "radius", 0.0)
+    title = f"{key}: the filter {kind}, as wide as a disk with a radius of {radius:.4g} texels"
+    table.print_settings(console, title, radius_settings(lit.scene.light, radius))
 
 
 # --- What an engine lacks ---

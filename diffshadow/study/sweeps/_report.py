@@ -54,6 +54,7 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
 
     **Raises** `FileError` if the sweep's table is missing, damaged, or another sweep's.
     """
+    from ..pages._next import after_sweep
     from ..pages._page import file_pictures, write_page
 
     result = read_result(folder)
@@ -89,7 +90,7 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
         more_failures=more_failures,
         settings=settings,
         environment=[(name, value, "") for name, value in result.get("versions", {}).items()],
-        command=result.get("command", ""),
+        commands=after_sweep(folder, sweep.run, _best(folder, good), result.get("command", "")),
     )
     return folder / REPORT
 
@@ -229,6 +230,14 @@ def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequenc
 def _pictures(folder: Path) -> list[Path]:
     """All pictures directly in the folder."""
     return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
+
+
+def _best(folder: Path, good: Runs) -> Path | None:
+    """The folder of the run with the least RMSE; none if no run has both."""
+    if "rmse" not in good.columns or not good["rmse"].notna().any():
+        return None
+    found = folder / RUNS / str(good["id"][good["rmse"].idxmin()])
+    return found if (found / CONFIG).is_file() else None
 
 
 def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:

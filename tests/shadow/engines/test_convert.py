@@ -5,7 +5,7 @@ import math
 import pytest
 
 from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
-from diffshadow.shadow import engine_settings
+from diffshadow.shadow import engine_settings, radius_settings
 
 # Windows that are not square: texels are as large as in one of 4 by 4 world units, of the spot light at distance 2.
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (2.0, 8.0), -3.0, 5.0)
@@ -16,7 +16,7 @@ SHIFT, TEXELS, SIZE = 0.02, 1.5, (100, 100)
 SLOPE = 0.5 * 10 / (9.5 * 4)
 
 
-def values(light, distance=2.0) -> dict[tuple[str, str], float]:
+def values(light, distance=2.0) -> dict[tuple[str, str], float | None]:
     return {(each.engine, each.setting): each.value for each in engine_settings(light, SIZE, SHIFT, TEXELS, distance)}
 
 
@@ -94,3 +94,27 @@ def test_notes_say_which_settings_hold_at_one_distance_only(power, steady):
         "generator.normalBias",
         "shadowNormalBias",
     }
+
+
+@pytest.mark.parametrize(
+    ("light", "expected"),
+    [
+        (SUN, {"three.js": 3.0, "Babylon.js": 3 / 1.343, "Godot 4": 1.5}),
+        (SPOT, {"three.js": 3.0, "Babylon.js": 3 / 1.343, "Godot 4": 1.5}),
+        # The taps are half as far apart.
+        (LAMP, {"three.js": 6.0, "Babylon.js": 3.0, "Godot 4": 1.5}),
+    ],
+)
+def test_a_radius_in_an_engines_unit(light, expected):
+    found = radius_settings(light, 3.0)
+    assert {each.engine: each.value for each in found if each.value is not None} == pytest.approx(expected, rel=1e-3)
+    lacking = {each.engine for each in found if each.note.startswith("no counterpart")}
+    assert lacking - {"Babylon.js"} == {"Bevy", "Filament", "Unity URP"}
+    assert {each.engine for each in found} == set(expected) | lacking
+
+
+def test_a_suns_bias_is_window_depth_in_every_unit():
+    notes = {(each.engine, each.setting): each.note for each in engine_settings(SUN, SIZE, SHIFT, TEXELS, 2.0)}
+    assert notes["three.js", "light.shadow.bias"] == "window depth"
+    assert notes["Babylon.js", "generator.bias (PCF)"] == "twice window depth"
+    assert notes["Babylon.js", "generator.bias (NONE, POISSON, ESM)"] == "window depth"

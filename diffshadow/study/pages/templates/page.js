@@ -22,3 +22,52 @@ for (const slider of document.querySelectorAll(".slider")) {
   range.addEventListener("input", () => frames.style.setProperty("--cut", `${range.value}%`));
   slider.hidden = pictures.length < 2;
 }
+
+// A button copies the text beside it. Pages that are opened as files may lack the clipboard: then the text is selected
+// and copied as by the keyboard.
+for (const button of document.querySelectorAll("button.copy")) {
+  const text = button.parentElement.querySelector("pre");
+  const select = () => {
+    getSelection().selectAllChildren(text);
+    return document.execCommand("copy");
+  };
+  button.addEventListener("click", async () => {
+    let isCopied = true;
+    try {
+      await navigator.clipboard.writeText(text.textContent);
+    } catch {
+      isCopied = select();
+    }
+    button.textContent = isCopied ? "Copied" : "Press Ctrl+C";
+    setTimeout(() => (button.textContent = "Copy"), 2000);
+  });
+  button.hidden = false;
+}
+
+// A click on a picture, or the enter key, shows it as large as the window; another click or the escape key closes it.
+const zoom = document.body.appendChild(document.createElement("dialog"));
+zoom.className = "zoom";
+zoom.addEventListener("click", () => zoom.close());
+for (const image of document.querySelectorAll("main img")) {
+  if (image.closest(".frames")) continue;
+  const show = () => {
+    const large = new Image();
+    large.src = image.src;
+    large.alt = image.alt;
+    const shape = image.naturalWidth / image.naturalHeight || 1;
+    large.style.width = `min(94vw, calc(94vh * ${shape}))`;
+    zoom.replaceChildren(large);
+    zoom.showModal();
+  };
+  image.classList.add("zooms");
+  image.tabIndex = 0;
+  image.setAttribute("role", "button");
+  image.title = "Zoom";
+  image.addEventListener("click", show);
+  image.addEventListener("keydown", (event) => event.key === "Enter" && show());
+}
+
+// Tables that are wider than the page scroll in their own box, with the keyboard too.
+for (const box of document.querySelectorAll(".wide, .chart")) {
+  if (box.scrollWidth > box.clientWidth) box.tabIndex = 0;
+}

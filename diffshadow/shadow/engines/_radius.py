@@ -1,0 +1,59 @@
+"""One radius of a filter in the settings of several engines.
+
+The taps of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The settings of
+Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+"""
+
+import math
+
+from ...geometry import AbstractLight, PointLight
+from ._abstract import engine_light
+from ._babylon_taps import POISSON
+from ._convert import EngineSetting
+from ._light import NO_NUDGE
+
+# Texels of a disk per unit of blurScale. A disk's mean square distance is half the square of its radius.
+_POISSON = math.sqrt(2 * sum(x * x + y * y for x, y in POISSON) / len(POISSON))
+# Texels of a disk per unit of shadow_blur at the default quality, Soft Low.
+_SOFT_LOW = 2.0
+_SIZES = "its kernels have fixed sizes"
+
+
+def radius_settings(light: AbstractLight, radius: float) -> list[EngineSetting]:
+    """The radius of a filter as the settings of engines, for a light of theirs with the same map.
+
+    Kernels of different shapes are as wide as each other if they have the same standard deviation.
+
+    **Arguments:**
+
+    - `radius`: of a disk of taps, in texels.
+
+    **Returns** a setting for each engine, whose value is None if the engine has no counterpart.
+
+    **Raises** `ValueError` for a light that no engine has.
+    """
+    light = engine_light(light, NO_NUDGE)
+    is_point = isinstance(light, PointLight)
+    # Under a point light, a unit is half a texel at the centre of a face.
+    three, poisson = (2 * radius, radius) if is_point else (radius, radius / _POISSON)
+    godot = "for the filter quality Soft Low, and a light without size"
+    if light.is_directional and radius > 0:
+        godot += f"; divide shadow_bias by {_SOFT_LOW:g} × shadow_blur"
+    units = "half texels at the centre of a face" if is_point else "texels"
+    found = [
+        EngineSetting("three.js", "light.shadow.radius", three, f"{units}, for PCFShadowMap", True),
+        EngineSetting("Babylon.js", "generator.blurScale", poisson, "for POISSON, and PCF under point lights", True),
+        EngineSetting("Godot 4", "shadow_blur", radius / _SOFT_LOW, f"roughly; {godot}" if is_point else godot, False),
+    ]
+    fixed = {
+        "Bevy": ("ShadowFilteringMethod", _SIZES),
+        "Filament": ("shadowType", "PCF has a fixed size"),
+        "Unity URP": ("softShadowQuality", _SIZES),
+    }
+    if not is_point:
+        found.insert(2, EngineSetting("Babylon.js", "generator.filteringQuality (PCF)", None, _none(_SIZES), True))
+    return found + [EngineSetting(name, key, None, _none(why), False) for name, (key, why) in fixed.items()]
+
+
+def _none(why: str) -> str:
+    return f"no counterpart: {why}"
