@@ -1,5 +1,6 @@
 """Runs of fits of shapes: their folder, page and checkpoint, and mistakes of their configurations."""
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -37,6 +38,7 @@ def folder(tmp_path_factory):
     return study.run_fit(config(f"output={output}"), console=QUIET)
 
 
+@pytest.mark.exhaustive
 def test_run_of_a_shape_has_the_mesh_the_numbers_and_a_page(folder):
     result = read_result(folder)
     assert sorted(entry.name for entry in folder.iterdir()) == result["files"]
@@ -55,12 +57,14 @@ def test_run_of_a_shape_has_the_mesh_the_numbers_and_a_page(folder):
     assert list(folder.parent.iterdir()) == [folder]
 
 
+@pytest.mark.exhaustive
 def test_page_of_a_shape_is_made_again_from_its_files(folder):
     page = (folder / "report.html").read_bytes()
     study.report(folder)
     assert (folder / "report.html").read_bytes() == page
 
 
+@pytest.mark.exhaustive
 def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     class StopError(Exception):
         pass
@@ -82,7 +86,9 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     assert Checkpoint(config(f"output={tmp_path}", "seed=1"), tmp_path / "tiny").read() is None
     monkeypatch.setattr(Checkpoint, "at", original)
     resumed = study.run_fit(again, console=QUIET)
-    assert (resumed / "shape.ply").read_bytes() == (folder / "shape.ply").read_bytes()
+    once, twice = (np.asarray(io.load_mesh(each / "shape.ply").vertices) for each in (folder, resumed))
+    # GPUs add up gradients in any order.
+    np.testing.assert_allclose(twice, once, atol=0 if jax.default_backend() == "cpu" else 1e-5)
     assert list(tmp_path.iterdir()) == [resumed]
 
 
