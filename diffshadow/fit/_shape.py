@@ -68,7 +68,7 @@ PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
 
 
 class ShapeState(NamedTuple):
-    """Where a fit stands before a step: all that it needs to go on to the same bits. Arrays are not changed later.
+    """Where a fit stands before a step: all that it needs to go on, on a CPU to the same bits. Arrays never change.
 
     - `phase`, `step`: of the next step, from 0; `crossings`: for how many there is memory.
     - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
