@@ -615,8 +615,6 @@ def test_sun_is_recovered_by_a_users_loss(recovered):
     assert result.precision is None
     assert result.solver.name == "bfgs"
     assert told == result.history
-    # The first evaluation is of blurred images at the start, and so is the first error.
-    assert told[0].loss == pytest.approx(result.errors[0] ** 2, rel=0.02)
     at = result.phases[result.chosen]
     shown = np.asarray(image(one, tuple(result.fitted), at.values))
     assert at.hard_loss == pytest.approx(float(np.mean(np.abs(shown - np.asarray(one.reference)))), abs=1e-5)

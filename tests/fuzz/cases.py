@@ -14,7 +14,9 @@ from mutate import SCHEMA
 
 from diffshadow.config.reading._load import load_draft
 
-CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
+# Fits of shapes trace their targets before they are found valid, which takes too long here.
+SHAPES = {"shadow_art.yaml", "shape_from_shadows.yaml"}
+CONFIGS = sorted(path for path in (Path(__file__).parents[2] / "configs").glob("*.yaml") if path.name not in SHAPES)
 TEMPLATE, RUN = "template", "runs/damaged"
 """Folders beside a case's files: of a finished run, and of a copy of it that the case may spoil."""
 DRAWN_EVERY = 60
@@ -80,7 +82,7 @@ def _data(path: Path) -> dict[str, Any]:
     # One shape for all, so that they share what is compiled.
     first, *_, last = data["scene"]["meshes"]
     data["scene"]["meshes"] = [{**first, "path": "builtin:box", "options": {}}, last]
-    data["scene"]["camera"]["resolution"] = TINY["scene.camera.resolution"]
+    data["scene"].setdefault("camera", {})["resolution"] = TINY["scene.camera.resolution"]
     data.setdefault("shadow_map", {})["resolution"] = TINY["shadow_map.resolution"]
     data.setdefault("reference", {})["samples"] = TINY["reference.samples"]
     if "sweep" in data and "limit_samples" in data["sweep"]:

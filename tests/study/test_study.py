@@ -854,7 +854,7 @@ def readme():
 
 @pytest.mark.exhaustive
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, own, traced, far, trimeshes, training) = {}, readme
+    names, (technique, sun, own, saved, traced, far, trimeshes, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
@@ -862,6 +862,9 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
     exec(own, names)
     assert "bias.constant" in capsys.readouterr().out
+    exec(saved, names)
+    assert Path("runs/absolute/report.html").is_file()
+    capsys.readouterr()
     exec(traced, names)
     assert re.search(r"\[.*\d.*\]", capsys.readouterr().out)
     exec(far, names)
@@ -874,7 +877,7 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     assert "float shadow_visibility(" in capsys.readouterr().out
 
 
-SMALL = (
+SMALL_RUN = (
     *("scene.camera.resolution=[48, 48]", "shadow_map.resolution=[64, 64]", "reference.samples=4", "fit.front=0"),
     *("fit.solver.max_steps=2", "fit.anneal.phases=1", "fit.intervals=[]"),
 )
@@ -899,7 +902,7 @@ def test_first_commands_of_a_page_run_as_they_stand_there(page, until, capsys):
     for command, *words in commands:
         run_by = [command, *words]
         if command in ("fit", "render", "convert", "validate"):
-            run_by += SMALL
+            run_by += SMALL_RUN
         if command == "advise" and "--dry-run" not in words:
             run_by.append("--dry-run")
         if command == "init":
