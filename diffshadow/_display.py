@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from ._progress import Update
 
-# Seconds between updates in a notebook, each of which is a message.
+# Seconds between updates in a notebook. Each update is a message.
 _PAUSE = 0.1
 # One line at a time: work inside of other work is not shown.
 _BUSY = threading.Lock()

@@ -22,7 +22,7 @@ _SHARED: dict[str, Any] = {}
 
 
 def examples() -> dict[str, str]:
-    """The code of each example, by the name of what it is an example of."""
+    """The code of each example, by the name of the class or function that it shows."""
     found = {}
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text(encoding="utf-8")

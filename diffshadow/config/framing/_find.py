@@ -103,7 +103,7 @@ def _written(
 def _light(
     found: geometry.Arranged, given: dict[str, Any], point: Any, number: Any, up: HostArray
 ) -> tuple[dict[str, Any], str]:
-    """The section of a light that was found, and what it is."""
+    """The section of a light that was found, and its name in remarks."""
     if found.lamp is not None:
         position, radius = point(found.lamp[0]), number(found.lamp[1])
         lamp = {"type": "point", "position": position, "radius": radius}

@@ -131,7 +131,7 @@ def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: F
     """A sentence for each value on a bound beyond which the error may fall further."""
     named = {parameter.name: parameter for parameter in parameters}
     for name, side, bound, falls in result.at_bounds:
-        # Of what has no key, the limits are not known.
+        # Values without a key have no known limits.
         is_end = config is not None and is_limit(config, name, bound)
         if falls and name not in result.flat and not is_end:
             lower, upper, unit = named[name].lower, named[name].upper, named[name].unit
