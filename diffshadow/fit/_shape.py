@@ -116,7 +116,7 @@ class FittedShape(NamedTuple):
     - `initial_loss`, `loss`: the judge's, before and after: the mean square error without a blur.
     - `losses`: the judge's at the end of each phase; `chosen`: which of them is the result, -1 for the start.
     - `history`: phase and loss of each step, under the phase's blur.
-    - `images`: (h, w) of each view, its visibility at the end.
+    - `initial_images`, `images`: (h, w) of each view, its visibility at the start and at the end.
     - `state`: where the fit ended or was stopped.
     """
 
@@ -126,6 +126,7 @@ class FittedShape(NamedTuple):
     losses: list[float]
     chosen: int
     history: list[tuple[int, float]]
+    initial_images: list[Float[HostArray, "h w"]]
     images: list[Float[HostArray, "h w"]]
     state: ShapeState
 
@@ -146,8 +147,8 @@ def fit_shape(
 
     - `phases`: in their order; λ should fall.
     - `on_step`: called after each step; the fit stops if it returns `True`.
-    - `resume`: a state of an earlier fit of the same problem and phases, to go on from there. The result has the same
-        bits as without the interruption.
+    - `resume`: a state of an earlier fit of the same problem and phases, to go on from there. On a CPU the result
+        has the same bits as without the interruption.
 
     **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a
     start that casts no shadow in a view, or a state of another fit.
@@ -206,9 +207,8 @@ class _Fit:
         self.size = float(np.ptp(vertices[np.asarray(problem.free)], axis=0).max())
         # All meshes are padded to the size of the finest.
         splits = sum(phase.subdivisions for phase in phases)
-        finest = vertices[:, :1], np.asarray(problem.mesh.faces)
         edges = len(Edges.of(problem.mesh).vertices)
-        count, faces = len(vertices), len(finest[1])
+        count, faces = len(vertices), len(problem.mesh.faces)
         for _ in range(splits):
             count, edges, faces = count + edges, 2 * edges + 3 * faces, 4 * faces
         self.padding = shared_mesh_size(faces, count), shared_size(edges)
@@ -266,13 +266,26 @@ class _Fit:
             self.more.join()
         losses = state.losses
         chosen = int(np.argmin(losses))
-        level = self._level(state.best_vertices, state.best_faces, np.ones(len(state.best_vertices), bool))
-        found, _ = self._evaluate(level, state.best_vertices, 0.0, state.crossings)
-        mesh = Mesh(state.best_vertices, state.best_faces)
-        ends = list(losses[1:])
+        start = np.asarray(self.problem.mesh.vertices, np.float64), np.asarray(self.problem.mesh.faces)
+        best = state.best_vertices, state.best_faces
         return FittedShape(
-            mesh, losses[0], losses[chosen], ends, chosen - 1, list(state.history), self._images(found), state
+            mesh=Mesh(*best),
+            initial_loss=losses[0],
+            loss=losses[chosen],
+            losses=list(losses[1:]),
+            chosen=chosen - 1,
+            history=list(state.history),
+            initial_images=self._seen(*start, state.crossings),
+            images=self._seen(*best, state.crossings),
+            state=state,
         )
+
+    def _seen(
+        self, vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], crossings: int
+    ) -> list[Float[HostArray, "h w"]]:
+        """The visibility that each view has of a mesh."""
+        level = self._level(vertices, faces, np.ones(len(vertices), bool))
+        return self._images(self._evaluate(level, vertices, 0.0, crossings)[0])
 
     def _phase(self, state: ShapeState, on_step: Callable[[ShapeStep], bool | None] | None) -> tuple[ShapeState, bool]:
         """The state after the present phase, or where `on_step` stopped it."""
@@ -304,9 +317,15 @@ class _Fit:
         loss, is_best = float(found.loss), float(found.loss) < min(state.losses)
         none = np.zeros((0, 3))
         state = state._replace(
-            phase=state.phase + 1, step=0, crossings=crossings, vertices=present, u=none, mean=none, square=none
+            phase=state.phase + 1,
+            step=0,
+            crossings=crossings,
+            vertices=present,
+            u=none,
+            mean=none,
+            square=none,
+            losses=(*state.losses, loss),
         )
-        state = state._replace(losses=(*state.losses, loss))
         return (state._replace(best_vertices=present, best_faces=faces) if is_best else state), False
 
     def _stepped(

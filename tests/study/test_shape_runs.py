@@ -87,6 +87,8 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(Checkpoint, "at", original)
     resumed = study.run_fit(again, console=QUIET)
     once, twice = (np.asarray(io.load_mesh(each / "shape.ply").vertices) for each in (folder, resumed))
+    before = lambda run: [light["before"] for light in read_result(run)["metrics"]["lights"]]
+    assert before(resumed) == before(folder)
     # GPUs add up gradients in any order.
     np.testing.assert_allclose(twice, once, atol=0 if jax.default_backend() == "cpu" else 1e-5)
     assert list(tmp_path.iterdir()) == [resumed]

@@ -32,8 +32,8 @@ _KEPT = 36
 class FittedShapeRun(NamedTuple):
     """A finished fit of a shape.
 
-    - `targets`: what each light's shadow should be; `before`: what it was, by the map; `rays`: what rays see of the
-        result; `unseen`: of the result and of the truth, under lights that the fit did not see.
+    - `targets`: what each light's shadow should be; `rays`: what rays see of the result; `unseen`: of the result and of
+        the truth, under lights that the fit did not see.
     - `steps`: vertices and faces at some of the steps.
     """
 
@@ -41,7 +41,6 @@ class FittedShapeRun(NamedTuple):
     plan: ShapePlan
     result: fit.FittedShape
     targets: list[Image]
-    before: list[Image]
     rays: list[Image]
     unseen: list[tuple[Image, Image]]
     steps: list[tuple[HostArray, HostArray]]
@@ -96,10 +95,9 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
     """
     plan, problem, targets = shape_problem(config, stages)
     kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
-    first: list[list[Image]] = []
     with stages.stage("fitting"):
         try:
-            watch = _watch(stages, plan, checkpoint, kept, first)
+            watch = _watch(stages, plan, checkpoint, kept)
             result = fit.fit_shape(problem, plan.phases, on_step=watch, resume=checkpoint.read())
         except ValueError as error:
             raise _error(config, str(error)) from error
@@ -107,9 +105,8 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
         mesh = result.mesh
         rays = [_traced(screen, mesh) for screen in plan.seen]
         pairs = [] if plan.truth is None else [(_traced(s, mesh), _traced(s, plan.truth)) for s in plan.unseen]
-    before = first[0] if first else result.images
     kept.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
-    return FittedShapeRun(config, plan, result, targets, before, rays, pairs, kept)
+    return FittedShapeRun(config, plan, result, targets, rays, pairs, kept)
 
 
 def _watch(
@@ -117,7 +114,6 @@ def _watch(
     plan: ShapePlan,
     checkpoint: Checkpoint,
     kept: list[tuple[HostArray, HostArray]],
-    first: list[list[Image]],
 ) -> Callable[[fit.ShapeStep], None]:
     ends = list(itertools.accumulate((phase.steps for phase in plan.phases), initial=0))
     every = max(ends[-1] // _KEPT, 1)
@@ -127,8 +123,6 @@ def _watch(
         detail = f"phase {step.phase + 1} of {len(plan.phases)}, step {step.step}, RMSE {step.loss**0.5:.5f}"
         stages.show("fitting", detail, done / ends[-1])
         checkpoint.at(step.state)
-        if not first:
-            first.append(step.images)
         if done % every == 0:
             kept.append((step.vertices, step.faces))
 
@@ -145,7 +139,9 @@ def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
     overlap, plan, result = metrics.intersection_over_union, fitted.plan, fitted.result
     lights = [
         {"light": screen.key, "before": overlap(b, t), "map": overlap(m, t), "rays": overlap(r, t)}
-        for screen, t, b, m, r in zip(plan.seen, fitted.targets, fitted.before, result.images, fitted.rays, strict=True)
+        for screen, t, b, m, r in zip(
+            plan.seen, fitted.targets, result.initial_images, result.images, fitted.rays, strict=True
+        )
     ]
     found: dict[str, Any] = {"initial_loss": result.initial_loss, "loss": result.loss, "lights": lights}
     if fitted.unseen:
@@ -187,7 +183,7 @@ def _write(draft: Path, fitted: FittedShapeRun, result: dict[str, Any]) -> None:
         draft,
         {
             "reference": np.stack(fitted.targets).astype(np.float32),
-            "before": np.stack(fitted.before).astype(np.float32),
+            "before": np.stack(found.initial_images).astype(np.float32),
             "after": np.stack(found.images).astype(np.float32),
             "history_phase": np.asarray([phase for phase, _ in found.history], np.int32),
             "history_loss": np.asarray([loss for _, loss in found.history], np.float32),
