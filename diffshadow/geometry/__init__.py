@@ -16,6 +16,7 @@ from ._framing import FrameLight as FrameLight
 from ._framing import Lens as Lens
 from ._framing import sun as frame_sun
 from ._ground import up_of as up_of
+from ._ground import y_up as y_up
 from ._library import LIBRARY, OptionError, library_mesh
 from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge
 from ._normals import crease_normals, weld

@@ -52,7 +52,7 @@ def ground_of(corners: Corners) -> Ground | None:
     The bottom of an object is no ground: what stands on a ground covers less than the ground does.
     """
     size = _size(corners)
-    bottom, level = _level_at_bottom(corners, 1)
+    bottom, level = _level_at_bottom(corners)
     if not level.any() or level.all():
         # A level surface alone is an object.
         return None
@@ -72,7 +72,7 @@ def ground_of(corners: Corners) -> Ground | None:
 
 def has_floor(corners: Corners) -> bool:
     """Whether level faces at the bottom show their front sides from above: a plane at their height would meet them."""
-    _, level = _level_at_bottom(corners, 1)
+    _, level = _level_at_bottom(corners)
     return bool((_normals(corners[level])[:, 1] > 0).any())
 
 
@@ -82,8 +82,7 @@ def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
     A ground across z, and none across y, is always taken as a sign. A flat foot of an object is one only in formats
     that do not say which axis is up.
     """
-    # z becomes y, by a quarter turn about x.
-    turned = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
+    turned = y_up(corners)
     if ground_of(corners) is not None:
         return "y"
     if ground_of(turned) is not None:
@@ -92,6 +91,11 @@ def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
         return "y"
     foot, turned_foot = _foot(corners), _foot(turned)
     return "z" if turned_foot > max(_FOOT, _MORE * foot) else "y"
+
+
+def y_up(vectors: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3"]:
+    """Points or directions of a world with `+z` up in one with `+y` up, by a quarter turn about x."""
+    return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
 
 
 def inside_of(corners: Corners) -> Inside | None:
@@ -133,17 +137,17 @@ def _size(corners: Corners) -> float:
     return float(np.ptp(corners, axis=(0, 1)).max())
 
 
-def _level_at_bottom(corners: Corners, axis: int) -> tuple[float, Bool[HostArray, " f"]]:
-    """The least coordinate along `axis`, and which faces are level there."""
-    along = corners[..., axis]
-    bottom = float(along.min())
-    at_bottom = along.max(axis=1) <= bottom + _AT_BOTTOM * _size(corners)
-    return bottom, at_bottom & (np.abs(_normals(corners)[:, axis]) > _LEVEL)
+def _level_at_bottom(corners: Corners) -> tuple[float, Bool[HostArray, " f"]]:
+    """The least height, and which faces are level there."""
+    heights = corners[..., 1]
+    bottom = float(heights.min())
+    at_bottom = heights.max(axis=1) <= bottom + _AT_BOTTOM * _size(corners)
+    return bottom, at_bottom & (np.abs(_normals(corners)[:, 1]) > _LEVEL)
 
 
 def _foot(corners: Corners) -> float:
     """The part of the outline that level faces at the bottom cover."""
-    _, level = _level_at_bottom(corners, 1)
+    _, level = _level_at_bottom(corners)
     outline = np.prod(np.ptp(corners[..., (0, 2)], axis=(0, 1)))
     return float(np.abs(_cross(corners[level][..., (0, 2)])).sum() / 2 / max(outline, np.finfo(float).tiny))
 

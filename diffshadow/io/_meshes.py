@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, step_of, weld
-from ..settings.scene import MESH_SUFFIXES
+from ..settings.scene import GLTF_SUFFIXES
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
 from ._obj import read_obj
@@ -22,20 +22,13 @@ from ._stl import read_stl
 from ._trimesh import read_others, suffix_of_others
 
 # Readers take the file's bytes and its folder.
-_READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = dict(
-    zip(
-        MESH_SUFFIXES,
-        (
-            read_gltf,
-            read_gltf,
-            lambda data, _: read_obj(data),
-            lambda data, _: read_off(data),
-            lambda data, _: read_ply(data),
-            lambda data, _: read_stl(data),
-        ),
-        strict=True,
-    )
-)
+_READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
+    **dict.fromkeys(GLTF_SUFFIXES, read_gltf),
+    ".obj": lambda data, _: read_obj(data),
+    ".off": lambda data, _: read_off(data),
+    ".ply": lambda data, _: read_ply(data),
+    ".stl": lambda data, _: read_stl(data),
+}
 # Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
 # Coordinates this close to whole steps, as a part of a step, were rounded to these.

@@ -31,6 +31,7 @@ from ..geometry import (
     SpotLight,
     View,
 )
+from ..settings.scene import GLTF_SUFFIXES
 from ._atomic import atomic_path
 from ._errors import FileError
 from ._gltf_schema import EXTRAS, LIGHTS
@@ -68,7 +69,7 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
     """
     check_instance("what to write", scene, Scene, "a Scene")
     suffix = Path(path).suffix.lower()
-    if suffix not in (".glb", ".gltf"):
+    if suffix not in GLTF_SUFFIXES:
         raise FileError(f"cannot write {path}: its name ends with {suffix or 'nothing'!r}; expected .glb or .gltf")
     document, binary = _document(scene, extras or {})
     if suffix == ".gltf":

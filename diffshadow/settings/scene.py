@@ -17,7 +17,9 @@ PIECES = (
     *("fence", "thin_wall", "chair", "blob"),
 )
 """The meshes of the library: names of functions in `geometry/_library.py`."""
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+GLTF_SUFFIXES = (".glb", ".gltf")
+"""The suffixes of files that may hold cameras and lights beside meshes."""
+MESH_SUFFIXES = (*GLTF_SUFFIXES, ".obj", ".off", ".ply", ".stl")
 """The suffixes of mesh files that the package reads itself."""
 NO_MESH_SUFFIXES = ("", ".yaml", ".yml", ".json", ".txt")
 """Suffixes that never name a mesh where a configuration is expected."""

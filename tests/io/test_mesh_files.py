@@ -17,7 +17,9 @@ from diffshadow.io import FileError, MeshWarning, load_mesh, write_ply
 from diffshadow.io._errors import MeshError
 from diffshadow.io._gltf import _matrix
 from diffshadow.io._gltf_schema import Node
+from diffshadow.io._meshes import _READERS
 from diffshadow.io._polygons import repeated
+from diffshadow.settings.scene import MESH_SUFFIXES
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "meshes"
 
@@ -364,3 +366,7 @@ def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made():
     places = np.broadcast_to(np.eye(4), (1 << 24, 4, 4))
     with pytest.raises(MeshError, match="16,777,216 instances of 2 triangles; expected at most 33,554,432"):
         repeated(points, triangles, None, places)
+
+
+def test_suffixes_of_meshes_are_those_of_the_readers():
+    assert tuple(_READERS) == MESH_SUFFIXES

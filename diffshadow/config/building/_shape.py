@@ -29,8 +29,8 @@ _SCREEN, _CAMERA = 1.3, 0.2
 _WIDER = 2.0
 # The least sine of the angle at which light may graze a level screen.
 _GRAZING = 0.1
-# A sphere to start from, as a fraction of the meshes' longest side, and how often its triangles are split.
-_START, _SPLITS = 0.5, 4
+# A sphere to start from: its diameter as a fraction of the meshes' longest side, and how often triangles are split.
+_START, _SPLITS = 0.75, 4
 _AXES = "xyz"
 
 
@@ -120,9 +120,9 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
 
 
 def _sphere(casters: geometry.Mesh) -> geometry.Mesh:
-    """A sphere in the middle of the casters, of half their size."""
+    """A sphere in the middle of the casters, smaller than they are."""
     low, high = np.asarray(casters.bounds, np.float64)
-    radius = _START * float((high - low).max()) / 2 * 1.5
+    radius = _START * float((high - low).max()) / 2
     mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=_SPLITS)
     return geometry.Mesh(
         np.asarray(mesh.vertices) - np.asarray(mesh.bounds).mean(axis=0) + (low + high) / 2, mesh.faces

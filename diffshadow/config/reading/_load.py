@@ -251,17 +251,13 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
         for key in ("images", "masks"):
             files: Any = shape.get(key)
             listed = enumerate(files) if isinstance(files, list) else ()
-            yield from ((("fit", "shape", key, i), files) for i, file in listed if file and _is_text(file))
+            yield from ((("fit", "shape", key, i), files) for i, file in listed if file and isinstance(file, str))
     for path, mesh in meshes:
         file = mesh.get("path") if isinstance(mesh, dict) else None
         if isinstance(file, str) and file and not file.startswith(BUILTIN):
             yield (*path, "path"), mesh
-    if isinstance(reference, dict) and _is_text(reference.get("path")) and reference["path"]:
+    if isinstance(reference, dict) and isinstance(reference.get("path"), str) and reference["path"]:
         yield ("reference", "path"), reference
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
 
 
 def _missing(file: Path) -> str:

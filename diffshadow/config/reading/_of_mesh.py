@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ...settings.scene import MESH_SUFFIXES, NO_MESH_SUFFIXES
+from ...settings.scene import GLTF_SUFFIXES, MESH_SUFFIXES, NO_MESH_SUFFIXES
 from .._errors import ConfigError, Location, Mistake
 
 
@@ -44,7 +44,7 @@ def scene_of_mesh(file: Path) -> MeshScene:
         corners = corners_of(MeshConfig(path=path))
     except (ValueError, OSError) as error:
         raise ConfigError([Mistake(Location(str(file)), "", str(error))]) from error
-    is_gltf = file.suffix.lower() in (".glb", ".gltf")
+    is_gltf = file.suffix.lower() in GLTF_SUFFIXES
     notes: list[str] = []
     mesh: dict[str, Any] = {"path": path}
     if geometry.up_of(corners, is_gltf) == "z":

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...geometry import up_of
-from ...settings.scene import MESH_SUFFIXES, NO_MESH_SUFFIXES
+from ...geometry import up_of, y_up
+from ...settings.scene import GLTF_SUFFIXES, MESH_SUFFIXES, NO_MESH_SUFFIXES
 from .._errors import FileError, MeshError, MeshWarning
 from .._meshes import load_mesh
 from .._paths import existing_file
@@ -19,9 +19,6 @@ from .._trimesh import suffix_of_others
 from ._gltf import read_gltf_scene
 from ._parts import SceneFile, SceneMesh
 from ._three_json import read_three
-
-# Formats that also hold cameras and lights.
-_SCENES = (".glb", ".gltf")
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
@@ -55,7 +52,7 @@ def _is_mesh(file: Path) -> bool:
     """Whether the suffix of `file` is of a format that has meshes only."""
     suffix = file.suffix.lower()
     if suffix in MESH_SUFFIXES:
-        return suffix not in _SCENES
+        return suffix not in GLTF_SUFFIXES
     return suffix not in NO_MESH_SUFFIXES and suffix_of_others(file) is not None
 
 
@@ -74,7 +71,7 @@ def _of_mesh(file: Path) -> SceneFile:
     normals = np.asarray(mesh.corner_normals, np.float64)
     if up_of(corners, False) == "z":
         remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
-        corners, normals = (np.stack([v[..., 0], v[..., 2], -v[..., 1]], axis=-1) for v in (corners, normals))
+        corners, normals = y_up(corners), y_up(normals)
     parts = SceneMesh(file.stem, corners.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), normals.reshape(-1, 3))
     return SceneFile([parts], [], [], None, remarks)
 

@@ -41,7 +41,7 @@ def folder_of(config: Config, suffix: str = "") -> Path:
     **Raises** `ConfigError` if it cannot be written, or if something other than a run is there.
     """
     folder = config.output_folder / f"{config.name}{suffix}"
-    fault = _fault_of(folder)
+    fault = _too_long(folder) or _fault_of(folder)
     if fault is not None:
         message = f"{fault.what}, or change {fault.otherwise}" if fault.otherwise else fault.what
         raise ConfigError([Mistake(config.origin.place((fault.key,)), fault.key, message)])
@@ -59,17 +59,15 @@ def checked_folder(path: str | os.PathLike[str]) -> Path:
     folder = Path(path)
     if "\0" in str(folder) or not Path(os.path.abspath(folder)).name:
         raise io.FileError(f"the folder is {str(path)!r}; expected a folder of the run's own, such as runs/mine")
-    fault = _fault_of(folder)
-    if fault is not None:
-        said = f"{fault.what}, or choose another folder" if fault.otherwise else fault.what
-        raise io.FileError(f"the folder {folder} {said}" if said.startswith("makes ") else said)
+    if (fault := _too_long(folder)) is not None:
+        raise io.FileError(f"the folder {folder} {fault.what}")
+    if (fault := _fault_of(folder)) is not None:
+        raise io.FileError(f"{fault.what}, or choose another folder" if fault.otherwise else fault.what)
     return folder
 
 
 def _fault_of(folder: Path) -> _Fault | None:
-    """Why a run cannot be written to `folder`; none if it can."""
-    if (fault := _too_long(folder)) is not None:
-        return fault
+    """Why a run cannot be written to `folder`, whose path is not too long; none if it can."""
     try:
         io.check_writable(folder.parent)
         taken = os.path.lexists(folder) and not _is_run(folder)

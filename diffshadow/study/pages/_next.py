@@ -52,8 +52,8 @@ def after_run(folder: Path, result: Mapping[str, Any], technique: str | None) ->
     if not is_fit:
         commands.append(_command("Fit its bias and its filter.", "fit", place / CONFIG_FILE))
     if is_fitted:
-        commands.append(_command("Draw the fitted shadow, with intermediate results.", "render", place / FITTED_FILE))
-        commands[-1] = commands[-1]._replace(text=f"{commands[-1].text} --debug")
+        why = "Draw the fitted shadow, with intermediate results."
+        commands.append(_command(why, "render", place / FITTED_FILE, "--debug"))
     if technique == _CONVERTED and (is_fitted or not is_fit):
         commands.append(_command("Convert the bias to the units of engines.", "convert", place))
         if is_fit:
