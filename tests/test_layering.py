@@ -46,8 +46,9 @@ IMPURE_MODULES = {
     *("pathlib", "os", "shutil", "tempfile", "logging", "yaml", "pydantic", "matplotlib", "rich"),
     *("cyclopts", "PIL", "OpenEXR", "jinja2"),
 }
-# The reference traces on all cores, and asks the system for their number.
-EXCEPTIONS = {("reference", "os")}
+# The reference traces on all cores, and asks the system for their number. JAX logs what a callback raises, which a fit
+# raises itself.
+EXCEPTIONS = {("reference", "os"), ("fit", "logging")}
 IMPURE_CALLS = {"open", "print", "input"}
 
 

@@ -75,6 +75,8 @@ with showing("work [1]") as update:
         update("half [2]", 0.5)
         time.sleep(0.3)
     if sys.argv[1] == "interrupt":
+        # The background job of a script starts with Ctrl-C ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         os.kill(os.getpid(), signal.SIGINT)
 diffshadow.setup(cores=False, memory=False, collector=False, programs=False, progress=False)
 with showing("work") as update:

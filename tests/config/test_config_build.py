@@ -342,6 +342,7 @@ def at_the_limits(settings) -> list[dict[str, float]]:
 LARGE = ("samples", "search_samples", "pattern_size")
 
 
+@pytest.mark.exhaustive
 def test_modules_take_what_their_keys_may_be_set_to():
     for kind, section in FILTERS.sections.items():
         for values in at_the_limits(section):
@@ -392,6 +393,7 @@ def test_technique_follows_its_type():
     assert type(projected).__name__ == "ProjectiveShadow"
 
 
+@pytest.mark.exhaustive
 def test_everything_that_can_be_fitted_is_in_the_module_and_has_its_unit():
     for kind in FILTERS.sections:
         for plane in ("none", "receiver_plane", "adaptive"):

@@ -119,6 +119,7 @@ def test_history_is_in_order_and_true(solver, known, results):
     assert result.steps == sum(phase.steps for phase in result.phases)
 
 
+@pytest.mark.exhaustive
 def test_values_that_are_counted_from_an_offset_are_reported_with_it(known):
     seen, far = [], 3.0 * 2**20
     counted = dataclasses.replace(BIAS, initial=far + 1.6, lower=far, upper=far + 6.0, offset=far)

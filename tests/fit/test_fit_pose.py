@@ -524,6 +524,7 @@ def test_levenberg_marquardt_ends_where_the_loss_is_least_at_a_jump():
     assert int(rough.stats["num_steps"]) < int(exact.stats["num_steps"]) < 40
 
 
+@pytest.mark.exhaustive
 def test_levenberg_marquardt_ends_where_there_is_little_to_gain():
     decay = lambda y, _: jnp.exp(-y[0] * jnp.linspace(0.0, 4.0, 9)) - jnp.linspace(1.0, 0.1, 9)
     stops = (Stop(least_gain=gain) for gain in (0.0, 0.1, 1e-3))
@@ -537,6 +538,7 @@ def test_levenberg_marquardt_ends_where_there_is_little_to_gain():
     assert int(near.stats["num_steps"]) < int(nearer.stats["num_steps"]) < int(exact.stats["num_steps"])
 
 
+@pytest.mark.exhaustive
 def test_levenberg_marquardt_follows_its_model_through_noise():
     # It begins in a dip that no derivative knows of, and whose bottom lies lower than the best of all else.
     noisy = lambda y, _: jnp.concatenate([jnp.where(jnp.abs(y) < 0.05, 0.9, 1.0), 0.3 * (y - 1)])

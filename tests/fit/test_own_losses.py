@@ -94,6 +94,7 @@ def by_residuals(known):
     return fit(known, [BIAS, RADIUS], solver=solver, anneal=SHORT, loss=Differences())
 
 
+@pytest.mark.exhaustive
 def test_a_number_and_a_minimiser_find_known_values(least_absolute, known):
     result, _ = least_absolute
     assert result.fitted["filter.radius"] == pytest.approx(3.2, abs=0.15)

@@ -223,6 +223,7 @@ def test_bounds_that_a_layout_does_not_allow_are_named(seen):
         fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])
 
 
+@pytest.mark.exhaustive
 def test_a_filter_that_may_grow_beyond_the_margin_is_refused(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     disk = dataclasses.replace(made.technique, filter=RandomDisk(1.0))

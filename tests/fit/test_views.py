@@ -299,6 +299,7 @@ def check_the_worst(views, parameter, made, values):
     assert worst.phases[worst.chosen].hard_loss == pytest.approx(max(of_worst) ** 2, rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_worst_view_is_better_by_its_own_loss(waved):
     check_the_worst(waved, FIRST, waves, np.linspace(0.5, 1.1, 61))
 

@@ -12,6 +12,7 @@ pytestmark = pytest.mark.optimized
 STEPS = {"unorm16": 2**16 - 1, "unorm24": 2**24 - 1}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", STEPS)
 def test_decoded_depths_are_the_nearest_floats_and_encode_to_their_own_step(name):
     test, stored = DepthTest(name), np.arange(STEPS[name] + 1, dtype=np.float32)

@@ -44,6 +44,7 @@ def test_texels_on_a_plane_under_light_from_above_have_their_closed_form():
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
 def test_a_map_drawn_from_the_cameras_own_view_matches_it(light):
     # With twice as many texels as pixels along each side, a texel is half a pixel wide on any surface.

@@ -114,6 +114,7 @@ def seen(shadow_map, surface):
     return receiver(shadow_map, surface)
 
 
+@pytest.mark.exhaustive
 def test_texels_convert_to_window_depth_by_the_view():
     surface, shadow_map = drawn("spot", 64, 64)
     mask, light = np.asarray(surface.mask), shadow_map.light

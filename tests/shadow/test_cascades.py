@@ -332,6 +332,7 @@ def test_texels_stay_in_place_as_the_camera_moves(shares):
             np.testing.assert_allclose(before, after, rtol=0, atol=0 if shares is None else 4e-7)
 
 
+@pytest.mark.exhaustive
 def test_turning_the_camera_keeps_the_size_of_the_cascades():
     first, *others = moved_maps(cascades(0.5), MOVES[:1], turn=0.7)
     np.testing.assert_array_equal(others[0].light.scale, first.light.scale)
@@ -455,6 +456,7 @@ def grid_map(grid):
     return in_grid(given_slices(8.0, 30.0)).prepare(grid)
 
 
+@pytest.mark.exhaustive
 def test_a_blend_leads_from_one_map_to_the_next(grid_map):
     depth, blended = across_a_split(in_grid(given_slices(8.0, 30.0, blend=0.25)), grid_map, 8.0, 7.0)
     _, sharp = across_a_split(in_grid(given_slices(8.0, 30.0)), grid_map, 8.0, 7.0)

@@ -108,6 +108,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "compare"), PAIRS)
 def test_border_is_lit_in_every_direction(name, compare):
     dark = map_of(np.zeros((9, 12)))

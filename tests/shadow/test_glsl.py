@@ -129,6 +129,7 @@ TECHNIQUES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", ["spot", pytest.param("directional", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", marked(TECHNIQUES, {"linear"}))
 def test_visibility_with_exported_functions_is_ours(gl, name, light):

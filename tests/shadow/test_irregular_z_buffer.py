@@ -187,6 +187,7 @@ def test_fine_meshes_agree_with_the_reference(name):
 # Where points and triangles are
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", EACH_LIGHT)
 def test_a_lid_hides_every_point_and_one_below_them_hides_none(light):
     lid = quad((0, 0, 0), (40, 0, 0), (0, 0, -40))

@@ -137,6 +137,7 @@ def blockers(kernel, shadow_map, lookup, compare):
     return kernel.find_blockers(shadow_map, lookup, compare), z_r, z_b, view.texel_size(z_r, shadow_map.resolution)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "compare"), [("directional", HARD), ("spot", SoftCompare(3.0))])
 def test_blockers_and_penumbra_of_flat_maps_follow_from_the_formulas(name, compare):
     lookup, light = lookups_at(np.linspace(10, 20, 4), 15.0, 0.9, depth_per_texel=0.05), LIGHTS[name]

@@ -130,6 +130,7 @@ KERNELS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", marked(KERNELS, ("percentage closer", "random disk")))
 def test_no_light_leaks_between_faces_while_taps_stay_within_the_guard(kernel):
     # The light is boxed in, so that every tap on a face is dark and every tap beyond its border is lit.

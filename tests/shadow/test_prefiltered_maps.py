@@ -145,6 +145,7 @@ def receiver_and_occluder(depths, width=4):
     return ShadowMap(jnp.asarray(np.broadcast_to(column, (24, 24)), jnp.float32), SUN)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("radius", [0.5, 2.5])
 def test_one_occluder_over_one_receiver_is_percentage_closer_filtering(radius):
     """At texels' centres; between them, compares are blended here and moments there."""

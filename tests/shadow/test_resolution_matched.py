@@ -101,6 +101,7 @@ def test_pages_are_parts_of_the_plain_map_bit_for_bit(depth_layer):
         assert float(drawn.depth[len(chosen) + 1 :].min()) == 1
 
 
+@pytest.mark.exhaustive
 def test_faces_that_are_clipped_are_drawn_into_every_page():
     # Triangles that reach before the near plane and far beyond the window.
     corners = np.array(

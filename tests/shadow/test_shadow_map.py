@@ -195,6 +195,7 @@ def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
         np.testing.assert_allclose(depth["midpoint"][where], (first + second) / 2, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("layer", LAYERS)
 def test_layers_of_a_map_are_differentiable(layer):
     mesh = floor_and_slab()
@@ -300,6 +301,7 @@ def test_polygon_offset_is_factor_times_slope_plus_units(depth_format, unit, rou
         np.testing.assert_allclose(drawn_with((factor, units)) - plain, factor * exact + units * unit, atol=rounding)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("layer", "depth_format", "steps"),
     [

@@ -636,6 +636,7 @@ def test_hard_shadows_end_where_casters_do():
     assert wrong < 5e-4 < 0.01 < wrong_plain
 
 
+@pytest.mark.exhaustive
 def test_a_silhouettes_texel_holds_the_depth_of_what_lies_behind():
     """Of the square over a ground that reaches beyond the map."""
     found = _draw(merge([_square(), library_mesh("plane", size=6, segments=10)]), _sun(STILL))
@@ -647,6 +648,7 @@ def test_a_silhouettes_texel_holds_the_depth_of_what_lies_behind():
     assert (np.ptp(both, axis=0) > 0.1).all()
 
 
+@pytest.mark.exhaustive
 def test_a_rim_does_not_shadow_itself():
     sphere = library_mesh("sphere", subdivisions=1)
     direction = np.array([0.3, -1.0, 0.2])

@@ -178,6 +178,7 @@ def test_a_sum_counts_each_step_once_however_many_there_are():
     np.testing.assert_array_equal(found, [n * (n - 1) / 2 for n in numbers])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", KERNEL_CASES)
 def test_custom_derivative_is_the_plain_one(name):
     with jax.enable_x64(True):

@@ -105,6 +105,7 @@ def test_tent_weighs_each_texel_by_its_integral(radius, rng):
     assert np.ptp(found) > 0.1
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("compare", BOTH[::-1])
 @pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 1.7, 3.0])
 def test_tent_does_not_depend_on_the_largest_radius(radius, compare, rng):

@@ -129,6 +129,7 @@ WHEN = ["pass", pytest.param("fail", marks=pytest.mark.exhaustive)]
 # Against rays
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "light", "camera", "method"), SCENES)
 def test_visibility_is_that_of_float64_rays_beyond_a_thousandth_of_a_pixel(name, light, camera, method):
     scene, truth, _, (visibility, _) = case(name, light, camera, method)

@@ -291,6 +291,7 @@ def plane_at_texels(light, slope_x, slope_z):
     return (-height - float(view.near)) / float(view.far - view.near), points
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("method", METHODS)
 def test_maps_of_planes_hold_their_depth(method):
     # The plane comes before the light's near plane, and goes beyond its far plane.

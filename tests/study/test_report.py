@@ -145,6 +145,7 @@ def test_several_lights_have_pictures_and_errors_each(tmp_path):
     assert "Light by light" in parsed.text
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("form", ["svg", pytest.param("pdf", marks=pytest.mark.exhaustive)])
 def test_figures_are_written_again_in_any_format(form, tmp_path):
     from diffshadow.study.files._stored import read_run

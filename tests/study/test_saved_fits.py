@@ -92,6 +92,7 @@ def test_a_saved_fit_is_a_run_like_the_commands(seen, tmp_path):
         settings_file(folder)
 
 
+@pytest.mark.exhaustive
 def test_a_saved_fit_of_several_images_shows_each_and_replaces_an_earlier_one(seen, tmp_path):
     one = result_of(seen, "bias.constant", 40.0, 0.5)
     (tmp_path / "mine").mkdir()
@@ -108,6 +109,7 @@ def test_a_saved_fit_of_several_images_shows_each_and_replaces_an_earlier_one(se
     assert (folder / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.exhaustive
 def test_a_saved_fit_of_poses_shows_the_way_of_a_light(tmp_path):
     """Of two suns, only the second has an image."""
     scene = Scene(MESHES, SCENE.camera, [SCENE.light, SCENE.light])

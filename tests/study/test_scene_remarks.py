@@ -87,6 +87,7 @@ def test_a_mesh_that_hides_a_light_from_all_is_named_with_the_key(tmp_path):
 LARGE = "path: builtin:sphere, options: {radius: 3}, translate: [0, -1, -2]"
 
 
+@pytest.mark.exhaustive
 def test_a_mesh_that_is_mostly_out_of_the_picture_is_named_with_a_size(tmp_path):
     (remark,) = [each for each in remarks(LARGE, tmp_path) if "in the picture" in each]
     assert remark.startswith("scene.meshes.2 (builtin:sphere) is 6 × 6 × 6 world units large, with ")

@@ -512,6 +512,7 @@ def test_validate_begins_what_a_run_does_and_writes_nothing(monkeypatch, capsys,
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.exhaustive
 def test_fit_to_a_reference_image_matches_the_traced_one(finished, tiny_figures, tmp_path):
     folder, _, _ = finished
     with np.load(folder / "arrays.npz") as arrays:
@@ -674,6 +675,7 @@ def test_render_of_several_lights_tells_them_apart():
     assert "scene.lights.1" in said
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("overrides", "more"),
     [

@@ -86,6 +86,7 @@ def test_a_view_that_sees_nothing_is_named(tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.exhaustive
 def test_a_render_takes_a_configuration_with_views(tmp_path):
     with staying_in(tmp_path):
         folder = study.run_render(parse_config(TINY, VIEWS), console=Console(quiet=True))

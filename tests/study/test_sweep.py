@@ -317,6 +317,7 @@ def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
         large.runs[24]
 
 
+@pytest.mark.exhaustive
 def test_so_many_faults_are_not_all_reported():
     with pytest.raises(ConfigError) as caught:
         sweep_of(f"{{grid: {{filter.radius: {list(range(-300, 0))}}}, repeats: 9}}")
@@ -450,6 +451,7 @@ def test_figures_are_of_the_same_run_as_the_numbers(kind, where, images, end, mo
         assert load_config(done / "fitted.yaml").bias == load_config(figures / "fitted.yaml").bias
 
 
+@pytest.mark.exhaustive
 def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatch):
     """Against the mean over 64 patterns of 1024 uniform taps, which is another estimate of the same integral."""
     from diffshadow.config import build_technique

@@ -120,6 +120,7 @@ def test_the_own_map_gives_the_engines_picture(name):
     assert agreement(golden, from_own_map(golden, preset(golden))) >= CUT_OPEN.get(name, ENOUGH_BY_OWN_MAP)
 
 
+@pytest.mark.exhaustive
 def test_the_own_map_is_the_engines_where_the_near_plane_cuts():
     golden = engine_golden("babylon", "directional_pcf_frustum_falloff")
     technique = preset(golden)
@@ -241,6 +242,7 @@ def test_a_bias_needs_no_new_map(name):
     assert (np.abs(ours - again) <= 1 / 255).mean() >= 0.9995
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "name", marked(["BLUREXPONENTIALSHADOWMAP", "BLURCLOSEEXPONENTIALSHADOWMAP"], ["BLUREXPONENTIALSHADOWMAP"])
 )
@@ -262,6 +264,7 @@ def test_a_blur_leaves_a_constant_map_as_it_is(kernel):
         np.testing.assert_allclose(np.asarray(blurred), 0.7, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_half_floats_have_the_derivative_of_what_they_round():
     golden = engine_golden("babylon", "directional_none_bias")
     soft = dataclasses.replace(preset(golden), compare=SoftCompare(1.0))
