@@ -14,6 +14,8 @@ before JAX makes its first array, sets the process up for fast work. It calls th
 - `collect_rarely()` spares imports and traces the garbage collector.
 - `io.keep_compiled_programs()` keeps what JAX compiles for the next process.
 
+`view(scene)` shows a scene in a page, on which settings can be dragged.
+
 !!! Example
 
     The examples of all pages use these names.
@@ -53,6 +55,7 @@ from ._xla import use_all_cores
 
 if TYPE_CHECKING:
     from . import config, fit, geometry, io, metrics, raster, reference, shading, shadow, study
+    from .viewer import view
 
 __version__: str
 
@@ -74,12 +77,15 @@ __all__ = [
     "shadow",
     "study",
     "use_all_cores",
+    "view",
 ]
 
 
 def __getattr__(name: str) -> Any:
     if name in _SUBPACKAGES:
         return import_module(f".{name}", __name__)
+    if name == "view":
+        return import_module(".viewer", __name__).view
     if name == "__version__":
         # Takes ten times as long to load as all the rest.
         from importlib.metadata import version

@@ -7,6 +7,7 @@ JAX is loaded.
 import contextlib
 import io
 import os
+import re
 import signal
 import sys
 import threading
@@ -42,6 +43,10 @@ SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 
 # More workers would only wait for each other, and each takes a gigabyte.
 _MAX_WORKERS_PER_CORE = 4
+# More frames would take gigabytes.
+_MAX_FRAMES = 1000
+# A number that changes, as KEY=FROM:TO.
+_CHANGE = re.compile(r"([^=]+)=([-+.\deE]*\d\.?):([-+.\deE]*\d\.?)")
 # Seconds until a Ctrl-C without effect is repeated.
 _INTERRUPT_INTERVAL = 0.2
 # Runs between updates of the progress bar: about a tenth of a second.
@@ -188,6 +193,93 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
 
 
 @app.command
+def view(config: Path, /, *overrides: str, port: int = 0, browser: bool = True) -> None:
+    """Shows CONFIG in a page of the browser, and draws it again as its settings are dragged. Ctrl-C ends it.
+
+    Example: `diffshadow view configs/quickstart.yaml`
+
+    Parameters
+    ----------
+    config
+        YAML file, mesh file, folder of a finished run or builtin:NAME.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    port
+        Port to listen on, on this machine only; 0 is any free one.
+    browser
+        Whether to open the page in a browser.
+    """
+    settings = _loaded(config, overrides)
+    _start_jax()
+    from .viewer import run
+
+    run(settings, name=str(config), console=Console(), port=port, browser=browser)
+    # Threads that draw or trace would delay an ordinary exit.
+    sys.stdout.flush()
+    os._exit(SUCCESS)
+
+
+@app.command
+def animate(
+    source: Path,
+    /,
+    *settings: str,
+    output: Path | None = None,
+    frames: int = 60,
+    seconds: float = 3.0,
+    view: str = "shaded",
+) -> None:
+    """Writes an animation: of a configuration whose numbers change, or of a finished fit.
+
+    A fit's is put into its folder, and into its report. The path of the animation is the last line printed.
+
+    Example: `diffshadow animate configs/quickstart.yaml scene.light.azimuth=-150:-70`
+
+    Example: `diffshadow animate runs/quickstart`
+
+    Parameters
+    ----------
+    source
+        YAML file, mesh file or builtin:NAME with changing numbers, or the folder of a fit without.
+    settings
+        KEY=FROM:TO of numbers that change, all at once, and KEY=VALUE of others.
+    output
+        Path of the animation: .webp, .gif or .png. By default NAME.webp in the current folder, or the fit's folder.
+    frames
+        Number of frames.
+    seconds
+        Seconds that they take.
+    view
+        What is shown, such as shaded, visibility, error or "shadow map".
+    """
+    _check_count("--frames", frames, 2, _MAX_FRAMES)
+    changes = [found.groups() for each in settings if (found := _CHANGE.fullmatch(each))]
+    overrides = [each for each in settings if not _CHANGE.fullmatch(each)]
+    if not changes and not source.is_dir():
+        raise ValueError(
+            f"no number of {source} changes; expected KEY=FROM:TO, such as scene.light.azimuth=-150:-70, or the folder "
+            "of a fit"
+        )
+    if not changes:
+        if overrides:
+            raise ValueError(f"{overrides[0]} sets a value of a finished fit; expected its folder alone; leave it out")
+        _start_jax()
+        from . import viewer
+
+        _print_path(viewer.animate_run(source, output))
+        return
+    settled = _loaded(source, overrides)
+    _start_jax()
+    from . import viewer
+
+    with _counting("drawing frames") as progress:
+        file = Path(f"{settled.name}.webp") if output is None else output
+        moving = [viewer.Change(key, float(first), float(last)) for key, first, last in changes]
+        made = viewer.animate(settled, moving, file, frames=frames, seconds=seconds, view=view, progress=progress)
+    _print_path(made)
+
+
+@app.command
 def convert(config: Path, /, *overrides: str) -> None:
     """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
 
@@ -249,7 +341,7 @@ def sweep(
     """
     _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
     _check_count("--limit", limit, 1)
-    with _checking() as progress:
+    with _counting("checking runs", _RUNS_PER_UPDATE) as progress:
         plan = load_sweep(_file_of(config, sweep=True), overrides, check=not dry_run, progress=progress)
     _start_jax()
     from . import study
@@ -292,7 +384,7 @@ def advise(
         Only list the fits that would be done.
     """
     _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
-    with _checking() as progress:
+    with _counting("checking runs", _RUNS_PER_UPDATE) as progress:
         advice = load_advice(_file_of(config), overrides, progress=progress)
     _start_jax()
     from . import study
@@ -552,11 +644,11 @@ def _check_count(option: str, value: int | None, least: int, most: int | None = 
 
 
 @contextlib.contextmanager
-def _checking() -> Iterator[Callable[[int, int], None]]:
-    """A progress bar for the check of a sweep's runs. It shows only for many runs, and only on a terminal."""
+def _counting(name: str, every: int = 1) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar, called with the number done and of all. It moves with `every` so many, and only on a terminal."""
     console = Console()
     bar = Progress(
-        TextColumn("checking runs"),
+        TextColumn(name),
         BarColumn(bar_width=40),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
@@ -567,7 +659,7 @@ def _checking() -> Iterator[Callable[[int, int], None]]:
     task = bar.add_task("")
 
     def progress(done: int, total: int) -> None:
-        if done % _RUNS_PER_UPDATE == 0:
+        if done % every == 0:
             bar.start()
             bar.update(task, completed=done, total=total)
 

@@ -14,7 +14,7 @@ import pytest
 PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
-ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "cli")
+ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "viewer", "cli")
 COMMON = {"_types", "_device", "_padding", "_arithmetic", "_checks", "_pictures", "_progress", "settings"}
 # Their modules are public, and they need neither JAX nor pydantic.
 SETTINGS = "settings"
@@ -33,9 +33,9 @@ FOLDERS = {
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
 ASIDE_IMPORTS |= {"_display": set(), "_setup": {"_display", "_xla", "_memory", "io"}}
 IMPORTED_BY = {
-    "reference": {"fit", "study"},
-    "metrics": {"study"},
-    "io": {"config", "study", "cli"},
+    "reference": {"fit", "study", "viewer"},
+    "metrics": {"study", "viewer"},
+    "io": {"config", "study", "viewer", "cli"},
     "_xla": {"study"},
     "_memory": {"study"},
     "_display": set(),

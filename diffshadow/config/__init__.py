@@ -16,6 +16,11 @@ from .reading._dump import describe, dump, dump_resolved
 from .reading._dump import fit_units as fit_units
 from .reading._init import write_template as write_template
 from .reading._load import load_config, parse_config
+from .reading._numbers import Choice as Choice
+from .reading._numbers import Number as Number
+from .reading._numbers import choices_of as choices_of
+from .reading._numbers import numbers_of as numbers_of
+from .reading._numbers import with_number as with_number
 from .reading._of_run import CONFIG_FILE as CONFIG_FILE
 from .reading._of_run import FITTED_FILE as FITTED_FILE
 from .reading._of_run import RECOMMENDED_FILE as RECOMMENDED_FILE
@@ -28,6 +33,7 @@ from .sections._axes import LABEL as LABEL
 from .sections._fitted import fit_paths as fit_paths
 from .sections._fitted import is_limit as is_limit
 from .sections._lights import DirectionalLightConfig as DirectionalLightConfig
+from .sections._reference import REFERENCES as REFERENCES
 from .sections._section import changed as changed
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig
@@ -77,10 +83,14 @@ if TYPE_CHECKING:
         build_technique,
     )
     from .building._modules import Screen as Screen
+    from .building._modules import StagedMeshes as StagedMeshes
+    from .building._modules import build_camera as build_camera
+    from .building._modules import build_lights as build_lights
+    from .building._modules import build_meshes as build_meshes
 else:
 
     def __getattr__(name):
-        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan"):
+        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan", "StagedMeshes"):
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from .building import _modules
 

@@ -135,7 +135,8 @@ def fit(
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
-        then repeated with memory for more silhouettes. Left out, `diffshadow.setup` decides whether a line shows them.
+        then repeated with memory for more silhouettes. What it raises ends the fit, and is raised by `fit`. Left out,
+        `diffshadow.setup` decides whether a line shows the steps.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the

@@ -1,7 +1,9 @@
 """The steps of a fit, reported while it runs."""
 
+import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -74,8 +76,13 @@ _TOKENS = itertools.count()
 
 def _dispatch(token, loss, y):
     reporter = _REPORTERS.get(int(token))
-    if reporter is not None:
+    if reporter is None:
+        return
+    try:
         reporter.add(float(loss), np.asarray(y))
+    except BaseException as error:
+        reporter.error = error
+        raise
 
 
 def _dispatch_overflow(token, overflow, y):
@@ -95,6 +102,7 @@ class Reporter:
         self.start, self.phase, self.width, self.step, self.scale = 0, 0, 0.0, 0, 1.0
         self.free, self.active = np.zeros_like(self.lower), np.arange(self.lower.size)
         self.overflowed: list[tuple[float, ...]] = []
+        self.error: BaseException | None = None
         self._known = len(history)
 
     def begin(self, phase: int, width: float, free: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
@@ -142,6 +150,20 @@ class Reporter:
         free = self.free.copy()
         free[self.active] = y
         return tuple((self.lower + (self.upper - self.lower) * (1 + np.sin(free)) / 2).tolist())
+
+    @contextlib.contextmanager
+    def own_errors(self) -> Iterator[None]:
+        """Raises what `on_step` has raised in a program, in place of the error that JAX makes of it and logs."""
+        log, is_foreign = logging.getLogger(jax.debug.callback.__module__), lambda _: self.error is None
+        log.addFilter(is_foreign)
+        try:
+            yield
+        except RuntimeError:
+            if self.error is None:
+                raise
+            raise self.error from None
+        finally:
+            log.removeFilter(is_foreign)
 
     def __enter__(self) -> "Reporter":
         _REPORTERS[self.number] = self

@@ -349,8 +349,10 @@ class Run:
             active = np.asarray(phase.active)
             at = self.parameters[phase.active]
             arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
-            found = self._program(phase, arguments)(*arguments)
-            jax.effects_barrier()
+            program = self._program(phase, arguments)
+            with self.reporter.own_errors():
+                found = program(*arguments)
+                jax.effects_barrier()
             if not self.reporter.overflowed:
                 return found
             places = list(dict.fromkeys(self.reporter.overflowed))

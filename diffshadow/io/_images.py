@@ -7,7 +7,7 @@ and nowhere else. A `.npy` file holds the array as it is in memory. Values are l
 import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,12 @@ from ._paths import existing_file
 from ._pixels import Pixels
 from ._png import read_png, write_levels
 
+# How animations are written, by suffix.
+_ANIMATIONS: dict[str, dict[str, Any]] = {
+    ".webp": {"format": "WEBP", "quality": 75, "method": 4},
+    ".gif": {"format": "GIF", "optimize": False},
+    ".png": {"format": "PNG"},
+}
 # The first bytes of each file format, and its usual suffix.
 _SIGNATURES = {
     b"\x93NUMPY": ".npy",
@@ -183,21 +189,25 @@ def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
             raise FileError(f"cannot write {os.path.abspath(path)}: {error.strerror or error}") from error
 
 
-def write_animation(path: str | os.PathLike[str], frames: Any, milliseconds: int) -> None:
-    """Writes `frames` as an animated WebP file that repeats for ever.
+def write_animation(path: str | os.PathLike[str], frames: Any, milliseconds: int | Sequence[int]) -> None:
+    """Writes `frames` as an animation that repeats for ever: WebP, or by the suffix GIF or animated PNG.
 
     **Arguments:**
 
-    - `frames`: (n, h, w, 3) colours, floats in [0, 1]; row 0 of each is the bottom row.
-    - `milliseconds`: how long each is shown.
+    - `frames`: (n, h, w, 3) colours, floats in [0, 1] or bytes; row 0 of each is the bottom row.
+    - `milliseconds`: how long each is shown, one number or one for each frame.
 
-    **Raises** `FileError` if the folder is missing or cannot be written to, and `ValueError` if the frames have another
-    shape, or values that are NaN or outside [0, 1].
+    **Raises** `FileError` if the folder is missing or cannot be written to, or for another suffix, and `ValueError` if
+    the frames have another shape, or values that are NaN or outside [0, 1].
     """
     pixels = np.asarray(frames)
     if pixels.ndim != 4 or pixels.shape[-1] != 3 or pixels.size == 0:
         raise ValueError(f"the frames to write have the shape {pixels.shape}; expected (n, h, w, 3)")
-    unit = _in_unit_range(pixels, "the frames to write", ValueError)
-    first, *others = (Image.fromarray(frame) for frame in np.rint(unit[:, ::-1] * 255).astype(np.uint8))
-    how: Any = {"format": "WEBP", "save_all": True, "append_images": others, "loop": 0, "duration": milliseconds}
-    _save(path, lambda file: first.save(file, quality=80, method=4, **how))
+    if pixels.dtype != np.uint8:
+        pixels = np.rint(_in_unit_range(pixels, "the frames to write", ValueError) * 255).astype(np.uint8)
+    first, *others = (Image.fromarray(frame) for frame in pixels[:, ::-1])
+    suffix = Path(path).suffix.lower()
+    if suffix not in _ANIMATIONS:
+        raise FileError(f"{path} has the suffix {suffix!r}; expected {', '.join(_ANIMATIONS)}; change it")
+    how: Any = {"save_all": True, "append_images": others, "loop": 0, "duration": milliseconds, **_ANIMATIONS[suffix]}
+    _save(path, lambda file: first.save(file, **how))

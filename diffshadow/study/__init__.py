@@ -4,14 +4,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._report import report
+from .files._stored import StoredRun as StoredRun
+from .files._stored import add_files as add_files
+from .files._stored import read_run as read_run
 from .imports._import import import_scene
 from .pages._compare import compare
 from .runs._check import check as check
 from .runs._convert import convert
+from .runs._fit import fit_technique as fit_technique
 from .runs._fit import run_fit
 from .runs._pose import pose_problems as pose_problems
+from .runs._progress import Stages as Stages
 from .runs._render import run_render
 from .runs._save import save_fit
+from .runs._setup import traced as traced
 
 __all__ = [
     "compare",
@@ -28,10 +34,14 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .pages._figures import history as history
+    from .pages._layers import tinted as tinted
     from .sweeps._run import print_plan as print_plan
     from .sweeps._run import run_sweep
 
-_OF_SWEEPS = {
+_ON_USE = {
+    "history": ".pages._figures",
+    "tinted": ".pages._layers",
     "print_plan": ".sweeps._run",
     "run_sweep": ".sweeps._run",
     "print_advise_plan": ".advice._advise",
@@ -40,9 +50,9 @@ _OF_SWEEPS = {
 
 
 def __getattr__(name: str) -> Any:
-    # On first use: sweeps load Dask, pandas and Arrow.
-    if name in _OF_SWEEPS:
-        return getattr(import_module(_OF_SWEEPS[name], __name__), name)
+    # Sweeps load Dask, pandas and Arrow; pages load Matplotlib.
+    if name in _ON_USE:
+        return getattr(import_module(_ON_USE[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

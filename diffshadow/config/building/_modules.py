@@ -2,7 +2,7 @@
 
 import dataclasses
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from ..sections._fitted import fit_paths, is_searched
 from ..sections._poses import is_pose, pose_of
 from ..whole._preferences import preferences
 from ..whole._schema import Config
-from ._scene import build_camera, build_light, stage_of
+from ._scene import Stage, camera_on, light_on, stage_of
 from ._shape import Screen as Screen
 from ._shape import ShapePlan as ShapePlan
 from ._shape import plan_shape
@@ -75,21 +75,58 @@ def build_scene(config: Config) -> geometry.Scene:
         config.build_scene(settings).camera.resolution  # (32, 32)
         ```
     """
+    staged = build_meshes(config)
+    return staged.scene(config, build_camera(config, staged), build_lights(config, staged))
+
+
+def build_meshes(config: Config) -> "StagedMeshes":
+    """The meshes of `config`, and what its camera and its lights are placed relative to.
+
+    **Raises** `ConfigError` as `build_scene` does.
+    """
     placed = _meshes_of(config)
     origin = geometry.origin_of(np.concatenate([mesh.bounds for mesh in placed]))
     meshes = [mesh.counted_from(origin) for mesh in placed]
-    casts = tuple(mesh.casts for mesh in config.scene.meshes)
     _check_closed(config, meshes)
+    casts = [mesh.casts for mesh in config.scene.meshes]
     casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
-    stage = stage_of(geometry.merge(meshes), casters, meshes[0], origin)
-    with _blame(config, ("scene", "camera"), origin):
-        camera = build_camera(config.scene.camera, stage)
+    return StagedMeshes(meshes, stage_of(geometry.merge(meshes), casters, meshes[0], origin))
+
+
+class StagedMeshes(NamedTuple):
+    """The meshes of a configuration, and the stage that its camera and its lights are placed on."""
+
+    meshes: list[geometry.Mesh]
+    stage: Stage
+
+    def scene(
+        self, config: Config, camera: geometry.AbstractCamera, lights: Sequence[geometry.AbstractLight]
+    ) -> geometry.Scene:
+        """The scene of `config` with this `camera` and these `lights`."""
+        casts = tuple(mesh.casts for mesh in config.scene.meshes)
+        receives = tuple(mesh.receives for mesh in config.scene.meshes)
+        return geometry.Scene(self.meshes, camera, lights, casts, receives, self.stage.origin)
+
+
+def build_camera(config: Config, staged: StagedMeshes) -> geometry.AbstractCamera:
+    """The camera of `config`.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    with _blame(config, ("scene", "camera"), staged.stage.origin):
+        return camera_on(config.scene.camera, staged.stage)
+
+
+def build_lights(config: Config, staged: StagedMeshes) -> list[geometry.AbstractLight]:
+    """The lights of `config`.
+
+    **Raises** `ConfigError` if one cannot be made.
+    """
     lights = []
     for key, light in config.scene.each_light.items():
-        with _blame(config, ("scene", *key), origin):
-            lights.append(build_light(light, stage))
-    receives = tuple(mesh.receives for mesh in config.scene.meshes)
-    return geometry.Scene(meshes, camera, lights, casts, receives, origin)
+        with _blame(config, ("scene", *key), staged.stage.origin):
+            lights.append(light_on(light, staged.stage))
+    return lights
 
 
 def _meshes_of(config: Config) -> list[Placed]:

@@ -54,7 +54,7 @@ def stage_of(
     return Stage(used(whole), used(casters), middle, radius, origin)
 
 
-def build_camera(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:
+def camera_on(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:
     assert isinstance(config, PinholeCameraConfig | OrthographicCameraConfig)
     single = lambda point: np.asarray(point, np.float32)
     target = single(stage.middle if config.target is None else stage.place(config.target))
@@ -100,8 +100,8 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
     return (max(near, _MIN_NEAR * far) if perspective else near), far
 
 
-def build_light(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
-    """One light.
+def light_on(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
+    """The light of `config` on a stage.
 
     **Raises** `ValueError` if it cannot be placed there.
     """

@@ -17,7 +17,7 @@ from ..sections._lights import DirectionalLightConfig
 from ..sections._section import changed
 from ..sections._shape import ShapeConfig
 from ..whole._schema import Config
-from ._scene import Stage, build_light
+from ._scene import Stage, light_on
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
 
@@ -201,7 +201,7 @@ def _screen(
     half = extent / 2
     with blame(key):
         around = _ball(middle, half)
-        light = _hard(build_light(_framed(section), Stage(around, around, middle, half, geometry.WORLD)), section, half)
+        light = _hard(light_on(_framed(section), Stage(around, around, middle, half, geometry.WORLD)), section, half)
         position = getattr(light, "position", None)
         way, distance = np.asarray(getattr(light, "direction", np.zeros(3)), np.float64), np.inf
         if position is not None:

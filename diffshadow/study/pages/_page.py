@@ -18,7 +18,7 @@ from .. import style
 _MAX_PIXELS = 768
 # Pixels per inch in CSS.
 _SCREEN_DPI = 96
-_MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
+_MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".webp": "image/webp"}
 
 
 class Picture(NamedTuple):

@@ -18,6 +18,7 @@ _FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 _HEADINGS = {
     "paths": "How lights and meshes moved",
     "landscape": "Error landscape",
+    "animation": "How the fit went",
     "shadow_map": "View from the light",
     "texture": "View from the light",
     "debug": "Intermediate results",
@@ -306,7 +307,7 @@ def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _files(folder: Path) -> dict[str, list[Path]]:
     """The folder's other pictures, by heading. If a picture exists as SVG and PNG, the SVG is used."""
     found: dict[str, list[Path]] = {}
-    for suffix in (".svg", ".png"):
+    for suffix in (".svg", ".png", ".webp"):
         for path in sorted(folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):
             if (
                 not path.is_file()

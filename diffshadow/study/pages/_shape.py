@@ -1,7 +1,6 @@
 """The page of a fit of a shape, made of its folder's files."""
 
-import base64
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from ...config import CONFIG_FILE, load_config
 from .. import style
 from ..files._stored import ARRAYS, REPORT, read_result
 from ._next import after_shape
-from ._page import picture, write_page
+from ._page import data_uri, picture, write_page
 
 TURNTABLE, PROGRESS = "turntable.webp", "progress.webp"
 _SHOWN = {TURNTABLE: "The fitted shape from all sides.", PROGRESS: "The shape as it was fitted."}
@@ -48,7 +47,11 @@ def report_shape(folder: Path, form: str | None = None, dpi: int | None = None) 
         phases=result["phases"],
         chosen=result["chosen_phase"],
         loss=style.inline_svg(_loss(result, arrays), _CURVE),
-        animations=[(_data(folder / file), text) for file, text in _SHOWN.items() if (folder / file).is_file()],
+        animations=[
+            (Markup(data_uri((folder / file).read_bytes(), ".webp")), text)
+            for file, text in _SHOWN.items()
+            if (folder / file).is_file()
+        ],
         vertices=result["vertices"],
         commands=after_shape(folder, result["command"]),
         environment=[(name, value, "") for name, value in {**result["versions"], "seed": result["seed"]}.items()],
@@ -80,6 +83,13 @@ def _light(arrays: Mapping[str, HostArray], number: int, light: Mapping[str, Any
     return {**light, "pictures": pictures}
 
 
+def _animations(folder: Path) -> Iterator[tuple[Markup, str]]:
+    """The animations of the folder, with their captions."""
+    for file, text in _SHOWN.items():
+        if (folder / file).is_file():
+            yield Markup(data_uri((folder / file).read_bytes(), ".webp")), text
+
+
 def _loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
     """The loss at each step, and the judge's at the ends of phases."""
     figure, (axes,) = style.figure(6.4, 3.1)
@@ -93,7 +103,3 @@ def _loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
     style.log_scale(axes)
     style.legend(axes)
     return figure
-
-
-def _data(file: Path) -> Markup:
-    return Markup(f"data:image/webp;base64,{base64.b64encode(file.read_bytes()).decode('ascii')}")

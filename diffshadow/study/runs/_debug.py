@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, to_rgb
+from matplotlib.colors import BoundaryNorm
 from matplotlib.ticker import MaxNLocator
 
 from ... import geometry, metrics, raster, shadow
@@ -16,6 +16,7 @@ from ...config import Config
 from .. import style
 from .._drawn import Drawn
 from ..pages import _figures as figures
+from ..pages._layers import colours_of, tinted
 from ._setup import visibility_of
 from ._shade import shade
 
@@ -85,19 +86,11 @@ def _write_aliasing(path: Path, technique: shadow.ShadowMapping, drawn: Drawn) -
 
 def _write_layers(path: Path, image: Float[HostArray, "h w 3"], layers: shadow.LayerFigure) -> None:
     """Which layers of the map the camera's image is looked up in, in colours."""
-    colour_of = lambda numbers: np.array([to_rgb(colour) for colour in style.CYCLE])[numbers % len(style.CYCLE)]
-    tint = colour_of(np.asarray(layers.colour))
-    if layers.other is not None and layers.weight is not None:
-        share = np.asarray(layers.weight)[..., None]
-        tint = share * tint + (1 - share) * colour_of(np.asarray(layers.other))
-    if layers.brightness is not None:
-        tint = tint * np.asarray(layers.brightness)[..., None]
     height, width = image.shape[:2]
     figure, axes = figures.single(image[..., 0])
-    shown = np.where(np.asarray(layers.shown)[..., None], image * (0.35 + 0.65 * tint), image)
-    style.picture(axes, shown, extent=(0, width, 0, height))
+    style.picture(axes, tinted(image, layers), extent=(0, width, 0, height))
     for number, label in layers.labels.items():
-        axes.plot([], [], color=colour_of(number), linewidth=5, label=label)
+        axes.plot([], [], color=colours_of(np.asarray(number)), linewidth=5, label=label)
     style.legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     style.title(axes, layers.title, layers.subtitle)
     style.save(figure, path)

@@ -75,8 +75,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def fit_technique(config: Config, stages: Stages) -> FittedRun:
-    """Fits the parameters of `config`, and measures the images before and after."""
+def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], None] | None = None) -> FittedRun:
+    """Fits the parameters of `config`, and measures the images before and after; `on_step` as in `fit.fit`."""
     loaded = load(config, stages)
     plan, technique = build_fit(config, loaded.scene), build_fittable(config)
     views = draw_views(config, loaded, technique, stages)
@@ -87,6 +87,13 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         problems = poses.problems_of(plan, loaded.scene, drawn)
         drawn = poses.with_references_of(problems, drawn)
     stages.show("compiling")
+    watch = _watch(stages, plan)
+
+    def watched(step: fit.Step) -> None:
+        watch(step)
+        if on_step is not None:
+            on_step(step)
+
     result = fit.fit(
         problems[: views.seen],
         plan.parameters,
@@ -95,7 +102,7 @@ def fit_technique(config: Config, stages: Stages) -> FittedRun:
         loss=plan.loss,
         search=fit.Search(plan.starts, config.seed, plan.blurs, plan.evaluations),
         sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
-        on_step=_watch(stages, plan),
+        on_step=watched,
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     with stages.stage("measuring"):

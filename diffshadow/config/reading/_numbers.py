@@ -1,0 +1,144 @@
+"""The numbers and choices of a configuration that an interface can offer, from the schema."""
+
+from collections.abc import Iterator
+from functools import reduce
+from typing import Any, NamedTuple, get_origin
+
+from ...settings import Limits
+from ..sections._fitted import fit_paths, key_of
+from ..sections._lights import LIGHTS
+from ..sections._section import Section, changed
+from ..whole._schema import Config
+from ._dump import fit_units
+from ._keys import Slot, keys_of, slot_of
+
+# Of a mesh, the numbers that keep its faces.
+_PLACEMENT = ("translate", "rotate", "scale")
+# Sides of maps, in texels.
+_SIDES = (256, 512, 1024, 2048, 4096)
+
+
+class Number(NamedTuple):
+    """A number of a configuration.
+
+    - `value`, `unit`, `limits`: of its key.
+    - `meaning`: what it does; empty if nothing says so.
+    - `is_fittable`: whether a fit of the technique can find it.
+    """
+
+    value: float
+    unit: str
+    limits: Limits
+    meaning: str
+    is_fittable: bool = False
+
+
+class Choice(NamedTuple):
+    """A setting of a configuration that has one of several values, or is a whole number.
+
+    - `value`, `options`: of its key; no options of a whole number, which has `limits`.
+    - `sets`: the key to set: the whole section, for the key `type` of one.
+    - `meaning`: what it does; empty if nothing says so.
+    """
+
+    value: Any
+    options: tuple[Any, ...]
+    sets: str
+    meaning: str
+    limits: Limits = Limits()
+
+
+def numbers_of(config: Config) -> dict[str, Number]:
+    """The numbers of technique, lights, meshes, camera and shading that can change while all else stays as it is
+    built, by dotted key. Entries of lists have an index, as in `scene.meshes.0.translate.1`."""
+    found = {}
+    for key, light in config.scene.each_light.items():
+        found |= _within(light, ".".join(map(str, ("scene", *key))))
+    found |= {name: number for name, number in _of_technique(config) if number is not None}
+    for i, mesh in enumerate(config.scene.meshes):
+        placed = _within(mesh, f"scene.meshes.{i}")
+        found |= {name: number for name, number in placed.items() if name.split(".")[3] in _PLACEMENT}
+    camera = _within(config.scene.camera, "scene.camera")
+    # Its position and direction belong together.
+    found |= {name: number for name, number in camera.items() if name.count(".") == 2}
+    return found | _within(config.shading, "shading")
+
+
+def choices_of(config: Config) -> dict[str, Choice]:
+    """The choices, switches and whole numbers of technique, map, bias, filter, compare and lights, by dotted key."""
+    found = {}
+    for key in ("technique", "shadow_map", "filter", "bias", "compare"):
+        found |= _choices_within(getattr(config, key), slot_of(Config.model_fields[key]), key)
+    for key, light in config.scene.each_light.items():
+        found |= _choices_within(light, Slot(type(light), (LIGHTS,)), ".".join(map(str, ("scene", *key))))
+    height, width = config.shadow_map.resolution
+    sizes = sorted({*((side, side) for side in _SIDES), (height, width)})
+    size = "shadow_map.resolution"
+    return found | {size: Choice((height, width), tuple(sizes), size, "[height, width] in texels")}
+
+
+def with_number(config: Config, name: str, value: float) -> Config:
+    """`config` with another `value` of one of `numbers_of`, which is not checked."""
+    return _put(config, name.split("."), value)
+
+
+def _put(holder: Any, keys: list[str], value: float) -> Any:
+    if not keys:
+        return value
+    if isinstance(holder, Section):
+        return changed(holder, **{keys[0]: _put(getattr(holder, keys[0]), keys[1:], value)})
+    at = int(keys[0])
+    return (*holder[:at], _put(holder[at], keys[1:], value), *holder[at + 1 :])
+
+
+def _of_technique(config: Config) -> Iterator[tuple[str, Number | None]]:
+    units = fit_units(config)
+    for name in fit_paths(config):
+        holder, key, index = key_of(name)
+        section = reduce(getattr, holder.split("."), config)
+        number = _number(section, key, index)
+        yield name, None if number is None else number._replace(unit=units[name], is_fittable=True)
+
+
+def _within(section: Any, path: str) -> dict[str, Number]:
+    """The numbers in `section` and in its inner ones."""
+    found = {}
+    for key in keys_of(type(section)):
+        value = getattr(section, key)
+        if isinstance(value, Section):
+            found |= _within(value, f"{path}.{key}")
+        entries: Any = range(len(value)) if isinstance(value, tuple) else [None]
+        for index in entries:
+            number = _number(section, key, index)
+            if number is not None:
+                found[f"{path}.{key}" if index is None else f"{path}.{key}.{index}"] = number
+    return found
+
+
+def _number(section: Any, key: str, index: int | None) -> Number | None:
+    """The number at `key`, or at `index` of its list; none if that is no fraction."""
+    slot, value = slot_of(type(section).model_fields[key]), getattr(section, key)
+    unit = section.units().get(key, slot.unit)
+    if index is None:
+        return Number(value, unit, slot.limits, slot.meaning) if slot.kind is float and value is not None else None
+    if get_origin(slot.kind) is not tuple or not isinstance(value[index], float | int):
+        return None
+    entry = slot.entry(index)
+    return Number(value[index], unit, entry.limits, slot.meaning) if entry.kind is float else None
+
+
+def _choices_within(section: Any, slot: Slot, path: str) -> dict[str, Choice]:
+    """The choices in `section`, which stands in `slot`, and in its inner ones."""
+    found = {}
+    for key in keys_of(type(section)):
+        value, inner = getattr(section, key), slot_of(type(section).model_fields[key])
+        name = f"{path}.{key}"
+        if isinstance(value, Section):
+            found |= _choices_within(value, inner, name)
+        elif key == "type":
+            found |= {name: Choice(value, slot.choices, path, "")} if len(slot.choices) > 1 else {}
+        elif inner.kind is bool or len(inner.choices) > 1:
+            found[name] = Choice(value, inner.choices or (False, True), name, inner.meaning)
+        elif inner.kind is int and value is not None:
+            found[name] = Choice(value, (), name, inner.meaning, inner.limits)
+    return found

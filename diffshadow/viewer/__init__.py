@@ -1,0 +1,10 @@
+"""A page that shows a configuration, and draws it again as its settings are dragged."""
+
+from ._animate import Change as Change
+from ._animate import animate as animate
+from ._animate import animate_run as animate_run
+from ._notebook import OpenPage as OpenPage
+from ._notebook import view as view
+from ._run import run as run
+
+__all__: list[str] = []

@@ -1,0 +1,166 @@
+"""Animations: of a configuration whose numbers change, and of a fit that was stored."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from .. import io, study
+from .._checks import check_value
+from ..config import CONFIG_FILE, Config, changed, dump_resolved, load_config, numbers_of, parse_config, with_number
+from ._pictures import OF_TRUTH, error_colours, picture_of
+from ._stages import Frame, Picture, Stages
+from ._state import Look, State, View
+from ._subject import Subject, at_most
+
+ANIMATION = "animation.webp"
+"""The file in a fit's folder."""
+PIXELS = 384 * 288
+"""The most pixels of a frame, unless another number is asked for."""
+# How long the last frame of a fit stays, and each other one, in milliseconds.
+_LAST, _STEP = 2000, 90
+# The most frames of a fit.
+_MOST_STEPS = 60
+# Of the text under a fit's frames.
+_CAPTION, _FONT = 18, 13
+_AXES = re.compile(r"\.([xyz])$")
+
+
+class Change(NamedTuple):
+    """A number that goes from `first` to `last`, by its dotted key."""
+
+    key: str
+    first: float
+    last: float
+
+
+def animate(
+    config: Config,
+    changes: Sequence[Change],
+    output: Path,
+    *,
+    frames: int = 60,
+    seconds: float = 3.0,
+    view: Any = "shaded",
+    pixels: int = PIXELS,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Writes `config` with numbers that change evenly from frame to frame, there and back again for ever.
+
+    **Arguments:**
+
+    - `changes`: any numbers of the schema, all at once.
+    - `output`: an animated `.webp`, `.gif` or `.png` file.
+    - `frames`, `seconds`: how many frames, and how long they take one way.
+    - `view`: what is shown; `reference`, `error` and `acne and leaks` trace rays for each frame.
+    - `pixels`: the most pixels of a frame.
+    - `progress`: called with the number of frames done, and of all.
+
+    **Returns** `output`. **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before
+    anything is drawn, and `FileError` if the file cannot be written.
+    """
+    check_value("--view", view, View)
+    text, stages = dump_resolved(config), Stages()
+    parsed = lambda at: parse_config(text, _settings(changes, at), source="the animation")
+    first, last = parsed(0.0), parsed(1.0)
+    # Numbers in between need no check.
+    is_known = {change.key for change in changes} <= numbers_of(first).keys()
+    between = [_between(first, changes, at) if is_known else parsed(at) for at in _steps_between(frames)]
+    configs = [first, *between, last]
+    ranges = {change.key: (min(change[1:]), max(change[1:])) for change in changes}
+    subject = Subject(first, ranges)
+    size = at_most(config.scene.camera.resolution, pixels)
+    pictures = []
+    for done, each in enumerate(configs):
+        frame = Frame(stages, subject, Look(state=State(), view=view), size, each)
+        truth = None
+        if view in OF_TRUTH:
+            truth = study.traced(changed(each, reference=subject.reference), frame.scene(frame.light), None)
+        picture = picture_of(frame, view, truth)
+        if picture is None:
+            what = f"which {config.technique.type} does not have"
+            raise ValueError(f"--view is {view!r}, {what}; expected another, such as shaded; change it")
+        pictures.append(picture)
+        progress(done + 1, frames)
+    _write(output, pictures, round(1000 * seconds / frames))
+    return output
+
+
+def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXELS) -> Path:
+    """Writes how a stored fit went: at each step, the shaded picture and the error of its visibility, side by side.
+
+    Nothing is fitted again. Without another `output`, the animation is put into the folder, and its report shows it.
+
+    **Returns** the animation. **Raises** `FileError` for a folder without a fit, or a fit of what no configuration
+    states: meshes that turn, shapes, and fits made in Python.
+    """
+    run = study.read_run(folder)
+    if run.kind != "fit" or run.result.get("command") is None:
+        raise io.FileError(
+            f"{folder} holds a {run.kind} or a fit made in Python; expected a fit by the command; give one, or a "
+            "configuration with KEY=FROM:TO"
+        )
+    config = load_config(folder / CONFIG_FILE)
+    config = config.views[0].config if config.views else config
+    names = [_AXES.sub(lambda axis: f".{'xyz'.index(axis[1])}", name) for name in run.result["fitted"]]
+    subject = Subject(config)
+    if missing := [name for name in names if name not in subject.sliders]:
+        what = f"holds a fit of {missing[0]}, which no configuration states"
+        raise io.FileError(f"{folder} {what}; expected numbers of lights or of the technique; give another fit")
+    light, stages, pictures = run.lights[0], Stages(), []
+    for number, values in _steps(run):
+        state = State(numbers=dict(zip(names, values, strict=True)))
+        frame = Frame(stages, subject, Look(state=state), light.reference.shape)
+        wrong = np.where(light.mask, np.asarray(frame.visibility(0)) - light.reference, 0)
+        both = np.concatenate([frame.shaded(), error_colours(wrong, light.mask)], axis=1)
+        error = float(np.sqrt(np.mean(wrong[light.mask].astype(np.float64) ** 2)))
+        words = [f"step {number}", f"RMSE {error:.4f}", *(f"{n} {v:.3g}" for n, v in state.numbers.items())]
+        pictures.append(_captioned(both, "   ".join(words), at_most((both.shape[0], both.shape[1]), pixels)))
+    written = folder / ANIMATION if output is None else output
+    _write(written, pictures, [*[_STEP] * (len(pictures) - 1), _LAST])
+    if output is None:
+        study.add_files(folder, [ANIMATION])
+        study.report(folder)
+    return written
+
+
+def _settings(changes: Sequence[Change], at: float) -> list[str]:
+    """The overrides of all changes after the part `at` of the way."""
+    return [f"{each.key}={each.first + at * (each.last - each.first)!r}" for each in changes]
+
+
+def _between(config: Config, changes: Sequence[Change], at: float) -> Config:
+    """`config` after the part `at` of all changes."""
+    for each in changes:
+        config = with_number(config, each.key, each.first + at * (each.last - each.first))
+    return config
+
+
+def _steps_between(frames: int) -> list[float]:
+    """The parts of the way of all frames but the first and the last."""
+    return np.linspace(0, 1, frames)[1:-1].tolist()
+
+
+def _steps(run: study.StoredRun) -> list[tuple[int, list[float]]]:
+    """Number and values of the steps that are shown: not more than so many, the result last."""
+    values = study.history(run.result, run.arrays)["values"]
+    every = -(-len(values) // _MOST_STEPS)
+    chosen = range(0, len(values), every)
+    result = [float(run.result["fitted"][name]) for name in run.result["fitted"]]
+    return [*((number, values[number].tolist()) for number in chosen), (len(values), result)]
+
+
+def _captioned(picture: Picture, words: str, size: tuple[int, int]) -> Picture:
+    """`picture` in another size, with words below."""
+    height, width = size
+    shown = Image.new("RGB", (width, height + _CAPTION), "white")
+    shown.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX))
+    ImageDraw.Draw(shown).text((4, height + 1), words, fill="black", font=ImageFont.load_default(_FONT))
+    return np.asarray(shown)
+
+
+def _write(output: Path, pictures: Sequence[Picture], milliseconds: int | list[int]) -> None:
+    io.write_animation(output, np.stack(pictures)[:, ::-1], milliseconds)

@@ -1,0 +1,97 @@
+"""The controls of a page, made from the schema of the configuration."""
+
+from typing import Any, NamedTuple
+
+from ..config import Config, Number, choices_of, numbers_of
+
+# The greatest value of a slider, by unit, where the value and the limits suggest none.
+_SPANS = {"texels": 4.0, "degrees": 5.0, "window depth": 0.01, "parts of the depth range": 0.01}
+# Factor from the present value to the slider's end.
+_FACTOR = 4.0
+_HALF_TURN = 180.0
+# Significant digits of a slider's ends.
+_DIGITS = 3
+
+
+class Slider(NamedTuple):
+    """A number of the page, from `low` to `high`; `is_fittable` if a fit may find it."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    hint: str
+    is_fittable: bool
+
+    def reaching(self, low: float, high: float) -> "Slider":
+        """The slider with ends at least so far out."""
+        return self._replace(low=min(self.low, low), high=max(self.high, high))
+
+
+class Picker(NamedTuple):
+    """A choice of the page: of `options`, or a whole number from `low` to `high`. It `sets` a key, for each option to a
+    value of its own."""
+
+    key: str
+    value: Any
+    options: tuple[tuple[str, Any], ...]
+    sets: str
+    hint: str
+    low: int | None
+    high: int | None
+
+
+def sliders_of(config: Config, size: float) -> dict[str, Slider]:
+    """A slider for each number of `config`.
+
+    **Arguments:** `size`: the scene's, in world units.
+    """
+    return {key: _slider(config, key, number, size) for key, number in numbers_of(config).items()}
+
+
+def pickers_of(config: Config) -> list[Picker]:
+    """A picker for each choice of `config`."""
+    return [
+        Picker(
+            key,
+            _json(choice.value),
+            tuple((_label(option), _setting(choice.sets, key, option)) for option in choice.options),
+            choice.sets,
+            choice.meaning,
+            choice.limits.low,  # type: ignore[arg-type]
+            choice.limits.high,  # type: ignore[arg-type]
+        )
+        for key, choice in choices_of(config).items()
+    ]
+
+
+def _slider(config: Config, key: str, number: Number, size: float) -> Slider:
+    value, limits, bounds = number.value, number.limits, config.fit.parameters.get(key)
+    if bounds is not None:
+        low, high = bounds.lower, bounds.upper
+    elif number.unit == "degrees" and (limits.low or 0) < 0:
+        # A direction or a turn.
+        low, high = -_HALF_TURN, _HALF_TURN
+    else:
+        span = max(_FACTOR * abs(value), _SPANS.get(number.unit, size if number.unit == "world units" else 1.0))
+        low, high = (0.0 if limits.low is not None and limits.low >= 0 else -span), span
+    low, high = (float(f"{end:.{_DIGITS}g}") for end in (low, high))
+    low = min(value, low if limits.low is None else max(low, limits.low))
+    high = max(value, high if limits.high is None else min(high, limits.high))
+    return Slider(key, value, low, high, number.unit, number.meaning, number.is_fittable)
+
+
+def _setting(sets: str, key: str, option: Any) -> Any:
+    """What a picker sets for an option: a section of that type, or the value itself."""
+    return _json(option) if sets == key else {"type": option}
+
+
+def _label(option: Any) -> str:
+    if isinstance(option, bool):
+        return "yes" if option else "no"
+    return " × ".join(map(str, option)) if isinstance(option, tuple) else str(option)
+
+
+def _json(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,91 @@
+"""A fit that goes on while pages come and go."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from rich.console import Console
+
+from .. import fit, study
+from ..config import Config, ConfigError
+
+# Digits of values that a page shows.
+_DIGITS = 8
+
+
+class Fit:
+    """At most one fit, in a thread of its own.
+
+    - `changed`: called with the news, which `state` holds in full.
+    """
+
+    def __init__(self, changed: Callable[[dict[str, Any]], None]):
+        self.changed = changed
+        self.state: dict[str, Any] = {"running": False}
+        self._stopping = threading.Event()
+        self._number = 0
+
+    def start(self, config: Config) -> None:
+        """Starts a fit of `config`, unless one is running."""
+        if self.state["running"]:
+            return
+        self._number += 1
+        self._stopping.clear()
+        self.state = {"running": True, "number": self._number, "steps": [], "values": {}, "note": "drawing"}
+        self.changed(self.state)
+        threading.Thread(target=self._run, args=(config,), daemon=True, name="fitting").start()
+
+    def stop(self) -> None:
+        """Stops the fit after its present step."""
+        self._stopping.set()
+
+    def _run(self, config: Config) -> None:
+        stages, names = _Stages(self._note), list(config.fit.parameters)
+
+        def on_step(step: fit.Step) -> None:
+            if self._stopping.is_set():
+                raise _StoppedError
+            values = {name: round(value, _DIGITS) for name, value in zip(names, step.values, strict=True)}
+            self._tell(step={"phase": step.phase, "error": max(step.loss, 0.0) ** 0.5}, values=values)
+
+        try:
+            run = study.fit_technique(config, stages, on_step)
+        except _StoppedError:
+            self._tell(running=False, note="stopped; the sliders stand where it was")
+        except ConfigError as error:
+            self._tell(running=False, error=" ".join(mistake.message for mistake in error.mistakes))
+        except Exception as error:
+            self._tell(running=False, error=f"{type(error).__name__}: {error}")
+        else:
+            values = {name: float(f"{value:.{_DIGITS}g}") for name, value in run.result.fitted.items()}
+            self._tell(running=False, note=run.verdict.sentence, values=values, done=True)
+
+    def _note(self, text: str) -> None:
+        if self._stopping.is_set():
+            raise _StoppedError
+        self._tell(note=text)
+
+    def _tell(self, step: dict[str, Any] | None = None, **news: Any) -> None:
+        if step is not None:
+            self.state["steps"].append(step)
+        self.state |= news
+        self.changed({"number": self._number, "running": self.state["running"], "step": step, **news})
+
+
+class _StoppedError(Exception):
+    """The fit was stopped by a page."""
+
+
+class _Stages(study.Stages):
+    """Stages of a fit, whose names are also shown on the page."""
+
+    def __init__(self, note: Callable[[str], None]):
+        super().__init__(Console(quiet=True))
+        self._note, self._shown = note, ""
+
+    def show(self, name: str, detail: str = "", done: float | None = None) -> None:
+        super().show(name, detail, done)
+        # Steps have news of their own.
+        if name != self._shown:
+            self._shown = name
+            self._note(name)

@@ -1,0 +1,109 @@
+"""The page beside a notebook or a script: served from a thread of its own."""
+
+import asyncio
+import html
+import os
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from .. import io, study
+from .._checks import check_instance
+from ..config import Config, load_config, settings_file
+from ..fit import PoseProblem, TechniqueProblem
+from ..geometry import Scene
+from ._server import Server
+from ._state import State
+
+_HEIGHT = 640
+
+
+class OpenPage:
+    """A page that is open. A notebook shows it where this is the last value of a cell.
+
+    - `address`: of the page, for any browser of this machine.
+    """
+
+    def __init__(self, config: Config, name: str, port: int):
+        self._loop = asyncio.new_event_loop()
+        made: Any = asyncio.run_coroutine_threadsafe(_started(config, name, port), self._loop)
+        threading.Thread(target=self._loop.run_forever, daemon=True, name="page").start()
+        self._server: Server = made.result()
+        self.address = self._server.address
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers that were changed on the page, by the dotted keys that set them."""
+        return dict(self._state.numbers)
+
+    @property
+    def config(self) -> Config:
+        """The configuration as the page was left: a render of it draws the same."""
+        return self._server.viewer.subject(self._state).saved(self._state)
+
+    def close(self) -> None:
+        """Ends the page. Its values stay."""
+        self._loop.call_soon_threadsafe(self._server.stop)
+
+    @property
+    def _state(self) -> State:
+        return self._server.last or State()
+
+    def __repr__(self) -> str:
+        return f"a page at {self.address}"
+
+    def _repr_html_(self) -> str:
+        address = html.escape(self.address)
+        return f'<iframe src="{address}" width="100%" height="{_HEIGHT}" allow="clipboard-write"></iframe>'
+
+
+def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
+    """Shows a scene in a page, on which its settings can be dragged.
+
+    **Arguments:**
+
+    - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem that has one,
+        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and lights, with a technique
+        of its own: a configuration's defaults.
+    - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
+    - `port`: to listen on, on this machine only; 0 is any free one.
+
+    **Returns** the page, whose `values` are the numbers that were changed on it.
+
+    **Raises** `ConfigError` for a mistake in the configuration, `TypeError` for other objects, and `ValueError` for a
+    problem without a scene, or a port that cannot be used.
+    """
+    if isinstance(what, TechniqueProblem | PoseProblem):
+        what = what.scene
+    if isinstance(what, Scene):
+        return OpenPage(_config_of(what, overrides), "scene", port)
+    if isinstance(what, str | os.PathLike):
+        file = settings_file(what).path if Path(what).is_dir() else Path(what)
+        return OpenPage(load_config(file, overrides), str(what), port)
+    check_instance("what to view", what, Config, "a configuration, its path, or a scene")
+    if overrides:
+        raise ValueError("overrides are given with a Config; expected a path with them: give them to load_config")
+    return OpenPage(what, what.name, port)
+
+
+def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
+    """A configuration of `scene`, read from files that are removed with the process."""
+    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="diffshadow-"))
+    folder = Path(_FOLDERS[-1].name)
+    io.write_gltf(folder / "scene.glb", scene)
+    made = study.import_scene(
+        folder / "scene.glb", console=Console(quiet=True), technique="shadow_map", output=folder / "scene"
+    )
+    return load_config(made, overrides)
+
+
+_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
+
+
+async def _started(config: Config, name: str, port: int) -> Server:
+    server = Server(config, name)
+    server.start(port)
+    return server

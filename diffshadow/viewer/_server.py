@@ -1,0 +1,235 @@
+"""Serves pages on this machine: pictures one at a time, each acknowledged by its page before the next is sent."""
+
+import asyncio
+import contextlib
+import json
+import struct
+import time
+from collections.abc import Callable, Hashable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
+from typing import Any
+
+import tornado.web
+import tornado.websocket
+from pydantic import ValidationError
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+
+from ..config import Config
+from ._state import Look, Message, State
+from ._viewer import Viewer, reason_of
+
+HOST = "127.0.0.1"
+# Seconds without a change after which a picture is drawn in full size.
+_REST = 0.25
+# Seconds after which a page is told that its picture takes long.
+_LONG = 0.7
+_MAX_MESSAGE = 1 << 18
+_FILES = {"": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
+# Pages load nothing from elsewhere, and are shown in no foreign frame.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src blob: data:; "
+    "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*; base-uri 'none'; form-action 'none'"
+)
+
+
+class Server:
+    """The server of one configuration. Its methods are called in the thread of the event loop that it was made in.
+
+    - `last`: the settings that a page has shown last; none before.
+    """
+
+    def __init__(self, config: Config, name: str):
+        self.loop = asyncio.get_running_loop()
+        self.pages: set[Page] = set()
+        # One thread draws for all pages.
+        self.drawing = ThreadPoolExecutor(1, thread_name_prefix="drawing")
+        self.last: State | None = None
+        self.viewer = Viewer(config, name, self._in_loop(self._traced), self._in_loop(self._fitted))
+        self.address = ""
+
+    def start(self, port: int) -> None:
+        """Listens on `port`, or any free one for 0. **Raises** `ValueError` if it is taken."""
+        settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MAX_MESSAGE}
+        routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
+        try:
+            sockets = bind_sockets(port, HOST)
+        except (OSError, OverflowError) as error:
+            raise ValueError(
+                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to 65535, where 0 is "
+                "any: choose another"
+            ) from error
+        self._http = HTTPServer(tornado.web.Application(routes, log_function=lambda handler: None, **settings))
+        self._http.add_sockets(sockets)
+        self.address = f"http://{HOST}:{sockets[0].getsockname()[1]}/"
+
+    def stop(self) -> None:
+        """Closes all pages, and stops listening. A fit goes on."""
+        for page in [*self.pages]:
+            page.close()
+        self._http.stop()
+        self.viewer.tracer.rest()
+
+    async def draw(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """Does `work` in the thread that draws."""
+        return await self.loop.run_in_executor(self.drawing, lambda: work(*arguments, **options))
+
+    def _in_loop(self, call: Callable[[Any], None]) -> Callable[[Any], None]:
+        """`call`, to be called from other threads."""
+
+        def later(value: Any) -> None:
+            # The loop may be closed already.
+            with contextlib.suppress(RuntimeError):
+                self.loop.call_soon_threadsafe(call, value)
+
+        return later
+
+    def _traced(self, key: Hashable) -> None:
+        for page in self.pages:
+            page.traced(key)
+
+    def _fitted(self, news: Mapping[str, Any]) -> None:
+        for page in self.pages:
+            page.tell(fit=news)
+
+
+class File(tornado.web.RequestHandler):
+    """The files of the page."""
+
+    def get(self, name: str) -> None:
+        check_host(self)
+        self.set_header("Content-Type", f"{_FILES[name]}; charset=utf-8")
+        self.set_header("Content-Security-Policy", _POLICY)
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Cache-Control", "no-cache")
+        self.finish((files(__package__) / (name or "page.html")).read_bytes())
+
+
+class Page(tornado.websocket.WebSocketHandler):
+    """One page: what it looks at, and what it has been shown."""
+
+    def open(self, *_: str, **__: str) -> None:
+        check_host(self)
+        self.server: Server = self.settings["server"]
+        self.server.pages.add(self)
+        self.look: Look | None = None
+        self.since = 0.0
+        # Of the look: whether it is to be drawn at all, and again in full size or with a better reference.
+        self.is_new = self.is_rough = False
+        self.in_flight: int | None = None
+        self.number = 0
+        self.key: Hashable = None
+        self.built = ""
+        self.tasks: set[asyncio.Future[None]] = set()
+        self.woken = asyncio.Event()
+        self.pump = asyncio.ensure_future(self._pump())
+
+    def on_close(self) -> None:
+        self.server.pages.discard(self)
+        self.pump.cancel()
+
+    def tell(self, **parts: Any) -> None:
+        """Sends a message, unless the page is gone."""
+        with contextlib.suppress(tornado.websocket.WebSocketClosedError):
+            self.write_message(json.dumps(parts))
+
+    def tell_that_it_takes_long(self) -> None:
+        """Says why no picture comes."""
+        self.tell(note="drawing this for the first time, which takes longer")
+
+    def on_message(self, message: str | bytes) -> None:
+        try:
+            asked = Message.model_validate_json(message)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(map(str, first["loc"])) or "the message"
+            self.tell(error=f"{where}: {first['msg']}; expected a message of this page; reload it")
+            return
+        if asked.look is not None:
+            self.look, self.since, self.is_new = asked.look, time.monotonic(), True
+            self.server.last = asked.look.state
+            self.server.viewer.tracer.rest()
+        if asked.shown is not None and asked.shown == self.in_flight:
+            self.in_flight = None
+        if asked.stop:
+            self.server.viewer.fit.stop()
+        viewer = self.server.viewer
+        if asked.save is not None:
+            self._answer("saved", viewer.save, asked.save)
+        if asked.code is not None:
+            self._answer("code", viewer.code, asked.code)
+        if asked.fit is not None:
+            self._answer(None, lambda state: viewer.fit.start(viewer.subject(state).saved(state)), asked.fit)
+        self.woken.set()
+
+    def traced(self, key: Hashable) -> None:
+        """A better reference came."""
+        if key == self.key:
+            self.is_rough = True
+            self.woken.set()
+
+    def _answer(self, part: str | None, work: Callable[[Any], Any], given: Any) -> None:
+        async def answer() -> None:
+            with self._errors():
+                found = await self.server.draw(work, given)
+                if part is not None:
+                    self.tell(**{part: found})
+
+        # The loop itself keeps only weak references.
+        task = asyncio.ensure_future(answer())
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+
+    @contextlib.contextmanager
+    def _errors(self) -> Any:
+        """Shows what goes wrong on the page. The last picture stays."""
+        try:
+            yield
+        except Exception as error:
+            self.tell(error=reason_of(error))
+
+    async def _pump(self) -> None:
+        """Draws the newest look whenever the page has shown the last picture: at once, and once more at rest."""
+        while True:
+            self.woken.clear()
+            rest = self.since + _REST - time.monotonic()
+            at_rest = rest <= 0
+            if self.look is None or self.in_flight is not None or not (self.is_new or self.is_rough):
+                await self.woken.wait()
+            elif not self.is_new and not at_rest:
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self.woken.wait(), rest)
+            else:
+                with self._errors():
+                    await self._draw(self.look, at_rest)
+
+    async def _draw(self, look: Look, at_rest: bool) -> None:
+        self.is_new = self.is_rough = False
+        viewer = self.server.viewer
+        slow = self.server.loop.call_later(
+            _LONG, lambda: self.tell(note="drawing this for the first time takes longer")
+        )
+        try:
+            built = look.state.model_copy(update={"numbers": {}, "camera": None, "fitted": None}).model_dump_json()
+            if built != self.built:
+                controls = await self.server.draw(viewer.controls, look.state)
+                self.built = built
+                self.tell(controls=controls)
+            shown = await self.server.draw(viewer.show, look, at_rest=at_rest)
+            self.is_rough = not shown.about["is_full"] or self.is_rough
+            if shown.about["is_full"]:
+                self.key = await self.server.draw(viewer.trace, look)
+        finally:
+            slow.cancel()
+        self.number += 1
+        self.in_flight = self.number
+        head = json.dumps({**shown.about, "number": self.number}).encode()
+        with contextlib.suppress(tornado.websocket.WebSocketClosedError):
+            await self.write_message(struct.pack(">I", len(head)) + head + shown.jpeg, binary=True)
+
+
+def check_host(handler: tornado.web.RequestHandler) -> None:
+    """Refuses requests for other hosts' names, by which a foreign page could reach this server."""
+    if handler.request.host_name not in (HOST, "localhost"):
+        raise tornado.web.HTTPError(403)

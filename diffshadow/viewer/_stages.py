@@ -1,0 +1,195 @@
+"""Drawing in stages, each of which keeps its last results: only what depends on a change is drawn again.
+
+| stage | depends on |
+|---|---|
+| meshes | the meshes of the configuration |
+| surface | meshes, camera, size |
+| state, such as a map | meshes, light, technique; the surface too if its layout is fitted to the camera |
+| visibility | surface, state, the technique's numbers |
+| picture | visibility, shading, and the page's view |
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, UInt8
+
+from .. import geometry, raster, shadow
+from .._types import HostArray
+from ..config import Config, StagedMeshes, build_camera, build_lights, build_meshes, build_shading, changed
+from ._state import Look
+from ._subject import Subject
+
+Picture = UInt8[HostArray, "h w 3"]
+"""sRGB, top row first."""
+
+
+class Stage:
+    """A stage of drawing, which keeps its last `most` results by what they depend on. `calls` counts the others."""
+
+    def __init__(self, make: Callable[..., Any], most: int = 4):
+        self.make, self.most, self.calls = make, most, 0
+        self._kept: dict[Hashable, Any] = {}
+
+    def __call__(self, key: Hashable, *arguments: Any) -> Any:
+        if key not in self._kept:
+            self.calls += 1
+            made = self.make(*arguments)
+            self._kept[key] = made
+            while len(self._kept) > self.most:
+                del self._kept[next(iter(self._kept))]
+        # The last used stays longest.
+        found = self._kept[key] = self._kept.pop(key)
+        return found
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._kept
+
+
+class Stages:
+    """All stages, which pages and subjects share."""
+
+    def __init__(self):
+        self.meshes = Stage(build_meshes)
+        self.surface = Stage(_draw_surface)
+        self.state = Stage(lambda prepared, light: prepared(light))
+        self.visibility = Stage(lambda technique, state, surface: technique.visibility(state, surface), 8)
+        self.covered = Stage(lambda technique, state, surface: np.asarray(technique.covered(state, surface)))
+
+
+class Frame:
+    """One picture of a subject: what a page looks at, in a size. Each of its parts is drawn when it is asked for.
+
+    - `config`: with all numbers of the page; another one of the same structure may be given.
+    - `size`: (height, width), in pixels.
+    - `light`: the index of the light that single lights are shown of.
+    """
+
+    def __init__(
+        self, stages: Stages, subject: Subject, look: Look, size: tuple[int, int], config: Config | None = None
+    ):
+        self.stages, self.subject, self.look, self.size = stages, subject, look, size
+        self.config = subject.at(look.state) if config is None else config
+        self._meshes = repr(self.config.scene.meshes)
+        self._camera = repr(self.config.scene.camera)
+        self._lights = [repr(light) for light in self.config.scene.each_light.values()]
+        self.light = min(look.light, len(self._lights) - 1)
+        self.staged: StagedMeshes = stages.meshes(self._meshes, self.config)
+        self.numbers = subject.numbers_of(self.config)
+
+    @cached_property
+    def technique(self) -> Any:
+        """The technique with the page's numbers."""
+        return self.subject.technique_with(self.numbers)
+
+    @cached_property
+    def camera(self) -> geometry.AbstractCamera:
+        """The camera, with images of this size."""
+        return self._camera_of(self.size)
+
+    @cached_property
+    def lights(self) -> list[geometry.AbstractLight]:
+        """All lights."""
+        return build_lights(self.config, self.staged)
+
+    def scene(self, light: int) -> geometry.Scene:
+        """The scene with one light."""
+        return self.staged.scene(self.config, self.camera, [self.lights[light]])
+
+    @property
+    def surface(self) -> raster.Surface:
+        """What the camera sees."""
+        return self._surface_of(self.size)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the surface or the map of a light is still to be drawn: then a smaller picture comes first."""
+        states = (self.state_key(light) in self.stages.state for light in range(len(self._lights)))
+        return self._surface_key(self.size) not in self.stages.surface or not all(states)
+
+    def state_key(self, light: int) -> Hashable:
+        """What the state of a light depends on."""
+        laid_out = tuple(value for name, value in self.numbers.items() if self.subject.lays_out(name))
+        camera = self._camera if self.subject.follows_camera else ""
+        return self._meshes, self._lights[light], self.subject.map_key, laid_out, camera
+
+    def state(self, light: int) -> Any:
+        """What the technique draws for a light, such as its map."""
+        return self.stages.state(self.state_key(light), self._prepared, light)
+
+    def _prepared(self, light: int) -> Any:
+        """A new state. In a small picture, a map is the same as in a large one: else its acne would be another."""
+        if not self.subject.follows_camera:
+            return self.technique.prepare(self.scene(light))
+        full = self.subject.full_size
+        scene = self.staged.scene(self.config, self._camera_of(full), [self.lights[light]])
+        return self.technique.prepare(scene, self._surface_of(full))
+
+    def visibility(self, light: int) -> Any:
+        """(h, w), of a light."""
+        numbers = tuple(self.numbers.values())
+        key = self.subject.key, numbers, self.state_key(light), self._surface_key(self.size)
+        return self.stages.visibility(key, self.technique, self.state(light), self.surface)
+
+    def covered(self, light: int) -> Bool[HostArray, "h w"]:
+        """(h, w), the pixels that count for a light."""
+        key = self.subject.key, self.state_key(light), self._surface_key(self.size)
+        return self.stages.covered(key, self.technique, self.state(light), self.surface)
+
+    @property
+    def truth_key(self) -> Hashable:
+        """What the reference of the shown light depends on."""
+        return self._surface_key(self.size), self._lights[self.light], repr(self.subject.reference)
+
+    def shaded(self) -> Picture:
+        """The picture that a render stores, lit by all lights."""
+        visibility = [self.visibility(light) for light in range(len(self.lights))]
+        return np.asarray(_shaded(build_shading(self.config), self.surface, visibility, self.lights, self.camera))
+
+    def from_light(self) -> Picture:
+        """What the shown light sees, shaded with its shadow: all that is dark there is false shadow."""
+        view, key = self.lights[self.light].view(), self._lights[self.light]
+        clip = np.array(view.eye_to_clip)
+        height, width = self.size
+        # All that the map sees, with square pixels.
+        wider = width / height * clip[0, 0] / clip[1, 1]
+        clip[0], clip[1] = clip[0] / max(wider, 1.0), clip[1] * min(wider, 1.0)
+        camera = geometry.MatrixCamera(view.world_to_eye, clip, self.size, view.is_perspective)
+        surface = self.stages.surface((self._meshes, key, self.size), self.staged.meshes, camera, self.technique)
+        visibility = self.technique.visibility(self.state(self.light), surface)
+        light = [self.lights[self.light]]
+        return np.asarray(_shaded(build_shading(self.config), surface, [visibility], light, camera))
+
+    def _camera_of(self, size: tuple[int, int]) -> geometry.AbstractCamera:
+        scene = changed(self.config.scene, camera=changed(self.config.scene.camera, resolution=size))
+        return build_camera(changed(self.config, scene=scene), self.staged)
+
+    def _surface_key(self, size: tuple[int, int]) -> Hashable:
+        return self._meshes, self._camera, size
+
+    def _surface_of(self, size: tuple[int, int]) -> raster.Surface:
+        return self.stages.surface(self._surface_key(size), self.staged.meshes, self._camera_of(size), self.technique)
+
+
+def _draw_surface(meshes: Sequence[geometry.Mesh], camera: geometry.AbstractCamera, technique: Any) -> raster.Surface:
+    # With the technique's buffer, it shares its program with the map.
+    has_map = isinstance(technique, shadow.ShadowMapping)
+    buffer = technique.layers.buffer(camera.resolution) if has_map else None
+    return raster.draw_surface(geometry.merge(meshes), camera, buffer=buffer)
+
+
+@eqx.filter_jit
+def _shaded(
+    shading: Any, surface: raster.Surface, visibility: Any, lights: Any, camera: geometry.AbstractCamera
+) -> UInt8[Array, "h w 3"]:
+    """The shaded picture in sRGB (IEC 61966-2-1), within 1/255: its power of 1/2.4 by three square roots, in two thirds
+    of the time."""
+    linear = jnp.clip(shading(surface, visibility, lights, camera), 0, 1)
+    root = jnp.sqrt(linear)
+    fourth = jnp.sqrt(root)
+    curve = 0.585122381 * root + 0.783140355 * fourth - 0.368262736 * jnp.sqrt(fourth)
+    return jnp.rint(255 * jnp.where(linear <= 0.0031308, 12.92 * linear, curve)[::-1]).astype(jnp.uint8)

@@ -1,0 +1,185 @@
+"""A configuration that is built once, so that its numbers and its camera can change without compiling anything."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .. import fit, shadow
+from .._arithmetic import as_float
+from ..config import (
+    REFERENCES,
+    Config,
+    ConfigError,
+    StagedMeshes,
+    build_camera,
+    build_lights,
+    build_meshes,
+    build_technique,
+    changed,
+    dump_resolved,
+    fit_paths,
+    parse_config,
+    with_number,
+)
+from ._controls import Picker, Slider, pickers_of, sliders_of
+from ._state import Camera, State
+
+FULL_PIXELS = 512 * 512
+"""The most pixels of a picture. Larger images are shown with fewer, and the same aspect."""
+# Decimal digits of positions and angles that are computed rather than given.
+_DIGITS = 7
+
+
+class Subject:
+    """A configuration as a page shows it.
+
+    Numbers may change within `ranges`, by key, also where sliders end before that.
+
+    - `config`: with its camera and its lights given by numbers that controls can change.
+    - `technique`: whose numbers may have any value that their sliders allow.
+    - `follows_camera`: whether the map is laid out for the camera.
+    - `map_key`, `key`: what tells its maps, and its visibility, from other subjects'.
+    - `reference`: the section of the reference, traced.
+    - `full_size`: (height, width) of its largest pictures, in pixels.
+    """
+
+    def __init__(self, config: Config, ranges: Mapping[str, tuple[float, float]] | None = None):
+        staged = build_meshes(config)
+        config = _by_numbers(config, staged)
+        self.size = float(np.linalg.norm(np.ptp(staged.stage.points, axis=0)))
+        self.sliders: dict[str, Slider] = sliders_of(config, self.size)
+        for key, (low, high) in (ranges or {}).items():
+            if key in self.sliders:
+                self.sliders[key] = self.sliders[key].reaching(low, high)
+        self.pickers: list[Picker] = pickers_of(config)
+        self.config = config
+        self._paths = {name: path for name, path in fit_paths(config).items() if name in self.sliders}
+        self.technique: Any = _for_all(config, self.sliders)
+        layout = getattr(self.technique, "layout", None)
+        self.follows_camera = layout is not None and not isinstance(layout, shadow.SingleMap)
+        self.map_key = repr((config.technique, config.shadow_map, getattr(layout, "margin", None)))
+        self.key = repr((config.technique, config.shadow_map, config.bias, config.filter, config.compare))
+        # Pages compare with rays, also where a file holds the reference.
+        self.reference = config.reference if config.reference.type == "traced" else REFERENCES.make()
+        self.full_size = at_most(config.scene.camera.resolution, FULL_PIXELS)
+
+    def at(self, state: State) -> Config:
+        """Its configuration with the numbers and the camera of `state`, which are not checked; numbers that it does not
+        have are left out."""
+        config = self.config
+        for name, value in state.numbers.items():
+            slider = self.sliders.get(name)
+            if slider is not None:
+                config = with_number(config, name, min(max(value, slider.low), slider.high))
+        return config if state.camera is None else _seen_from(config, state.camera)
+
+    def numbers_of(self, config: Config) -> dict[str, float]:
+        """The technique's numbers in `config`, which is one of `at`."""
+        return {name: _value_at(config, name) for name in self._paths}
+
+    def technique_with(self, numbers: dict[str, float]) -> Any:
+        """Its technique with these numbers, which are all that it has."""
+        values = as_float(list(numbers.values()))
+        return fit.with_values(self.technique, list(self._paths.values()), values)
+
+    def lays_out(self, name: str) -> bool:
+        """Whether a map has to be drawn again for another value of the technique's number `name`."""
+        return self.technique.lays_out(self._paths[name])
+
+    def saved(self, state: State) -> Config:
+        """The configuration of `state`, checked. A render of it draws what the page shows, and a fit starts there.
+
+        **Raises** `ConfigError` if it is not valid.
+        """
+        config = self.at(state)
+        names = [*config.fit.parameters] if state.fitted is None else [*state.fitted]
+        parameters = {name: self._bounds(config, name) for name in names}
+        # Maps reach as far as those of the page.
+        whole = changed(config, technique=_wide(config, self.sliders).technique)
+        override = [f"fit.parameters={json.dumps(parameters)}"] if parameters else []
+        return parse_config(dump_resolved(whole), override, source="the page's settings", fitting=bool(parameters))
+
+    def _bounds(self, config: Config, name: str) -> dict[str, float]:
+        """The bounds of a fit of the number `name`. A technique's starts at its value."""
+        given = config.fit.parameters.get(name)
+        if given is not None:
+            kept = {"lower", "upper"} if name in self._paths else {"lower", "upper", "initial"}
+            return given.model_dump(include=kept, exclude_none=True)
+        slider = self.sliders[name]
+        return {"lower": slider.low, "upper": slider.high}
+
+
+def at_most(size: tuple[int, int], pixels: int) -> tuple[int, int]:
+    """`size` with at most so many pixels, and about the same aspect."""
+    height, width = size
+    factor = min(1.0, math.sqrt(pixels / (height * width)))
+    return max(1, int(height * factor)), max(1, int(width * factor))
+
+
+def _by_numbers(config: Config, staged: StagedMeshes) -> Config:
+    """`config` with its camera at a point, and directional lights by angles."""
+    camera = build_camera(config, staged)
+    eye, target = (
+        tuple((np.asarray(point, np.float64) + staged.stage.origin).round(_DIGITS).tolist())
+        for point in (camera.eye, camera.target)
+    )
+    height = getattr(camera, "height", None)
+    config = _seen_from(config, Camera(eye=eye, target=target, height=None if height is None else float(height)))
+    for key, light in zip(config.scene.each_light, build_lights(config, staged), strict=True):
+        section = config.scene.each_light[key]
+        if getattr(section, "direction", None) is not None:
+            pose: Any = light.pose()
+            angles = {name: round(float(getattr(pose, name)), _DIGITS) for name in ("azimuth", "elevation")}
+            config = _with_light(config, key, changed(section, **angles, direction=None))
+    return config
+
+
+def _with_light(config: Config, key: Any, section: Any) -> Config:
+    lights = config.scene.each_light | {key: section}
+    several = config.scene.lights is not None
+    scene = changed(config.scene, **({"lights": tuple(lights.values())} if several else {"light": section}))
+    return changed(config, scene=scene)
+
+
+def _seen_from(config: Config, camera: Camera) -> Config:
+    section = config.scene.camera
+    values: dict[str, Any] = {"orbit": None, "eye": camera.eye, "target": camera.target}
+    if hasattr(section, "height"):
+        values["height"] = camera.height
+    return changed(config, scene=changed(config.scene, camera=changed(section, **values)))
+
+
+def _for_all(config: Config, sliders: dict[str, Slider]) -> Any:
+    """The technique of `config`, whose numbers may have any value that their sliders allow."""
+    try:
+        return build_technique(_wide(config, sliders), fitting=True)
+    except ConfigError:
+        # A margin of the configuration's own is too narrow for that.
+        return build_technique(config, fitting=True)
+
+
+def _wide(config: Config, sliders: dict[str, Slider]) -> Config:
+    """`config` with a fit of all numbers of its technique, and maps laid out for that."""
+    # The bounds are not checked: a fit may allow less.
+    bounds = {
+        name: _Bounds(slider.low, slider.high, slider.value) for name, slider in sliders.items() if slider.is_fittable
+    }
+    return changed(config, fit=changed(config.fit, parameters=bounds)).with_layout_of_fit()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Bounds:
+    lower: float
+    upper: float
+    initial: float
+
+
+def _value_at(config: Config, name: str) -> float:
+    value: Any = config
+    for key in name.split("."):
+        value = value[int(key)] if isinstance(value, tuple) else getattr(value, key)
+    return float(value)

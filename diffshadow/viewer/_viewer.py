@@ -1,0 +1,197 @@
+"""What a page asks for, computed: pictures with figures, configurations and code. It knows nothing of browsers."""
+
+import io
+import json
+import shlex
+import time
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+
+from .. import study
+from ..config import Config, ConfigError, changed, dump_resolved, parse_config
+from ._fits import Fit
+from ._pictures import figures_of, picture_of, views_of
+from ._stages import Frame, Picture, Stages
+from ._state import Look, State
+from ._subject import Subject
+from ._trace import Tracer
+
+_QUALITY = 90
+
+
+class Shown(NamedTuple):
+    """A picture of a page: a JPEG, and what is said about it."""
+
+    jpeg: bytes
+    about: dict[str, Any]
+
+
+class Viewer:
+    """A configuration, and all that pages show of it.
+
+    - `name`: what the configuration was given as, for commands that can be pasted.
+    - `traced`: called with the key of each new reference, in another thread; `fitted` with the news of a fit.
+
+    Its drawing methods are to be called from one thread.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        name: str,
+        traced: Callable[[Hashable], None] = lambda key: None,
+        fitted: Callable[[dict[str, Any]], None] = lambda news: None,
+    ):
+        self.config, self.name = config, name
+        self.stages = Stages()
+        self.tracer, self.fit = Tracer(traced), Fit(fitted)
+        self._subjects: dict[str, Subject] = {}
+        self.subject(State())
+
+    @property
+    def scenes(self) -> list[str]:
+        """The names of the views of the configuration's fit."""
+        return [view.name for view in self.config.views]
+
+    def subject(self, state: State) -> Subject:
+        """The configuration with the structure of `state`.
+
+        **Raises** `ConfigError` if it is not valid, or cannot be built.
+        """
+        key = json.dumps([state.scene, list(state.structure.items())])
+        if key not in self._subjects:
+            chosen = [view.config for view in self.config.views if view.name == state.scene]
+            config = _alone(chosen[0] if chosen else self.config)
+            if state.structure:
+                config = parse_config(
+                    dump_resolved(config), overrides_of(state.structure), source="the page's settings"
+                )
+            self._subjects[key] = Subject(config)
+            while len(self._subjects) > 4:
+                del self._subjects[next(iter(self._subjects))]
+        found = self._subjects[key] = self._subjects.pop(key)
+        return found
+
+    def frame(self, look: Look, *, full: bool) -> Frame:
+        """What `look` shows, in full or half size."""
+        subject = self.subject(look.state)
+        height, width = subject.full_size
+        size = (height, width) if full else (max(height // 2, 1), max(width // 2, 1))
+        return Frame(self.stages, subject, look, size)
+
+    def show(self, look: Look, *, at_rest: bool) -> Shown:
+        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn."""
+        started = time.perf_counter()
+        frame = self.frame(look, full=True)
+        is_full = at_rest or not frame.moves
+        if not is_full:
+            frame = self.frame(look, full=False)
+        truth = self.tracer.reference(frame.truth_key) if is_full else None
+        picture, view = picture_of(frame, look.view, truth), look.view
+        if picture is None:
+            picture, view = frame.shaded(), "shaded"
+        figures = figures_of(frame, truth) if truth is not None else {}
+        if look.split:
+            picture = np.concatenate([picture, self._before(frame, look, picture)])
+        about = {
+            "view": view,
+            "is_full": is_full,
+            "figures": figures,
+            "rays": 0 if truth is None else truth.samples,
+            "size": frame.size,
+            "views": views_of(frame),
+            "light": frame.light,
+            "split": look.split,
+            "milliseconds": round(1e3 * (time.perf_counter() - started)),
+        }
+        return Shown(_jpeg(picture), about)
+
+    def trace(self, look: Look) -> Hashable:
+        """Starts to trace the reference of `look` at rest. **Returns** its key."""
+        frame = self.frame(look, full=True)
+        config = changed(frame.config, reference=frame.subject.reference)
+        self.tracer.want(frame.truth_key, config, frame.scene(frame.light))
+        return frame.truth_key
+
+    def controls(self, state: State) -> dict[str, Any]:
+        """What a page needs to make its controls."""
+        subject = self.subject(state)
+        camera: Any = subject.config.scene.camera
+        return {
+            "name": subject.config.name,
+            "sliders": [slider._asdict() for slider in subject.sliders.values()],
+            "pickers": [picker._asdict() for picker in subject.pickers],
+            "lights": [".".join(map(str, ("scene", *key))) for key in subject.config.scene.each_light],
+            "scenes": self.scenes,
+            "camera": {"eye": camera.eye, "target": camera.target, "height": getattr(camera, "height", None)},
+            "up": camera.up,
+            "size": subject.size,
+            "resolution": subject.config.scene.camera.resolution,
+            "fitted": [name for name in subject.config.fit.parameters if name in subject.sliders],
+            "fit": self.fit.state,
+        }
+
+    def save(self, state: State) -> dict[str, Any]:
+        """The configuration of `state` as YAML, and the command that draws the same."""
+        config = self.subject(state).saved(state)
+        command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config))]
+        return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
+
+    def code(self, look: Look) -> str:
+        """The settings of `look` for engines: code, or a table of biases and radii.
+
+        **Raises** `ConfigError` for settings that no engine has.
+        """
+        config = self.subject(look.state).saved(look.state)
+        text = Console(file=io.StringIO(), width=100)
+        study.convert(config, console=text)
+        return text.file.getvalue()  # type: ignore[attr-defined]
+
+    def _before(self, frame: Frame, look: Look, like: Picture) -> Picture:
+        """The same view under the configuration's own technique."""
+        scene = {key: value for key, value in look.state.structure.items() if key.startswith("scene.")}
+        own = self.subject(look.state.model_copy(update={"structure": scene}))
+        numbers = {name: value for name, value in look.state.numbers.items() if name.startswith(("scene.", "shading."))}
+        state = look.state.model_copy(update={"structure": scene, "numbers": numbers})
+        before = Frame(self.stages, own, look.model_copy(update={"state": state}), frame.size)
+        truth = self.tracer.reference(before.truth_key)
+        picture = picture_of(before, look.view, truth)
+        same = picture is not None and picture.shape == like.shape
+        return picture if same else before.shaded()  # type: ignore[return-value]
+
+
+def settings_of(state: State, config: Config) -> dict[str, Any]:
+    """All that `state` changes, by dotted key, in the order in which it can be set."""
+    settings: dict[str, Any] = {**state.structure, **state.numbers}
+    if state.camera is not None:
+        if getattr(config.scene.camera, "orbit", None) is not None:
+            settings["scene.camera.orbit"] = None
+        settings |= {f"scene.camera.{key}": value for key, value in state.camera if value is not None}
+    return settings
+
+
+def overrides_of(settings: dict[str, Any]) -> list[str]:
+    """`settings` as KEY=VALUE."""
+    return [f"{key}={json.dumps(value)}" for key, value in settings.items()]
+
+
+def reason_of(error: Exception) -> str:
+    """What to say about an `error`."""
+    if isinstance(error, ConfigError):
+        return "; ".join(f"{mistake.key}: {mistake.message}" for mistake in error.mistakes)
+    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+
+
+def _alone(config: Config) -> Config:
+    """`config` without other views, sweeps and advice."""
+    return changed(config, fit=changed(config.fit, views=None, validation=None), sweep=None, advise=None)
+
+
+def _jpeg(picture: Picture) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "JPEG", quality=_QUALITY, subsampling=0)
+    return out.getvalue()

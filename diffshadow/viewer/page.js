@@ -1,0 +1,407 @@
+// The page of `diffshadow view`. Its state is a list of settings, as in KEY=VALUE on the command line; the server draws
+// what it asks for, one picture at a time. Plain JavaScript, served as it is.
+
+const $ = (id) => document.getElementById(id);
+const picture = $("picture"), context = picture.getContext("2d");
+const PAUSE = 400; // milliseconds without a change after which an undo step ends
+const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees a pixel, degrees a key, factor a key
+
+const blank = () => ({ scene: null, structure: {}, numbers: {}, camera: null, fitted: null });
+let look = { state: blank(), view: "shaded", light: 0, split: false };
+let controls = null, images = null;
+const rows = new Map(); // by key: what sets a slider to a value
+const done = []; // undo steps
+let settled = JSON.stringify(look), pause = 0;
+
+// --- Connection ---
+
+let socket = null;
+
+function connect() {
+  socket = new WebSocket(`ws://${location.host}/socket`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => { say("note", ""); ask(); };
+  socket.onclose = () => { say("note", "diffshadow view has ended, or cannot be reached; this page tries again"); setTimeout(connect, 1000); };
+  socket.onmessage = ({ data }) => typeof data === "string" ? hear(JSON.parse(data)) : show(data);
+}
+
+const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
+const ask = () => send({ look });
+const say = (id, text) => { $(id).textContent = text; };
+
+function hear(message) {
+  if ("error" in message) { say("error", message.error); say("note", ""); }
+  if ("note" in message) say("note", message.note);
+  if ("controls" in message) build(message.controls);
+  if ("saved" in message) saved(message.saved);
+  if ("code" in message) copy(message.code, "Copied the code");
+  if ("fit" in message) followFit(message.fit);
+}
+
+// --- Pictures ---
+
+async function show(data) {
+  const length = new DataView(data).getUint32(0);
+  const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  images = { bitmap: await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })), about };
+  paint();
+  send({ shown: about.number });
+  fill($("view"), about.views.includes(look.view) ? about.views : [look.view, ...about.views], look.view);
+  say("error", "");
+  say("figures", sentence(about));
+  say("note", `${about.size[1]} × ${about.size[0]} pixels in ${about.milliseconds} ms`);
+  document.body.dataset.full = about.is_full; // for tests
+  document.body.dataset.number = about.number;
+}
+
+function paint() {
+  const { bitmap, about } = images, tall = about.split ? bitmap.height / 2 : bitmap.height;
+  if (picture.width !== bitmap.width || picture.height !== tall) { picture.width = bitmap.width; picture.height = tall; }
+  context.drawImage(bitmap, 0, 0);
+  for (const id of ["divider", "before", "after"]) $(id).hidden = !about.split;
+  if (!about.split) return;
+  const at = Math.round($("divider").value * bitmap.width);
+  context.drawImage(bitmap, 0, tall, at, tall, 0, 0, at, tall);
+  context.fillStyle = "#fff";
+  context.fillRect(at - 1, 0, 2, tall);
+}
+
+function sentence({ figures, rays, is_full, view }) {
+  if (!is_full) return "";
+  const waits = view !== look.view ? `; ${look.view} follows` : "";
+  if (!rays) return `tracing the reference${waits}`;
+  if (!("rmse" in figures)) return "no pixel counts under this light";
+  const percent = (value) => `${(100 * value).toPrecision(3)} %`;
+  return `RMSE ${figures.rmse.toFixed(4)} · false shadow ${percent(figures.false_shadow_rate)} · ` +
+    `false light ${percent(figures.false_light_rate)} · against ${rays} ${rays === 1 ? "ray" : "rays"} per pixel`;
+}
+
+// --- Settings ---
+
+function change(edit) {
+  edit(look.state);
+  ask();
+  clearTimeout(pause);
+  pause = setTimeout(settle, PAUSE);
+  mark();
+}
+
+function settle() {
+  const now = JSON.stringify(look);
+  if (now === settled) return;
+  done.push(settled);
+  settled = now;
+  $("undo").disabled = false;
+  history.replaceState(null, "", `#${encodeURIComponent(now)}`);
+}
+
+function adopt(text) {
+  const found = JSON.parse(text);
+  look = { ...look, ...found, state: { ...blank(), ...found.state } };
+  settled = JSON.stringify(look);
+  refresh();
+  ask();
+}
+
+function undo() {
+  clearTimeout(pause);
+  settle();
+  if (!done.length) return;
+  adopt(done.pop());
+  history.replaceState(null, "", `#${encodeURIComponent(settled)}`);
+  $("undo").disabled = !done.length;
+}
+
+// Sets all controls to the state's values.
+function refresh() {
+  for (const [key, { set, slider }] of rows) set(look.state.numbers[key] ?? slider.value);
+  $("split").checked = look.split;
+  mark();
+}
+
+// Shows which numbers differ from the configuration's, and where the sun is.
+function mark() {
+  for (const [key, { row, slider }] of rows) row.classList.toggle("changed", (look.state.numbers[key] ?? slider.value) !== slider.value);
+  const [azimuth, elevation] = sunKeys().map((key) => value(key));
+  if (azimuth === undefined) return;
+  const radius = (90 - elevation) / 90, angle = azimuth * Math.PI / 180;
+  $("sun").setAttribute("cx", radius * Math.sin(angle));
+  $("sun").setAttribute("cy", radius * Math.cos(angle));
+}
+
+const value = (key) => look.state.numbers[key] ?? rows.get(key)?.slider.value;
+
+// --- Controls, made from what the server knows of the configuration ---
+
+const GROUPS = [["scene.light", "Light", true], ["bias", "Bias", true], ["filter", "Filter", true],
+  ["technique", "Technique", true], ["shadow_map", "Shadow map", true], ["compare", "Compare", false],
+  ["scene.camera", "Camera", false], ["scene.meshes", "Meshes", false], ["shading", "Shading", false]];
+
+function build(given) {
+  controls = given;
+  document.title = `${given.name} – diffshadow`;
+  const { numbers } = look.state;
+  // Numbers that this technique does not have.
+  for (const key of Object.keys(numbers)) if (!given.sliders.some((slider) => slider.key === key)) delete numbers[key];
+  rows.clear();
+  const groups = GROUPS.map(([prefix, title, open]) => {
+    const made = document.createElement("details");
+    made.open = open;
+    made.append(element("summary", title));
+    for (const picker of given.pickers) if (picker.key.startsWith(prefix)) made.append(choice(picker, prefix));
+    for (const slider of given.sliders) if (slider.key.startsWith(prefix)) made.append(number(slider, prefix));
+    return made;
+  });
+  $("controls").replaceChildren(...groups.filter((group) => group.children.length > 1));
+  fill($("light"), given.lights.map((name) => name.replace("scene.", "")), null);
+  $("light").selectedIndex = Math.min(look.light, given.lights.length - 1);
+  $("light-label").hidden = given.lights.length < 2;
+  fill($("scene"), ["own scene", ...given.scenes], look.state.scene ?? "own scene");
+  $("scene-label").hidden = !given.scenes.length;
+  $("sky").toggleAttribute("hidden", !sunKeys().length);
+  refresh();
+  followFit(given.fit);
+}
+
+const element = (tag, text, of = {}) => Object.assign(document.createElement(tag), { textContent: text }, of);
+// Of the third of several lights, "2.azimuth"; of the only one, "azimuth".
+const short = (key, prefix) => key.slice(prefix.length).replace(/^s?\./, "") || key;
+
+function fill(select, options, chosen) {
+  if (select.dataset.options !== String(options)) {
+    select.replaceChildren(...options.map((option) => element("option", option)));
+    select.dataset.options = options;
+  }
+  if (chosen !== null) select.value = chosen;
+}
+
+function number(slider, prefix) {
+  const row = element("div", "", { className: "number", title: slider.hint });
+  const name = element("label", short(slider.key, prefix), { className: "name" });
+  if (slider.unit) name.append(element("span", ` [${slider.unit}]`, { className: "unit" }));
+  const range = element("input", "", { type: "range", min: slider.low, max: slider.high, step: "any", value: slider.value });
+  const field = element("input", "", { type: "number", min: slider.low, max: slider.high, step: "any", value: slider.value });
+  range.setAttribute("aria-label", `${slider.key} [${slider.unit}]`);
+  field.id = `field-${slider.key}`;
+  name.htmlFor = field.id;
+  const again = element("button", "↺", { className: "again", title: `Back to ${slider.value}` });
+  again.setAttribute("aria-label", `Reset ${slider.key}`);
+  const set = (to) => { range.value = to; field.value = Number(Number(to).toPrecision(6)); };
+  const put = (to) => { set(to); change(({ numbers }) => { if (to === slider.value) delete numbers[slider.key]; else numbers[slider.key] = to; }); };
+  range.oninput = () => put(Number(Number(range.value).toPrecision(6)));
+  field.onchange = () => put(Math.min(Math.max(Number(field.value), slider.low), slider.high));
+  again.onclick = () => put(slider.value);
+  if (slider.is_fittable) {
+    const box = element("input", "", { type: "checkbox", checked: fitted().includes(slider.key), title: "whether a fit finds it" });
+    box.setAttribute("aria-label", `Fit ${slider.key}`);
+    box.onchange = () => change((state) => {
+      state.fitted = box.checked ? [...fitted(), slider.key] : fitted().filter((key) => key !== slider.key);
+    });
+    name.prepend(box, " ");
+  }
+  row.append(name, field, again, range);
+  rows.set(slider.key, { set: (to) => { set(to); }, slider, row });
+  return row;
+}
+
+const fitted = () => look.state.fitted ?? controls.fitted;
+
+function choice(picker, prefix) {
+  const row = element("label", short(picker.key, prefix).replaceAll("_", " "), { className: "choice", title: picker.hint });
+  const labels = picker.options.map(([label]) => label);
+  const field = labels.length ? element("select", "") : element("input", "", { type: "number", min: picker.low, max: picker.high, value: picker.value });
+  if (labels.length) {
+    const is = (option) => JSON.stringify(option) === JSON.stringify(picker.value) || option?.type === picker.value;
+    const at = picker.options.findIndex(([, option]) => is(option));
+    fill(field, at < 0 ? ["default", ...labels] : labels, at < 0 ? "default" : labels[at]);
+  }
+  field.onchange = () => change((state) => {
+    const to = labels.length ? picker.options.find(([label]) => label === field.value)?.[1] : Number(field.value);
+    const section = picker.sets + ".";
+    if (picker.sets !== picker.key) {
+      // Another section: its numbers go on, where it has them too.
+      for (const { key, value: own } of controls.sliders) if (key.startsWith(section)) state.numbers[key] ??= own;
+      for (const key of Object.keys(state.structure)) if (key.startsWith(section)) delete state.structure[key];
+    }
+    delete state.structure[picker.sets];
+    if (to !== undefined) state.structure[picker.sets] = to;
+  });
+  row.append(field);
+  return row;
+}
+
+// --- The camera ---
+
+const add = (a, b, s = 1) => a.map((x, i) => x + s * b[i]);
+const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0);
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => a.map((x) => x / Math.hypot(...a));
+const round = (point) => point.map((x) => Number(x.toPrecision(8)));
+const turned = (a, axis, angle) => add(add(a.map((x) => x * Math.cos(angle)), cross(axis, a), Math.sin(angle)),
+  axis, dot(axis, a) * (1 - Math.cos(angle)));
+
+function move(edit) {
+  if (!controls) return;
+  change((state) => {
+    const camera = structuredClone(state.camera ?? controls.camera);
+    const up = unit(controls.up), away = add(camera.eye, camera.target, -1);
+    edit(camera, away, up, unit(cross(up, away)));
+    camera.eye = round(camera.eye);
+    camera.target = round(camera.target);
+    state.camera = camera;
+  });
+}
+
+const orbit = (across, upward) => move((camera, away, up, right) => {
+  const elevation = Math.asin(dot(unit(away), up)) * 180 / Math.PI;
+  const rise = Math.min(Math.max(elevation + upward, -89), 89) - elevation;
+  camera.eye = add(camera.target, turned(turned(away, right, -rise * Math.PI / 180), up, -across * Math.PI / 180));
+});
+
+// By fractions of the image's height.
+const pan = (across, upward) => move((camera, away, up, right) => {
+  const tall = camera.height ?? 2 * Math.hypot(...away) * Math.tan((value("scene.camera.fov_y") ?? 40) * Math.PI / 360);
+  const shift = add(right.map((x) => x * -across * tall), unit(cross(away, right)), -upward * tall);
+  camera.eye = add(camera.eye, shift);
+  camera.target = add(camera.target, shift);
+});
+
+const zoom = (factor) => move((camera, away) => {
+  if (camera.height) camera.height = Number((camera.height * factor).toPrecision(6));
+  else camera.eye = add(camera.target, away, factor);
+});
+
+const pointers = new Map();
+picture.onpointerdown = (event) => { picture.setPointerCapture(event.pointerId); pointers.set(event.pointerId, event); };
+picture.onpointerup = picture.onpointercancel = (event) => pointers.delete(event.pointerId);
+picture.oncontextmenu = (event) => event.preventDefault();
+picture.onpointermove = (event) => {
+  const before = pointers.get(event.pointerId);
+  if (!before) return;
+  const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY], tall = picture.clientHeight;
+  pointers.set(event.pointerId, event);
+  if (pointers.size === 2) {
+    const [other] = [...pointers.values()].filter((each) => each.pointerId !== event.pointerId);
+    const apart = (each) => Math.hypot(each.clientX - other.clientX, each.clientY - other.clientY);
+    zoom(apart(before) / Math.max(apart(event), 1));
+    pan(dx / 2 / tall, -dy / 2 / tall);
+  } else if (event.buttons & 2 || event.buttons & 4 || event.shiftKey) pan(dx / tall, -dy / tall);
+  else orbit(dx * TURN, dy * TURN);
+};
+picture.addEventListener("wheel", (event) => { event.preventDefault(); zoom(Math.exp(event.deltaY / 1000)); }, { passive: false });
+picture.onkeydown = (event) => {
+  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+  if (step) event.shiftKey ? pan(-step[0] / 20, -step[1] / 20) : orbit(KEY_TURN * step[0], KEY_TURN * step[1]);
+  else if (event.key === "+" || event.key === "=") zoom(1 / KEY_ZOOM);
+  else if (event.key === "-") zoom(KEY_ZOOM);
+  else return;
+  event.preventDefault();
+};
+
+// --- The sun: its azimuth and elevation, seen from above ---
+
+function sunKeys() {
+  const name = controls?.lights[look.light] ?? "";
+  const keys = [`${name}.azimuth`, `${name}.elevation`];
+  return keys.every((key) => rows.has(key)) ? keys : [`${name}.orbit.azimuth`, `${name}.orbit.elevation`].filter((key) => rows.has(key));
+}
+
+$("sky").onpointerdown = (event) => { $("sky").setPointerCapture(event.pointerId); aim(event); };
+$("sky").onpointermove = (event) => { if (event.buttons & 1) aim(event); };
+
+function aim(event) {
+  const box = $("sky").getBoundingClientRect(), half = box.width / 2.16;
+  const [x, y] = [(event.clientX - box.left) / half - 1.08, (event.clientY - box.top) / half - 1.08];
+  const [azimuth, elevation] = sunKeys();
+  const found = { [azimuth]: Math.atan2(x, y) * 180 / Math.PI, [elevation]: Math.max(90 - 90 * Math.hypot(x, y), 1) };
+  for (const key in found) found[key] = Math.round(found[key] * 10) / 10;
+  change(({ numbers }) => Object.assign(numbers, found));
+  refresh();
+}
+
+// --- Fits ---
+
+let curve = [], shownFit = 0, ownFit = 0, asksForFit = false;
+
+// The sliders follow a fit that this page has started.
+function followFit(news) {
+  if (!("number" in news)) return;
+  if (news.number !== shownFit) {
+    shownFit = news.number;
+    curve = news.steps ?? [];
+    if (asksForFit) ownFit = news.number;
+    asksForFit = false;
+  }
+  if (news.step) curve.push(news.step);
+  const isOwn = news.number === ownFit;
+  if (isOwn && news.values) take(news.values);
+  $("take").hidden = isOwn || !news.done;
+  $("take").onclick = () => take(news.values);
+  $("fit").disabled = news.running;
+  $("stop").disabled = !news.running;
+  if (news.error) say("error", news.error);
+  const last = curve.at(-1);
+  say("fit-note", news.error ? "failed" : news.note ?? (last ? `step ${curve.length}, RMSE ${last.error.toFixed(4)}` : ""));
+  drawCurve();
+}
+
+function take(values) {
+  change(({ numbers }) => { for (const key in values) if (rows.has(key)) numbers[key] = values[key]; });
+  refresh();
+}
+
+function drawCurve() {
+  const canvas = $("curve"), on = canvas.getContext("2d"), { width, height } = canvas;
+  canvas.hidden = curve.length < 2;
+  if (canvas.hidden) return;
+  const errors = curve.map((step) => Math.log10(Math.max(step.error, 1e-6)));
+  const [low, high] = [Math.min(...errors), Math.max(...errors)], style = getComputedStyle(document.body);
+  const at = (i) => [8 + (width - 16) * i / (curve.length - 1), 22 + (height - 30) * (high - errors[i]) / Math.max(high - low, 1e-6)];
+  on.clearRect(0, 0, width, height);
+  on.strokeStyle = getComputedStyle($("undo")).color;
+  on.fillStyle = style.color;
+  on.lineWidth = 2;
+  on.font = "20px system-ui";
+  on.fillText(`RMSE ${(10 ** errors[0]).toPrecision(3)} → ${(10 ** errors.at(-1)).toPrecision(3)}, soft compare`, 8, 18);
+  on.beginPath();
+  // A phase has a width of the soft compare of its own, so its errors compare with one another only.
+  curve.forEach((step, i) => (i && step.phase === curve[i - 1].phase ? on.lineTo(...at(i)) : on.moveTo(...at(i))));
+  on.stroke();
+}
+
+// --- Buttons ---
+
+function saved({ yaml, name, command }) {
+  if (saved.wants === "command") return copy(command, "Copied the command");
+  const link = element("a", "", { href: URL.createObjectURL(new Blob([yaml], { type: "text/yaml" })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  say("note", `saved ${name}`);
+}
+
+async function copy(text, told) {
+  document.body.dataset.copied = text; // for tests, and pages without a clipboard
+  try { await navigator.clipboard.writeText(text); say("note", told); } catch { say("note", text); }
+}
+
+$("fit").onclick = () => { asksForFit = true; send({ fit: look.state }); };
+$("stop").onclick = () => send({ stop: true });
+$("save").onclick = () => { saved.wants = "file"; send({ save: look.state }); };
+$("command").onclick = () => { saved.wants = "command"; send({ save: look.state }); };
+$("code").onclick = () => send({ code: look });
+$("share").onclick = () => { settle(); copy(location.href, "Copied the link"); };
+$("undo").onclick = undo;
+$("reset").onclick = () => { change((state) => Object.assign(state, blank(), { scene: state.scene })); settle(); refresh(); };
+$("view").onchange = () => { look.view = $("view").value; change(() => {}); };
+$("light").onchange = () => { look.light = $("light").selectedIndex; change(() => {}); };
+$("scene").onchange = () => change((state) => Object.assign(state, blank(), { scene: $("scene").selectedIndex ? $("scene").value : null }));
+$("split").onchange = () => { look.split = $("split").checked; change(() => {}); };
+$("divider").oninput = paint;
+addEventListener("keydown", (event) => { if ((event.ctrlKey || event.metaKey) && event.key === "z" && event.target.type !== "number") { event.preventDefault(); undo(); } });
+addEventListener("hashchange", () => { if (location.hash.length > 1 && decodeURIComponent(location.hash.slice(1)) !== settled) adopt(decodeURIComponent(location.hash.slice(1))); });
+
+if (location.hash.length > 1) {
+  try { look = { ...look, ...JSON.parse(decodeURIComponent(location.hash.slice(1))) }; settled = JSON.stringify(look); }
+  catch { say("error", "the address of this page holds no settings; expected what Copy link gives"); }
+}
+connect();
