@@ -34,14 +34,17 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .pages._colours import difference_colours as difference_colours
+    from .pages._colours import marked as marked
+    from .pages._colours import on_surface as on_surface
+    from .pages._colours import tinted as tinted
     from .pages._figures import history as history
-    from .pages._layers import tinted as tinted
     from .sweeps._run import print_plan as print_plan
     from .sweeps._run import run_sweep
 
 _ON_USE = {
     "history": ".pages._figures",
-    "tinted": ".pages._layers",
+    **dict.fromkeys(("difference_colours", "marked", "on_surface", "tinted"), ".pages._colours"),
     "print_plan": ".sweeps._run",
     "run_sweep": ".sweeps._run",
     "print_advise_plan": ".advice._advise",

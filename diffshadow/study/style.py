@@ -55,11 +55,6 @@ TITLE, TEXT = 10, 8.5
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
 
-def colours(name: str) -> HostArray:
-    """The colours of a colour map, (256, 3), in sRGB from 0 to 1."""
-    return colormaps[name](np.linspace(0, 1, 256))[:, :3]
-
-
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
     """A figure of `width` by `height` inches, and its axes in row-major order."""
     made = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor=PAPER)

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from .. import io, study
 from .._checks import check_value
 from ..config import CONFIG_FILE, Config, changed, dump_resolved, load_config, numbers_of, parse_config, with_number
-from ._pictures import OF_TRUTH, error_colours, picture_of
+from ._pictures import OF_TRUTH, as_picture, picture_of
 from ._stages import Frame, Picture, Stages
 from ._state import Look, State, View
 from ._subject import Subject, at_most
@@ -115,7 +115,7 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
         state = State(numbers=dict(zip(names, values, strict=True)))
         frame = Frame(stages, subject, Look(state=state), light.reference.shape)
         wrong = np.where(light.mask, np.asarray(frame.visibility(0)) - light.reference, 0)
-        both = np.concatenate([frame.shaded(), error_colours(wrong, light.mask)], axis=1)
+        both = np.concatenate([frame.shaded(), as_picture(study.difference_colours(wrong, light.mask))], axis=1)
         error = float(np.sqrt(np.mean(wrong[light.mask].astype(np.float64) ** 2)))
         words = [f"step {number}", f"RMSE {error:.4f}", *(f"{n} {v:.3g}" for n, v in state.numbers.items())]
         pictures.append(_captioned(both, "   ".join(words), at_most((both.shape[0], both.shape[1]), pixels)))

@@ -66,8 +66,8 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
     **Arguments:**
 
     - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem that has one,
-        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and lights, with a technique
-        of its own: a configuration's defaults.
+        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and the first light, with
+        a configuration's default technique.
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
     - `port`: to listen on, on this machine only; 0 is any free one.
 
@@ -94,10 +94,13 @@ def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="diffshadow-"))
     folder = Path(_FOLDERS[-1].name)
     io.write_gltf(folder / "scene.glb", scene)
+    pose, size = scene.lights[0].pose(), "angular_radius" if scene.lights[0].is_directional else "radius"
+    # No file format has the sizes of lights.
+    sized = [] if pose.radius is None else [f"scene.light.{size}={float(pose.radius)!r}"]
     made = study.import_scene(
         folder / "scene.glb", console=Console(quiet=True), technique="shadow_map", output=folder / "scene"
     )
-    return load_config(made, overrides)
+    return load_config(made, [*sized, *overrides])
 
 
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []

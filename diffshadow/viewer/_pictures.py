@@ -9,26 +9,19 @@ from jaxtyping import Bool, Float
 from .. import metrics, shadow
 from .._types import HostArray
 from ..reference import Reference
-from ..study import style, tinted
+from ..study import difference_colours, marked, on_surface, tinted
 from ._stages import Frame, Picture
 from ._state import View
 
-# Differences of visibility at the ends of the colours of errors.
-_LIMIT = 0.5
-# The longer side of a picture of a map, in pixels.
-_MAP_SIDE = 1024
-_LIT, _DARK = 1 - 1e-6, 1e-6
-# Of a shaded picture under colours.
-_GREY = 0.75
+# The longer side of a picture of a map, in pixels, and how much of white the far end of its depths keeps.
+_MAP_SIDE, _FAR = 1024, 0.15
 
 
 def picture_of(frame: Frame, view: View, truth: Reference | None) -> Picture | None:
     """The picture of `frame`; none where it needs a reference that is not traced yet, or has nothing to show."""
-    if view in OF_TRUTH and truth is None:
-        return None
-    if view in OF_TRUTH:
-        return OF_TRUTH[view](frame, truth)
-    return _PLAIN[view](frame)
+    if view not in OF_TRUTH:
+        return _PLAIN[view](frame)
+    return None if truth is None else OF_TRUTH[view](frame, truth)
 
 
 def views_of(frame: Frame) -> list[View]:
@@ -54,26 +47,17 @@ def figures_of(frame: Frame, truth: Reference) -> dict[str, float]:
     return {measure.__name__: measure(image, truth.visibility, mask) for measure in measures}
 
 
-def _bytes(image: Float[HostArray, "h w 3"]) -> Picture:
+def as_picture(image: Float[HostArray, "h w 3"]) -> Picture:
+    """Colours in [0, 1], row 0 at the bottom, as bytes."""
     return np.rint(np.clip(image[::-1], 0, 1) * 255).astype(np.uint8)
 
 
-def _grey(image: Any) -> Picture:
-    return np.repeat(_bytes(np.asarray(image, np.float32)[..., None]), 3, axis=-1)
-
-
 def _visibility(frame: Frame) -> Picture:
-    return _on_surface(frame, _grey(frame.visibility(frame.light)))
+    return as_picture(on_surface(np.asarray(frame.visibility(frame.light)), np.asarray(frame.surface.mask)))
 
 
 def _reference(frame: Frame, truth: Reference) -> Picture:
-    return _on_surface(frame, _grey(truth.visibility))
-
-
-def _on_surface(frame: Frame, picture: Picture) -> Picture:
-    """`picture` where there is a surface, and the colour of none elsewhere."""
-    mask = np.asarray(frame.surface.mask)[::-1, :, None]
-    return np.where(mask, picture, _NO_SURFACE)
+    return as_picture(on_surface(truth.visibility, truth.mask))
 
 
 def _difference(frame: Frame, truth: Reference) -> tuple[Float[HostArray, "h w"], Bool[HostArray, "h w"]]:
@@ -83,27 +67,12 @@ def _difference(frame: Frame, truth: Reference) -> tuple[Float[HostArray, "h w"]
 
 
 def _error(frame: Frame, truth: Reference) -> Picture:
-    """Signed differences: orange is too dark, purple too light."""
-    return error_colours(*_difference(frame, truth))
-
-
-def error_colours(wrong: Float[HostArray, "h w"], mask: Bool[HostArray, "h w"]) -> Picture:
-    """Differences of visibility as colours, where they count."""
-    at = np.rint((np.clip(wrong / _LIMIT, -1, 1) + 1) / 2 * 255).astype(int)
-    return np.where(mask[::-1, :, None], _COLOURS[at[::-1]], _NO_SURFACE)
+    return as_picture(difference_colours(*_difference(frame, truth)))
 
 
 def _marks(frame: Frame, truth: Reference) -> Picture:
-    """The shaded picture in grey, with false shadow in vermilion and false light in blue, as `metrics` defines them."""
-    wrong, mask = _difference(frame, truth)
-    grey = np.repeat(frame.shaded().mean(axis=-1, keepdims=True) / 255 * _GREY, 3, axis=-1)[::-1]
-    for there, amount, colour in (
-        (truth.visibility >= _LIT, -wrong, style.VERMILION),
-        (truth.visibility <= _DARK, wrong, style.BLUE),
-    ):
-        share = np.where(mask & there, np.clip(amount, 0, 1), 0)[..., None]
-        grey = (1 - share) * grey + share * _rgb(colour)
-    return _bytes(grey)
+    difference, mask = _difference(frame, truth)
+    return as_picture(marked(frame.shaded()[::-1] / 255, difference, truth.visibility, mask))
 
 
 def _map(frame: Frame) -> Picture:
@@ -118,8 +87,7 @@ def _map(frame: Frame) -> Picture:
     depth = depth[::step, ::step]
     seen = depth < 1
     low, high = (depth[seen].min(), depth[seen].max()) if seen.any() else (0.0, 1.0)
-    grey = 1 - 0.85 * (depth - low) / max(high - low, 1e-6)
-    return _bytes(np.where(seen[..., None], grey[..., None], _rgb(style.NO_SURFACE)))
+    return as_picture(on_surface(1 - (1 - _FAR) * (depth - low) / max(high - low, 1e-6), seen))
 
 
 def _layers(frame: Frame) -> shadow.LayerFigure | None:
@@ -132,15 +100,9 @@ def _layers(frame: Frame) -> shadow.LayerFigure | None:
 def _tinted(frame: Frame) -> Picture | None:
     """The shaded picture, with a colour for the layer of the map that each pixel is looked up in."""
     layers = _layers(frame)
-    return None if layers is None else _bytes(tinted(frame.shaded()[::-1] / 255, layers))
+    return None if layers is None else as_picture(tinted(frame.shaded()[::-1] / 255, layers))
 
 
-def _rgb(colour: str) -> Float[HostArray, "3"]:
-    return np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)]) / 255
-
-
-_NO_SURFACE = np.rint(_rgb(style.NO_SURFACE) * 255).astype(np.uint8)
-_COLOURS = np.rint(style.colours(style.DIFFERENCE) * 255).astype(np.uint8)
 _PLAIN: Mapping[View, Callable[[Frame], Picture | None]] = {
     "shaded": Frame.shaded,
     "visibility": _visibility,
@@ -148,8 +110,9 @@ _PLAIN: Mapping[View, Callable[[Frame], Picture | None]] = {
     "light's view": Frame.from_light,
     "layers of the map": _tinted,
 }
-OF_TRUTH: Mapping[View, Callable[..., Picture]] = {
+OF_TRUTH: Mapping[View, Callable[[Frame, Any], Picture]] = {
     "reference": _reference,
     "error": _error,
     "acne and leaks": _marks,
 }
+"""The views that need a reference."""

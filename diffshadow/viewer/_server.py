@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import socket
 import struct
 import time
 from collections.abc import Callable, Hashable, Mapping
@@ -14,7 +15,6 @@ import tornado.web
 import tornado.websocket
 from pydantic import ValidationError
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
 
 from ..config import Config
 from ._state import Look, Message, State
@@ -26,6 +26,7 @@ _REST = 0.25
 # Seconds after which a page is told that its picture takes long.
 _LONG = 0.7
 _MAX_MESSAGE = 1 << 18
+_MOST_PORT = (1 << 16) - 1
 _FILES = {"": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
 # Pages load nothing from elsewhere, and are shown in no foreign frame.
 _POLICY = (
@@ -51,18 +52,21 @@ class Server:
 
     def start(self, port: int) -> None:
         """Listens on `port`, or any free one for 0. **Raises** `ValueError` if it is taken."""
-        settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MAX_MESSAGE}
-        routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
         try:
-            sockets = bind_sockets(port, HOST)
+            if not 0 <= port <= _MOST_PORT:
+                raise OverflowError("there is no such port")
+            bound = socket.create_server((HOST, port))
         except (OSError, OverflowError) as error:
             raise ValueError(
-                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to 65535, where 0 is "
-                "any: choose another"
+                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}, where "
+                "0 is any: choose another"
             ) from error
+        settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MAX_MESSAGE}
+        routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
         self._http = HTTPServer(tornado.web.Application(routes, log_function=lambda handler: None, **settings))
-        self._http.add_sockets(sockets)
-        self.address = f"http://{HOST}:{sockets[0].getsockname()[1]}/"
+        bound.setblocking(False)
+        self._http.add_socket(bound)
+        self.address = f"http://{HOST}:{bound.getsockname()[1]}/"
 
     def stop(self) -> None:
         """Closes all pages, and stops listening. A fit goes on."""
@@ -160,7 +164,7 @@ class Page(tornado.websocket.WebSocketHandler):
         if asked.code is not None:
             self._answer("code", viewer.code, asked.code)
         if asked.fit is not None:
-            self._answer(None, lambda state: viewer.fit.start(viewer.subject(state).saved(state)), asked.fit)
+            self._answer(None, viewer.start_fit, asked.fit)
         self.woken.set()
 
     def traced(self, key: Hashable) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,11 @@ class Subject:
                 self.sliders[key] = self.sliders[key].reaching(low, high)
         self.pickers: list[Picker] = pickers_of(config)
         self.config = config
-        self._paths = {name: path for name, path in fit_paths(config).items() if name in self.sliders}
         self.technique: Any = _for_all(config, self.sliders)
+        paths = fit_paths(config) if isinstance(self.technique, shadow.FittableTechnique) else {}
+        # Others have no bias and no filter.
+        self.sliders = {key: each for key, each in self.sliders.items() if not each.is_fittable or key in paths}
+        self._paths = {name: path for name, path in paths.items() if name in self.sliders}
         layout = getattr(self.technique, "layout", None)
         self.follows_camera = layout is not None and not isinstance(layout, shadow.SingleMap)
         self.map_key = repr((config.technique, config.shadow_map, getattr(layout, "margin", None)))
@@ -79,7 +83,7 @@ class Subject:
 
     def numbers_of(self, config: Config) -> dict[str, float]:
         """The technique's numbers in `config`, which is one of `at`."""
-        return {name: _value_at(config, name) for name in self._paths}
+        return {name: float(value_at(config, name)) for name in self._paths}
 
     def technique_with(self, numbers: dict[str, float]) -> Any:
         """Its technique with these numbers, which are all that it has."""
@@ -90,18 +94,26 @@ class Subject:
         """Whether a map has to be drawn again for another value of the technique's number `name`."""
         return self.technique.lays_out(self._paths[name])
 
-    def saved(self, state: State) -> Config:
-        """The configuration of `state`, checked. A render of it draws what the page shows, and a fit starts there.
+    @property
+    def fitted(self) -> list[str]:
+        """The names of what a fit finds, unless others are chosen: as the configuration says, or all that can be
+        fitted."""
+        named = [name for name in self.config.fit.parameters if name in self._paths or name.startswith("scene.")]
+        return named or list(self._paths)
+
+    def saved(self, state: State, *, fitting: bool = False) -> Config:
+        """The configuration of `state`, checked: also for a fit from there, if `fitting`. A render of it draws what the
+        page shows.
 
         **Raises** `ConfigError` if it is not valid.
         """
         config = self.at(state)
-        names = [*config.fit.parameters] if state.fitted is None else [*state.fitted]
+        names = self.fitted if state.fitted is None else state.fitted
         parameters = {name: self._bounds(config, name) for name in names}
         # Maps reach as far as those of the page.
         whole = changed(config, technique=_wide(config, self.sliders).technique)
         override = [f"fit.parameters={json.dumps(parameters)}"] if parameters else []
-        return parse_config(dump_resolved(whole), override, source="the page's settings", fitting=bool(parameters))
+        return parse_config(dump_resolved(whole), override, source="the page's settings", fitting=fitting)
 
     def _bounds(self, config: Config, name: str) -> dict[str, float]:
         """The bounds of a fit of the number `name`. A technique's starts at its value."""
@@ -178,8 +190,7 @@ class _Bounds:
     initial: float
 
 
-def _value_at(config: Config, name: str) -> float:
-    value: Any = config
-    for key in name.split("."):
-        value = value[int(key)] if isinstance(value, tuple) else getattr(value, key)
-    return float(value)
+def value_at(config: Config, key: str) -> Any:
+    """The value of a dotted key that exists."""
+    step = lambda holder, word: holder[int(word)] if isinstance(holder, tuple) else getattr(holder, word)
+    return reduce(step, key.split("."), config)

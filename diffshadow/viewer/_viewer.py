@@ -17,10 +17,11 @@ from ._fits import Fit
 from ._pictures import figures_of, picture_of, views_of
 from ._stages import Frame, Picture, Stages
 from ._state import Look, State
-from ._subject import Subject
+from ._subject import Subject, value_at
 from ._trace import Tracer
 
 _QUALITY = 90
+_ANGLES = ("azimuth", "elevation")
 
 
 class Shown(NamedTuple):
@@ -131,15 +132,22 @@ class Viewer:
             "up": camera.up,
             "size": subject.size,
             "resolution": subject.config.scene.camera.resolution,
-            "fitted": [name for name in subject.config.fit.parameters if name in subject.sliders],
+            "fitted": subject.fitted,
             "fit": self.fit.state,
         }
 
     def save(self, state: State) -> dict[str, Any]:
         """The configuration of `state` as YAML, and the command that draws the same."""
         config = self.subject(state).saved(state)
-        command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config))]
+        command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config, config))]
         return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
+
+    def start_fit(self, state: State) -> None:
+        """Starts a fit from `state`, unless one is running.
+
+        **Raises** `ConfigError` for settings that cannot be fitted.
+        """
+        self.fit.start(self.subject(state).saved(state, fitting=True))
 
     def code(self, look: Look) -> str:
         """The settings of `look` for engines: code, or a table of biases and radii.
@@ -164,11 +172,22 @@ class Viewer:
         return picture if same else before.shaded()  # type: ignore[return-value]
 
 
-def settings_of(state: State, config: Config) -> dict[str, Any]:
-    """All that `state` changes, by dotted key, in the order in which it can be set."""
-    settings: dict[str, Any] = {**state.structure, **state.numbers}
+def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
+    """All that `state` changes of a configuration, by dotted key, in the order in which it can be set.
+
+    **Arguments:** the configuration as it was `given`, and as it is `now`.
+    """
+    settings: dict[str, Any] = dict(state.structure)
+    for name, value in state.numbers.items():
+        key, _, entry = name.rpartition(".")
+        # A list that the file does not have is set as a whole.
+        settings |= {key: list(value_at(now, key))} if entry.isdigit() else {name: value}
+    for key in (".".join(map(str, ("scene", *each))) for each in given.scene.each_light):
+        moved = any(name.startswith(f"{key}.") for name in state.numbers)
+        if moved and getattr(value_at(given, key), "direction", None) is not None:
+            settings |= {f"{key}.direction": None, **{f"{key}.{a}": value_at(now, f"{key}.{a}") for a in _ANGLES}}
     if state.camera is not None:
-        if getattr(config.scene.camera, "orbit", None) is not None:
+        if getattr(given.scene.camera, "orbit", None) is not None:
             settings["scene.camera.orbit"] = None
         settings |= {f"scene.camera.{key}": value for key, value in state.camera if value is not None}
     return settings

@@ -16,7 +16,7 @@ from ...config import Config
 from .. import style
 from .._drawn import Drawn
 from ..pages import _figures as figures
-from ..pages._layers import colours_of, tinted
+from ..pages._colours import colours_of, tinted
 from ._setup import visibility_of
 from ._shade import shade
 

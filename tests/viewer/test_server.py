@@ -1,0 +1,221 @@
+"""The server of pages: one acknowledged picture at a time, and nothing for strangers."""
+
+import asyncio
+import json
+import struct
+
+import pytest
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.websocket import websocket_connect
+from viewed import TINY
+
+import diffshadow
+from diffshadow.config import parse_config
+from diffshadow.viewer._server import Server
+
+SECONDS = 60
+
+
+class Talk:
+    """A page's end of a connection."""
+
+    def __init__(self, socket):
+        self.socket = socket
+
+    async def send(self, **parts):
+        await self.socket.write_message(json.dumps(parts))
+
+    async def hear(self, part):
+        """The next message with `part`; a picture is `about`, and left without acknowledgement."""
+        while True:
+            message = await asyncio.wait_for(self.socket.read_message(), SECONDS)
+            if isinstance(message, bytes):
+                (length,) = struct.unpack(">I", message[:4])
+                assert message[4 + length :].startswith(b"\xff\xd8"), "a JPEG"
+                message = {"about": json.loads(message[4 : 4 + length])}
+            else:
+                message = json.loads(message)
+            if part in message:
+                return message[part]
+
+    async def is_silent(self, seconds=0.6):
+        """Whether no picture comes."""
+        try:
+            while not isinstance(await asyncio.wait_for(self.socket.read_message(), seconds), bytes):
+                pass
+        except TimeoutError:
+            return True
+        return False
+
+
+def talking(script, text=TINY):
+    """Runs `script` with a server, and a function that opens pages."""
+
+    async def run():
+        server = Server(parse_config(text), "tiny.yaml")
+        server.start(0)
+        pages = []
+
+        async def opened(**headers):
+            request = HTTPRequest(server.address.replace("http", "ws") + "socket", headers=headers)
+            pages.append(Talk(await websocket_connect(request)))
+            return pages[-1]
+
+        try:
+            await script(server, opened)
+        finally:
+            for page in pages:
+                page.socket.close()
+            server.stop()
+            await asyncio.sleep(0.05)
+
+    asyncio.run(run())
+
+
+def look(**numbers):
+    return {"state": {"numbers": numbers}}
+
+
+def test_each_picture_waits_for_the_one_before_to_be_shown_and_is_of_the_newest_settings():
+    async def script(server, opened):
+        page = await opened()
+        await page.send(look=look())
+        controls = await page.hear("controls")
+        assert {slider["key"] for slider in controls["sliders"]} > {"bias.constant", "filter.radius"}
+        first = await page.hear("about")
+        for constant in (1.0, 2.0, 3.0):
+            await page.send(look=look(**{"bias.constant": constant}))
+        assert await page.is_silent()
+        await page.send(shown=first["number"])
+        second = await page.hear("about")
+        assert second["number"] == first["number"] + 1
+        assert server.last.numbers == {"bias.constant": 3.0}
+        await page.send(shown=second["number"])
+        # The reference follows by itself.
+        figures = await page.hear("about")
+        assert figures["rays"] > 0
+        assert figures["figures"]["rmse"] > 0
+
+    talking(script)
+
+
+def test_two_pages_have_settings_of_their_own_and_a_page_that_leaves_disturbs_none():
+    async def script(server, opened):
+        one, other = await opened(), await opened()
+        await one.send(look=look(**{"bias.constant": 1.0}))
+        await other.send(look=look(**{"scene.light.azimuth": 10.0}))
+        await one.hear("about")
+        one.socket.close()
+        await other.hear("about")
+        await asyncio.sleep(0.05)
+        assert len(server.pages) == 1
+
+    talking(script)
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ("no JSON", "Invalid JSON"),
+        ('{"look": {"state": {"numbers": {"a": "b"}}}}', "look.state.numbers.a"),
+        ('{"look": {"state": {}, "view": "x-ray"}}', "look.view"),
+        ('{"look": {"state": {"numbers": {"bias.constant": 1e999}}}}', "look.state.numbers.bias.constant"),
+        ('{"steal": 1}', "steal"),
+        ("[]", "the message"),
+        ('{"look": {"state": {"structure": {"filter": {"type": "pfc"}}}}}', "did you mean 'pcf'"),
+        ('{"look": {"state": {"structure": {"output": "/etc"}}, "light": 3}}', None),
+    ],
+)
+def test_a_wrong_message_is_answered_and_stops_nothing(message, said):
+    async def script(server, opened):
+        page = await opened()
+        await page.socket.write_message(message)
+        if said is not None:
+            assert said in await page.hear("error")
+        await page.send(look=look())
+        await page.hear("about")
+
+    talking(script)
+
+
+def test_settings_are_saved_and_converted():
+    async def script(server, opened):
+        page = await opened()
+        await page.send(save={"numbers": {"bias.constant": 1.5}})
+        saved = await page.hear("saved")
+        assert parse_config(saved["yaml"]).bias.constant == 1.5
+        assert saved["name"] == "tiny-view.yaml"
+        assert saved["command"] == "diffshadow render tiny.yaml bias.constant=1.5"
+        await page.send(code={"state": {"numbers": {"bias.constant": 1.5}, "structure": {"bias.slope": 0.0}}})
+        assert "three.js" in await page.hear("code")
+
+    talking(script)
+
+
+def test_pages_and_hosts_of_others_are_refused():
+    async def script(server, opened):
+        client = AsyncHTTPClient()
+        page = await client.fetch(server.address)
+        assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+        for name in ("page.css", "page.js"):
+            text = (await client.fetch(server.address + name)).body.decode()
+            # Nothing is loaded from elsewhere.
+            assert "http://" not in text
+            assert "https://" not in text
+        for path, headers in (("", {"Host": "example.com"}), ("etc/passwd", {}), ("_server.py", {})):
+            found = await client.fetch(server.address + path, headers=headers, raise_error=False)
+            assert found.code in (403, 404)
+        with pytest.raises(Exception, match="403"):
+            await opened(Origin="http://example.com")
+
+    talking(script)
+
+
+def test_a_port_that_is_taken_is_said():
+    async def script(server, opened):
+        port = int(server.address.rsplit(":", 1)[1].strip("/"))
+        with pytest.raises(ValueError, match=f"--port is {port}, which cannot be used"):
+            Server(parse_config(TINY), "tiny.yaml").start(port)
+        with pytest.raises(ValueError, match="expected a free port from 0 to 65535"):
+            Server(parse_config(TINY), "tiny.yaml").start(70000)
+
+    talking(script)
+
+
+def test_a_page_beside_python_has_the_values_that_it_was_left_with(tmp_path):
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    page = diffshadow.view(tmp_path / "tiny.yaml", "bias.slope=0.25")
+    assert page.values == {}
+    assert page.address in page._repr_html_()
+
+    async def drag():
+        talk = Talk(await websocket_connect(page.address.replace("http", "ws") + "socket"))
+        await talk.send(look=look(**{"bias.constant": 2.5}))
+        await talk.hear("about")
+        talk.socket.close()
+        await asyncio.sleep(0.05)
+
+    asyncio.run(drag())
+    assert page.values == {"bias.constant": 2.5}
+    assert (page.config.bias.constant, page.config.bias.slope) == (2.5, 0.25)
+    page.close()
+
+
+@pytest.mark.exhaustive
+def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights():
+    from diffshadow.config import build_scene
+
+    scene = build_scene(parse_config(TINY))
+    page = diffshadow.view(scene, "shadow_map.resolution=[64, 64]")
+    shown = page.config.scene
+    assert len(shown.meshes) == 2
+    assert shown.camera.eye == pytest.approx((2, 2.5, 3), abs=1e-4)
+    assert shown.light.angular_radius == pytest.approx(2, abs=1e-4)
+    page.close()
+
+
+def test_other_objects_are_refused():
+    with pytest.raises(TypeError, match="what to view is of type int; expected a configuration"):
+        diffshadow.view(3)
+    with pytest.raises(ValueError, match="overrides are given with a Config"):
+        diffshadow.view(parse_config(TINY), "bias.slope=0")
