@@ -37,6 +37,7 @@ from .config import (
 )
 from .console import Console
 from .settings.engines import ImportedTechnique, ShadowType, ThreeJs
+from .settings.quantities import MAX_TEXELS
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
@@ -228,6 +229,7 @@ def animate(
     frames: int = 60,
     seconds: float = 3.0,
     view: str = "shaded",
+    pixels: int = 384 * 288,
 ) -> None:
     """Writes an animation: of a configuration whose numbers change, or of a finished fit.
 
@@ -251,8 +253,13 @@ def animate(
         Seconds that they take.
     view
         What is shown, such as shaded, visibility, error or "shadow map".
+    pixels
+        Most pixels of a frame, which keeps the camera's aspect.
     """
     _check_count("--frames", frames, 2, _MAX_FRAMES)
+    _check_count("--pixels", pixels, 1, MAX_TEXELS**2)
+    if not 0 < seconds < _MAX_FRAMES:
+        raise ValueError(f"--seconds is {seconds:g}; expected more than 0 and less than {_MAX_FRAMES}; change it")
     changes = [found.groups() for each in settings if (found := _CHANGE.fullmatch(each))]
     overrides = [each for each in settings if not _CHANGE.fullmatch(each)]
     if not changes and not source.is_dir():
@@ -266,7 +273,7 @@ def animate(
         _start_jax()
         from . import viewer
 
-        _print_path(viewer.animate_run(source, output))
+        _print_path(viewer.animate_run(source, output, pixels=pixels))
         return
     settled = _loaded(source, overrides)
     _start_jax()
@@ -275,7 +282,8 @@ def animate(
     with _counting("drawing frames") as progress:
         file = Path(f"{settled.name}.webp") if output is None else output
         moving = [viewer.Change(key, float(first), float(last)) for key, first, last in changes]
-        made = viewer.animate(settled, moving, file, frames=frames, seconds=seconds, view=view, progress=progress)
+        how: Any = {"frames": frames, "seconds": seconds, "view": view, "pixels": pixels}
+        made = viewer.animate(settled, moving, file, **how, progress=progress)
     _print_path(made)
 
 

@@ -86,22 +86,22 @@ class Viewer:
 
     def show(self, look: Look, *, at_rest: bool) -> Shown:
         """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn."""
+        return self.shown(look, full=at_rest or not self.frame(look, full=True).moves)
+
+    def shown(self, look: Look, *, full: bool) -> Shown:
+        """A picture of `look` in full or half size."""
         started = time.perf_counter()
-        frame = self.frame(look, full=True)
-        is_full = at_rest or not frame.moves
-        if not is_full:
-            frame = self.frame(look, full=False)
-        truth = self.tracer.reference(frame.truth_key) if is_full else None
+        frame = self.frame(look, full=full)
+        truth = self.tracer.reference(frame.truth_key) if full else None
         picture, view = picture_of(frame, look.view, truth), look.view
         if picture is None:
             picture, view = frame.shaded(), "shaded"
-        figures = figures_of(frame, truth) if truth is not None else {}
         if look.split:
             picture = np.concatenate([picture, self._before(frame, look, picture)])
         about = {
             "view": view,
-            "is_full": is_full,
-            "figures": figures,
+            "is_full": full,
+            "figures": {} if truth is None else figures_of(frame, truth),
             "rays": 0 if truth is None else truth.samples,
             "size": frame.size,
             "views": views_of(frame),

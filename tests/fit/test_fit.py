@@ -91,6 +91,23 @@ def test_fit_recovers_known_values(solver, known, results):
     assert result.flat == []
 
 
+def test_what_on_step_raises_ends_the_fit_and_the_next_one_is_the_same(known, results, capfd):
+    class StopError(Exception):
+        pass
+
+    def stop(step):
+        if step.step == 3:
+            raise StopError("enough")
+
+    result, _ = results("levenberg_marquardt")
+    how = {"solver": patient("levenberg_marquardt"), "anneal": SHORT}
+    with pytest.raises(StopError, match="enough"):
+        fit(known, [BIAS, RADIUS], **how, on_step=stop)
+    # Nothing of JAX's own report of it.
+    assert capfd.readouterr().err == ""
+    assert fit(known, [BIAS, RADIUS], **how).fitted == result.fitted
+
+
 @pytest.mark.parametrize("solver", EACH_SOLVER)
 def test_soft_reference_is_met_exactly(solver):
     compare = SoftCompare(0.5)
