@@ -284,7 +284,9 @@ def animate(
         moving = [viewer.Change(key, float(first), float(last)) for key, first, last in changes]
         how: Any = {"frames": frames, "seconds": seconds, "view": view, "pixels": pixels}
         made = viewer.animate(settled, moving, file, **how, progress=progress)
-    _print_path(made)
+    if made.flicker is not None:
+        Console().print(f"flicker {made.flicker:.4f}: the error's RMS change from frame to frame", soft_wrap=True)
+    _print_path(made.path)
 
 
 @app.command

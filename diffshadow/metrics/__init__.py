@@ -3,6 +3,7 @@
 from ._aliasing import AliasingFigures, measure_aliasing
 from ._differences import mae, psnr, rmse
 from ._false_rates import false_light_rate, false_shadow_rate
+from ._flicker import flicker
 from ._flip import flip
 from ._penumbra import penumbra_width
 from ._shapes import chamfer_distance, intersection_over_union
@@ -15,6 +16,7 @@ __all__ = [
     "chamfer_distance",
     "false_light_rate",
     "false_shadow_rate",
+    "flicker",
     "flip",
     "intersection_over_union",
     "mae",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from .. import io, study
+from .. import io, metrics, study
 from .._checks import check_value
 from ..config import CONFIG_FILE, Config, changed, dump_resolved, load_config, numbers_of, parse_config, with_number
 from ._pictures import OF_TRUTH, as_picture, picture_of
@@ -37,6 +37,13 @@ class Change(NamedTuple):
     last: float
 
 
+class Animation(NamedTuple):
+    """The file of an animation; and how much its shadow shimmers, `metrics.flicker`, where a reference was traced."""
+
+    path: Path
+    flicker: float | None
+
+
 def animate(
     config: Config,
     changes: Sequence[Change],
@@ -47,7 +54,7 @@ def animate(
     view: Any = "shaded",
     pixels: int = PIXELS,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Path:
+) -> "Animation":
     """Writes `config` with numbers that change evenly from frame to frame, there and back again for ever.
 
     **Arguments:**
@@ -59,7 +66,7 @@ def animate(
     - `pixels`: the most pixels of a frame.
     - `progress`: called with the number of frames done, and of all.
 
-    **Returns** `output`. **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before
+    **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before
     anything is drawn, and `FileError` if the file cannot be written.
     """
     check_value("--view", view, View)
@@ -72,6 +79,7 @@ def animate(
     configs = [first, *between, last]
     ranges = {change.key: (min(change[1:]), max(change[1:])) for change in changes}
     subject = Subject(first, ranges)
+    measured: list[tuple[Any, ...]] = []
     size = at_most(config.scene.camera.resolution, pixels)
     pictures = []
     for done, each in enumerate(configs):
@@ -79,6 +87,8 @@ def animate(
         truth = None
         if view in OF_TRUTH:
             truth = study.traced(changed(each, reference=subject.reference), frame.scene(frame.light), None)
+            mask = frame.covered(frame.light) & truth.mask
+            measured.append((np.asarray(frame.visibility(frame.light)), truth.visibility, mask))
         picture = picture_of(frame, view, truth)
         if picture is None:
             what = f"which {config.technique.type} does not have"
@@ -86,7 +96,7 @@ def animate(
         pictures.append(picture)
         progress(done + 1, frames)
     _write(output, pictures, round(1000 * seconds / frames))
-    return output
+    return Animation(output, metrics.flicker(*map(np.stack, zip(*measured, strict=True))) if measured else None)
 
 
 def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXELS) -> Path:

@@ -11,6 +11,7 @@ from diffshadow.metrics import (
     chamfer_distance,
     false_light_rate,
     false_shadow_rate,
+    flicker,
     intersection_over_union,
     mae,
     measure_errors,
@@ -196,3 +197,32 @@ def test_chamfer_distance_of_parallel_squares_is_their_distance():
     # Corners of a mesh do not count, only its surface.
     split = np.concatenate([corners, [[0.5, 0, 0]]]), np.array([[0, 4, 2], [4, 1, 2], [0, 2, 3]])
     assert chamfer_distance((corners, faces), split, samples=40_000) < 0.004
+
+
+def test_flicker_is_the_change_of_the_error_and_not_of_the_shadow():
+    truth = np.stack([edge(lit_from=k) for k in (3, 4, 5)])
+    assert flicker(truth, truth) == 0
+    # An error that stays is no flicker.
+    assert flicker(truth * 0.5 + 0.25 * (1 - truth), truth * 0.5 + 0.25 * (1 - truth)) == 0
+    off = truth.copy()
+    off[1, 0, :4] = 0.4
+    # Four of 100 pixels change by 0.4, there and back; the first three are dark, the fourth is not lit yet.
+    assert flicker(off, truth) == pytest.approx(math.sqrt(4 * 0.4**2 / 100))
+    mask = np.ones(truth.shape, bool)
+    mask[1, 0] = False
+    assert flicker(off, truth, mask) == 0
+
+
+@pytest.mark.parametrize(
+    ("shapes", "said"), [(((1, 4, 4),) * 2, "at least two frames"), (((2, 4, 4), (2, 4, 5)), "expected the same shape")]
+)
+def test_flicker_needs_frames_of_one_shape(shapes, said):
+    with pytest.raises(ValueError, match=said):
+        flicker(*map(np.zeros, shapes))
+
+
+def test_flicker_needs_pixels_that_count_in_both_frames():
+    mask = np.zeros((2, 4, 4), bool)
+    mask[0, 0], mask[1, 1] = True, True
+    with pytest.raises(ValueError, match="no pixel of the mask in common"):
+        flicker(np.zeros((2, 4, 4)), np.zeros((2, 4, 4)), mask)

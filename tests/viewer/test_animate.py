@@ -31,7 +31,7 @@ def frames_of(path):
 
 def test_frames_are_those_of_the_settings_between_and_the_same_each_time(tmp_path):
     config, path = parse_config(TINY), tmp_path / "turn.png"
-    assert animate(config, [AZIMUTH, BIAS], path, frames=3) == path
+    assert animate(config, [AZIMUTH, BIAS], path, frames=3) == (path, None)
     drawn = frames_of(path)
     for frame, (azimuth, bias) in zip(drawn, ((-60, 1), (-30, 1.5), (0, 2)), strict=True):
         at = parse_config(TINY, [f"scene.light.azimuth={azimuth}", f"bias.constant={bias}"])
@@ -44,9 +44,17 @@ def test_frames_are_those_of_the_settings_between_and_the_same_each_time(tmp_pat
 
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_the_suffix_chooses_the_format(suffix, tmp_path):
-    path = animate(parse_config(TINY), [AZIMUTH], tmp_path / f"turn{suffix}", frames=2)
+    path = animate(parse_config(TINY), [AZIMUTH], tmp_path / f"turn{suffix}", frames=2).path
     with Image.open(path) as file:
         assert (file.format, file.n_frames) == (suffix[1:].upper(), 2)
+
+
+def test_an_animation_against_rays_says_how_much_the_shadow_shimmers(tmp_path):
+    small = Change("scene.light.azimuth", -60.0, -59.0)
+    made = animate(parse_config(TINY), [small], tmp_path / "a.png", frames=2, view="error")
+    assert 0 < made.flicker < 0.3
+    still = Change("shading.specular", 0.1, 0.2)
+    assert animate(parse_config(TINY), [still], tmp_path / "b.png", frames=2, view="error").flicker == 0
 
 
 @pytest.mark.parametrize(
