@@ -9,7 +9,7 @@
 | picture | visibility, shading, and the page's view |
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import Any
 
@@ -31,15 +31,14 @@ Picture = UInt8[HostArray, "h w 3"]
 class Stage:
     """A stage of drawing, which keeps its last `most` results by what they depend on. `calls` counts the others."""
 
-    def __init__(self, make: Callable[..., Any], most: int = 4):
-        self.make, self.most, self.calls = make, most, 0
+    def __init__(self, most: int = 4):
+        self.most, self.calls = most, 0
         self._kept: dict[Hashable, Any] = {}
 
-    def __call__(self, key: Hashable, *arguments: Any) -> Any:
+    def __call__(self, key: Hashable, make: Callable[[], Any]) -> Any:
         if key not in self._kept:
             self.calls += 1
-            made = self.make(*arguments)
-            self._kept[key] = made
+            self._kept[key] = make()
             while len(self._kept) > self.most:
                 del self._kept[next(iter(self._kept))]
         # The last used stays longest.
@@ -54,11 +53,8 @@ class Stages:
     """All stages, which pages and subjects share."""
 
     def __init__(self):
-        self.meshes = Stage(build_meshes)
-        self.surface = Stage(_draw_surface)
-        self.state = Stage(lambda prepared, light: prepared(light))
-        self.visibility = Stage(lambda technique, state, surface: technique.visibility(state, surface), 8)
-        self.covered = Stage(lambda technique, state, surface: np.asarray(technique.covered(state, surface)))
+        self.meshes, self.camera, self.lights, self.shading = Stage(), Stage(8), Stage(8), Stage()
+        self.surface, self.state, self.visibility, self.covered = Stage(), Stage(), Stage(8), Stage()
 
 
 class Frame:
@@ -78,7 +74,7 @@ class Frame:
         self._camera = repr(self.config.scene.camera)
         self._lights = [repr(light) for light in self.config.scene.each_light.values()]
         self.light = min(look.light, len(self._lights) - 1)
-        self.staged: StagedMeshes = stages.meshes(self._meshes, self.config)
+        self.staged: StagedMeshes = stages.meshes(self._meshes, lambda: build_meshes(self.config))
         self.numbers = subject.numbers_of(self.config)
 
     @cached_property
@@ -86,15 +82,21 @@ class Frame:
         """The technique with the page's numbers."""
         return self.subject.technique_with(self.numbers)
 
-    @cached_property
+    @property
     def camera(self) -> geometry.AbstractCamera:
         """The camera, with images of this size."""
         return self._camera_of(self.size)
 
-    @cached_property
+    @property
     def lights(self) -> list[geometry.AbstractLight]:
         """All lights."""
-        return build_lights(self.config, self.staged)
+        return self.stages.lights((self._meshes, *self._lights), lambda: build_lights(self.config, self.staged))
+
+    @property
+    def shading(self) -> Any:
+        """How pictures are shaded."""
+        key = repr(self.config.shading), len(self._lights)
+        return self.stages.shading(key, lambda: build_shading(self.config))
 
     def scene(self, light: int) -> geometry.Scene:
         """The scene with one light."""
@@ -119,7 +121,7 @@ class Frame:
 
     def state(self, light: int) -> Any:
         """What the technique draws for a light, such as its map."""
-        return self.stages.state(self.state_key(light), self._prepared, light)
+        return self.stages.state(self.state_key(light), lambda: self._prepared(light))
 
     def _prepared(self, light: int) -> Any:
         """A new state. In a small picture, a map is the same as in a large one: else its acne would be another."""
@@ -133,12 +135,14 @@ class Frame:
         """(h, w), of a light."""
         numbers = tuple(self.numbers.values())
         key = self.subject.key, numbers, self.state_key(light), self._surface_key(self.size)
-        return self.stages.visibility(key, self.technique, self.state(light), self.surface)
+        draw = lambda: self.technique.visibility(self.state(light), self.surface)
+        return self.stages.visibility(key, draw)
 
     def covered(self, light: int) -> Bool[HostArray, "h w"]:
         """(h, w), the pixels that count for a light."""
         key = self.subject.key, self.state_key(light), self._surface_key(self.size)
-        return self.stages.covered(key, self.technique, self.state(light), self.surface)
+        draw = lambda: np.asarray(self.technique.covered(self.state(light), self.surface))
+        return self.stages.covered(key, draw)
 
     @property
     def truth_key(self) -> Hashable:
@@ -148,7 +152,7 @@ class Frame:
     def shaded(self) -> Picture:
         """The picture that a render stores, lit by all lights."""
         visibility = [self.visibility(light) for light in range(len(self.lights))]
-        return np.asarray(_shaded(build_shading(self.config), self.surface, visibility, self.lights, self.camera))
+        return np.asarray(_shaded(self.shading, self.surface, visibility, self.lights, self.camera))
 
     def from_light(self) -> Picture:
         """What the shown light sees, shaded with its shadow: all that is dark there is false shadow."""
@@ -159,27 +163,27 @@ class Frame:
         wider = width / height * clip[0, 0] / clip[1, 1]
         clip[0], clip[1] = clip[0] / max(wider, 1.0), clip[1] * min(wider, 1.0)
         camera = geometry.MatrixCamera(view.world_to_eye, clip, self.size, view.is_perspective)
-        surface = self.stages.surface((self._meshes, key, self.size), self.staged.meshes, camera, self.technique)
+        surface = self.stages.surface((self._meshes, key, self.size), lambda: self._drawn_by(camera))
         visibility = self.technique.visibility(self.state(self.light), surface)
         light = [self.lights[self.light]]
-        return np.asarray(_shaded(build_shading(self.config), surface, [visibility], light, camera))
+        return np.asarray(_shaded(self.shading, surface, [visibility], light, camera))
 
     def _camera_of(self, size: tuple[int, int]) -> geometry.AbstractCamera:
         scene = changed(self.config.scene, camera=changed(self.config.scene.camera, resolution=size))
-        return build_camera(changed(self.config, scene=scene), self.staged)
+        make = lambda: build_camera(changed(self.config, scene=scene), self.staged)
+        return self.stages.camera(self._surface_key(size), make)
 
     def _surface_key(self, size: tuple[int, int]) -> Hashable:
         return self._meshes, self._camera, size
 
     def _surface_of(self, size: tuple[int, int]) -> raster.Surface:
-        return self.stages.surface(self._surface_key(size), self.staged.meshes, self._camera_of(size), self.technique)
+        return self.stages.surface(self._surface_key(size), lambda: self._drawn_by(self._camera_of(size)))
 
-
-def _draw_surface(meshes: Sequence[geometry.Mesh], camera: geometry.AbstractCamera, technique: Any) -> raster.Surface:
-    # With the technique's buffer, it shares its program with the map.
-    has_map = isinstance(technique, shadow.ShadowMapping)
-    buffer = technique.layers.buffer(camera.resolution) if has_map else None
-    return raster.draw_surface(geometry.merge(meshes), camera, buffer=buffer)
+    def _drawn_by(self, camera: geometry.AbstractCamera) -> raster.Surface:
+        # With the technique's buffer, it shares its program with the map.
+        has_map = isinstance(self.technique, shadow.ShadowMapping)
+        buffer = self.technique.layers.buffer(camera.resolution) if has_map else None
+        return raster.draw_surface(geometry.merge(self.staged.meshes), camera, buffer=buffer)
 
 
 @eqx.filter_jit

@@ -207,7 +207,7 @@ def reason_of(error: Exception) -> str:
 
 def _alone(config: Config) -> Config:
     """`config` without other views, sweeps and advice."""
-    return changed(config, fit=changed(config.fit, views=None, validation=None), sweep=None, advise=None)
+    return changed(config, fit=changed(config.fit, views=None, validation=None, shape=None), sweep=None, advise=None)
 
 
 def _jpeg(picture: Picture) -> bytes:
