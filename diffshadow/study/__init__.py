@@ -16,6 +16,7 @@ from .runs._save import save_fit
 __all__ = [
     "compare",
     "convert",
+    "engine_advice",
     "import_scene",
     "report",
     "run_advise",
@@ -28,6 +29,7 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .advice._engines import engine_advice
     from .sweeps._run import print_plan as print_plan
     from .sweeps._run import run_sweep
 
@@ -36,6 +38,7 @@ _OF_SWEEPS = {
     "run_sweep": ".sweeps._run",
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
+    "engine_advice": ".advice._engines",
 }
 
 
