@@ -304,13 +304,13 @@ def advise(
         with _checking() as progress:
             advice = load_advice(file, overrides, progress=progress)
         _start_jax()
+        from . import study
     else:
         # Its mistakes are reported before JAX is loaded.
         _print_notes(load_config(file, overrides).notes)
         _start_jax()
-    from . import study
+        from . import study
 
-    if engine is not None:
         with _checking() as progress:
             advice = study.engine_advice(file, overrides, engine, console=Console(), progress=progress)
     if dry_run:

@@ -55,7 +55,7 @@ def engine_advice(
         lit = [one for each in seen for one in lit_by(each, stages)]
     if engine in FORMULA_ENGINES:
         try:
-            lists = offered(engine, lit, config.shadow_map.resolution)
+            lists = offered(engine, lit, _least_size(config))
         except ValueError as error:
             raise _mistake(config, ("scene",), str(error)) from error
         technique: Mapping[str, Any] = {"type": "shadow_map"}
@@ -64,6 +64,13 @@ def engine_advice(
     made = [f"technique={json.dumps(technique)}", *(f"advise.{name}={json.dumps(lists[name])}" for name in _LISTS)]
     advice = load_advice(path, [*overrides, *made], progress=progress)
     return advice._replace(sweep=advice.sweep._replace(overrides=tuple(overrides)), engine=engine)
+
+
+def _least_size(config: Config) -> tuple[int, int]:
+    """The size of the smallest map that is fitted."""
+    given = None if config.advise is None else config.advise.resolutions
+    height, width = config.shadow_map.resolution
+    return min(given, key=min) if given else (max(height // 2, 1), max(width // 2, 1))
 
 
 def _check(config: Config, engine: EngineName) -> None:

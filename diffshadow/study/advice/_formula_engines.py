@@ -4,15 +4,17 @@ Their filters are those of this library with the same kernels, as read from the 
 verified against the engines.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from ...config import LABEL, Config
+from ...geometry import PointLight
 from ...settings.engines import ENGINES, EngineName
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
 from ..runs._engine_fits import Lit
 
-_MOST = {"constant": 30.0, "normal_offset": 10.0}
+_MOST = {"constant": 30.0, "normal_offset": 4.0}
 _START = 0.5
 # Godot divides its bias by the radius.
 _RADII = (0.25, 16.0)
@@ -168,8 +170,8 @@ FORMULA_ENGINES: dict[EngineName, Engine] = {
 
 
 def offered(name: EngineName, lit: list[Lit], size: tuple[int, int]) -> dict[str, list[dict[str, Any]]]:
-    """The lists of the section `advise` for an engine: the biases that it has under all lights `lit`, whose map has
-    `size` (height, width) texels, and its filters.
+    """The lists of the section `advise` for an engine: the biases that it has under all lights `lit`, whose maps have
+    at least `size` (height, width) texels, and its filters.
 
     **Raises** `ValueError` if the engine has no shadows of one of the lights.
     """
@@ -188,19 +190,24 @@ def offered(name: EngineName, lit: list[Lit], size: tuple[int, int]) -> dict[str
     for settings, fitted in choices.items():
         if has.issuperset(settings):
             biases.append(_bias(" + ".join(map(label, settings)), name, *fitted))
+    radii = {"filter.radius": {"lower": _RADII[0], "upper": min(_RADII[1], _widest(lit, size))}}
     filters = [
         {
             LABEL: each.label,
             "filter": dict(each.section),
-            **(
-                {_PARAMETERS: {"filter.radius": dict(zip(("lower", "upper"), _RADII, strict=True))}}
-                if each.is_sized
-                else {}
-            ),
+            **({_PARAMETERS: radii} if each.is_sized else {}),
         }
         for each in engine.filters
     ]
     return {"biases": biases, "filters": filters}
+
+
+def _widest(lit: list[Lit], size: tuple[int, int]) -> float:
+    """The greatest radius with which taps stay on the faces of point lights' maps, for any of the offsets."""
+    lights = [each.scene.light for each in lit]
+    margins = [light.guard_texels(size) for light in lights if isinstance(light, PointLight)]
+    # Taps are bilinear.
+    return max(min(margins, default=math.inf) - _MOST["normal_offset"] - 0.5, 1.0)
 
 
 def _bias(label: str, name: EngineName, *fitted: str) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from ...config import (
     parse_config,
 )
 from ...settings.engines import ENGINES, Engine
+from ...settings.filters import Castano
 from ...settings.techniques import SingleMap
 from ...shadow import (
     AbstractTechnique,
@@ -120,7 +121,7 @@ def _plain(config: Config, technique: AbstractTechnique, lit: Lit) -> PlainBias:
 def _radius_of(config: Config) -> float | None:
     """The radius of a disk that is as wide as the filter."""
     kind = config.filter.type
-    if kind == "castano":
+    if isinstance(config.filter, Castano):
         return castano_radius(config.filter.size)
     return _DISKS[kind] * getattr(config.filter, "radius", 0.0) if kind in _DISKS else None
 
