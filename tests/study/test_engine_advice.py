@@ -4,6 +4,7 @@ import io as text_io
 import json
 import re
 import shlex
+import time
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import Load, times_of
 from diffshadow.study.runs._engine_fits import lit_by
 from diffshadow.study.runs._progress import Stages
+from diffshadow.study.sweeps._pace import Pace
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
@@ -152,11 +154,28 @@ def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suf
     assert code.splitlines()[-1] in page
     assert shlex.split(stored["command"]) == ["diffshadow", "advise", "a.yaml", "output=out", "--engine", engine]
     # How many there are is said first, and after the first how long they take.
-    assert said.startswith("9 fits to do; the first says how long they take\nthe first took 1 s, with compiling")
-    assert "at this pace all 9 take about " in said
+    assert said.startswith("9 fits to do; the first says how long they take\nthe first took 1 s, with what all compile")
+    assert "all 9 take about " in said
     # The page is made again of the folder's files.
     (folder / "report.html").unlink()
     assert study.report(folder).read_text() == page
+
+
+def test_time_of_all_fits_follows_from_the_first(monkeypatch):
+    """Of what is done once, it has to be done once; the rest is done in turns by the workers."""
+    clock = iter([0.0, 53.0])
+    monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
+    out = text_io.StringIO()
+    pace = Pace(Console(file=out, width=200, highlight=False), "fits", "; then they are timed")
+    pace.begin(18, 2)
+    stages = {"total": 48.0, "drawing": 28.0, "compiling": 7.5}
+    pace.done(1, stages)
+    pace.done(2, stages)
+    assert out.getvalue() == (
+        "18 fits to do, 2 at a time; the first says how long they take\n"
+        # 53 + 8 × 20 seconds
+        "the first took 53 s, with what all compile and trace once; all 18 take about 4 min; then they are timed\n"
+    )
 
 
 def values_of(code):

@@ -5,10 +5,11 @@ Godot 4, Bevy, Filament and Unity are read from their sources and documentation,
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
+from ...settings.scene import LightKind
 from ..biases import OffsetProfile
 from ._abstract import engine_light
 from ._light import NO_NUDGE
@@ -73,7 +74,7 @@ class LightFrame(NamedTuple):
     - `texel`: the width of a texel there; `near`, `far`: of the camera. World units.
     """
 
-    kind: Literal["directional", "spot", "point"]
+    kind: LightKind
     texel: float
     near: float
     far: float

@@ -2,12 +2,15 @@
 
 import math
 import time
+from collections.abc import Mapping
 
 from rich.console import Console
 
 from ..pages import _table as table
 
 _MINUTE = 60.0
+# Stages whose programs and results are kept for the runs that follow.
+_ONCE = ("loading", "drawing", "looking for light", "tracing reference")
 
 
 class Pace:
@@ -28,16 +31,24 @@ class Pace:
         at_once = f", {min(workers, count)} at a time" if min(workers, count) > 1 else ""
         self._print(f"{count:,} {self._runs} to do{at_once}; the first says how long they take")
 
-    def done(self, count: int) -> None:
-        """Prints the estimate once `count`, the number of runs that are done, is known to be at least one."""
-        if self._is_said or not count or count == self._count:
+    def done(self, count: int, seconds: Mapping[str, float]) -> None:
+        """Prints the estimate when the first of several runs is done.
+
+        **Arguments:**
+
+        - `count`: the number of runs that are done.
+        - `seconds`: what the stages of the last one took, and `"total"`.
+        """
+        if self._is_said or count == self._count:
             return
         self._is_said = True
         took = time.perf_counter() - self._began
+        # What follows finds these in a cache.
+        again = seconds.get("total", took) - sum(seconds.get(stage, 0.0) for stage in _ONCE)
         turns = math.ceil(self._count / min(self._workers, self._count))
         self._print(
-            f"the first took {duration(took)}, with compiling; at this pace all {self._count:,} take about "
-            f"{duration(took * turns)}, and less where they share compiled programs{self._after}"
+            f"the first took {duration(took)}, with what all compile and trace once; all {self._count:,} take about "
+            f"{duration(took + again * (turns - 1))}{self._after}"
         )
 
     def _print(self, line: str) -> None:

@@ -251,7 +251,7 @@ def _work(
             failed += outcome.status == FAILED
             progress(done, f"{failed} failed" if failed else "")
             if pace is not None:
-                pace.done(done)
+                pace.done(done, outcome.seconds)
 
 
 def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:
