@@ -87,7 +87,8 @@ PAGES = ("README.md", "docs/usage.md", "docs/engines.md")
 def commands_of(page):
     """The words of each command of the command-line program on a page."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    blocks = re.findall(r"```\n(.*?)```", text, re.DOTALL)
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    blocks = [block for language, block in fenced if not language]
     lines = [line for block in blocks for line in block.splitlines() if line.startswith("diffshadow ")]
     lines += re.findall(r"`(diffshadow (?:convert|init|fit|advise)[^`]*)`", text) if page == "README.md" else []
     return [shlex.split(line, comments=True)[1:] for line in lines]

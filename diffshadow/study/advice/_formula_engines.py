@@ -263,7 +263,7 @@ def _where(name: EngineName, frame: LightFrame, lit: Lit) -> list[str]:
     ]
     if name == "godot" and frame.kind == "directional":
         depth = frame.far - frame.near
-        lines += [f"shadow_bias holds for a depth range of {depth:.4g}: with another, multiply by it over the new one."]
+        lines += [f"Holds for a depth range of {depth:.4g}: with another, shadow_bias goes with {depth:.4g} / range."]
     if frame.kind != "directional":
         lines += ["Settings that do not grow with the distance as texels do hold there only."]
     return lines
