@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import marked, staying_in
 
 from diffshadow import study
 from diffshadow.config import ConfigError, load_config
@@ -90,9 +90,12 @@ def test_bounds_of_an_engines_bias_follow_from_the_scene():
     assert bounds[1].lower != pytest.approx(bounds[0].lower, rel=0.05)
 
 
+LIT = [("unity", POINT, 1), ("godot", POINT, 1), ("bevy", POINT, 3), ("three.js", POINT, 3), ("godot", SPOT, 1)]
+
+
 @pytest.mark.parametrize(
     ("engine", "light", "count"),
-    [("godot", POINT, 1), ("bevy", POINT, 3), ("unity", POINT, 1), ("three.js", POINT, 3), ("godot", SPOT, 1)],
+    marked(LIT, LIT[1:]),
 )
 def test_only_biases_that_an_engine_has_under_a_light_are_fitted(engine, light, count):
     found = advice(engine, light)
@@ -139,7 +142,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(module, "_least_biases", lambda *_: {})
 
 
-@pytest.mark.parametrize(("engine", "suffix"), [("godot", "gd"), ("three.js", "js")])
+@pytest.mark.parametrize(("engine", "suffix"), marked([("godot", "gd"), ("three.js", "js")], [("three.js", "js")]))
 def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suffix):
     out = text_io.StringIO()
     found = advice(engine, "output=out")
