@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import marked, staying_in
+from scenes import staying_in
 
 from diffshadow import study
 from diffshadow.config import ConfigError, load_config
@@ -95,7 +95,7 @@ LIT = [("unity", POINT, 1), ("godot", POINT, 1), ("bevy", POINT, 3), ("three.js"
 
 @pytest.mark.parametrize(
     ("engine", "light", "count"),
-    marked(LIT, LIT[1:]),
+    [LIT[0], *(pytest.param(*each, marks=pytest.mark.exhaustive) for each in LIT[1:])],
 )
 def test_only_biases_that_an_engine_has_under_a_light_are_fitted(engine, light, count):
     found = advice(engine, light)
@@ -142,7 +142,9 @@ def quick(monkeypatch):
     monkeypatch.setattr(module, "_least_biases", lambda *_: {})
 
 
-@pytest.mark.parametrize(("engine", "suffix"), marked([("godot", "gd"), ("three.js", "js")], [("three.js", "js")]))
+@pytest.mark.parametrize(
+    ("engine", "suffix"), [("godot", "gd"), pytest.param("three.js", "js", marks=pytest.mark.exhaustive)]
+)
 def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suffix):
     out = text_io.StringIO()
     found = advice(engine, "output=out")

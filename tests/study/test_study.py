@@ -213,7 +213,7 @@ def test_a_bias_that_engines_lack_is_converted_and_measured():
     assert "light.shadow.bias = -" in said
     assert "generator.bias = " in said
     assert "Godot 4, Bevy, Filament, Unity URP are left out" in said
-    assert "diffshadow advise tiny.yaml 'bias.slope=0' --engine godot" in said
+    assert "diffshadow advise tiny.yaml bias.slope=0 --engine godot" in said
     oblong = converted(tiny(*overrides, "shadow_map.resolution=[64, 32]"))
     assert "Babylon.js is left out, since its maps are square" in oblong
 

@@ -77,34 +77,41 @@ def convert(
     technique = build_technique(config, fitting=False)
     with Stages(console) as stages:
         lit = lit_by(config, stages)
+    plain = [_plain(config, technique, each) for each in lit]
     if origin:
         table.print_lines(console, [f"the values come from {origin}"])
-    lacking, excluded = list(_lacking(config)), {}
-    for each in lit:
-        plain = _plain(config, technique, each)
-        settings = [] if lacking else _settings(config, each, plain)
+    lacking = list(_lacking(config))
+    excluded = _print_conversions(config, lit, plain, lacking, console)
+    if not lacking:
+        table.print_lines(console, [f"valid where {_casting(technique, config)}", _VALID])
+    if excluded:
+        of_engine = isinstance(config.technique, Engine)
+        key = "technique.normal_bias" if of_engine else "bias.normal_offset_profile"
+        keys = lacking or [f"{key} ({plain[0].profile})"]
+        table.print_lines(console, [f"{', '.join(excluded)} have no {' and no '.join(keys)}"])
+        left = _convert_by_fits(config, technique, lit, excluded, console)
+        alone = "technique.bias alone, with technique.normal_bias=0" if of_engine else _ALONE
+        table.print_lines(console, _instead(left, source, overrides, alone))
+
+
+_VALID = "valid for this light's map; with another window, size, near or far, convert again"
+_ALONE = "bias.constant alone, without slope, plane, terms and normal offset"
+
+
+def _print_conversions(
+    config: Config, lit: Sequence[Lit], plain: Sequence[PlainBias], lacking: Sequence[str], console: Console
+) -> list[str]:
+    """Prints the settings of the engines that have such a bias, none if one is `lacking`. **Returns** the others."""
+    excluded: dict[str, None] = {}
+    for each, bias in zip(lit, plain, strict=True):
+        settings = [] if lacking else _settings(config, each, bias)
         names = {setting.engine for setting in settings}
-        every = _settings(config, each, plain, every=True)
+        every = _settings(config, each, bias, every=True)
         excluded |= dict.fromkeys(one.engine for one in every if one.engine not in names)
         if settings:
-            table.print_settings(console, _title(each, plain), settings)
-            _print_radius(config, each, plain, console)
-    if not lacking:
-        table.print_lines(console, [f"valid where {_casting(technique, config)}"])
-        table.print_lines(console, [_VALID])
-    if excluded:
-        profile = "" if isinstance(config.technique, Engine) else f" ({config.bias.normal_offset_profile})"
-        offset = "technique.normal_bias" if isinstance(config.technique, Engine) else "bias.normal_offset_profile"
-        keys = lacking or [f"{offset}{profile}"]
-        table.print_lines(console, [f"{', '.join(excluded)} have no {' and no '.join(keys)}"])
-        left = _convert_by_fits(config, technique, lit, list(excluded), console)
-        table.print_lines(console, _instead(left, source, overrides))
-
-
-_VALID = (
-    "valid for this light's map: with another window, size of map, near or far, values in texels, world units and "
-    "window depth change differently; convert again, or see the notes of each"
-)
+            table.print_settings(console, _title(each, bias), settings)
+            _print_radius(config, each, bias, console)
+    return list(excluded)
 
 
 def _plain(config: Config, technique: AbstractTechnique, lit: Lit) -> PlainBias:
@@ -220,8 +227,8 @@ def _convert_by_fits(
     return left
 
 
-def _instead(left: Sequence[str], source: Path | str, overrides: Sequence[str]) -> list[str]:
-    """What to do for the engines that are `left`."""
+def _instead(left: Sequence[str], source: Path | str, overrides: Sequence[str], alone: str) -> list[str]:
+    """What to do for the engines that are `left`; `alone` is what all engines have."""
     if not left:
         return []
     names = {title: name for name, title in ENGINES.items()}
@@ -232,7 +239,7 @@ def _instead(left: Sequence[str], source: Path | str, overrides: Sequence[str]) 
     return [
         f"{', '.join(left)} are left out, since they cannot be drawn here; to fit a bias that one of them has:",
         *commands,
-        "or fit bias.constant alone, without slope, plane, terms and normal offset, and convert that",
+        f"or fit {alone}, and convert that",
     ]
 
 
