@@ -119,7 +119,7 @@ def test_commands_of_a_page_run_as_they_stand_there(page, capsys):
         # What pages take for granted: the runs of README's first commands.
         with pytest.raises(SystemExit):
             main([command, *words, *SMALL])
-    commands = commands_of(page)
+    commands, printed = commands_of(page), ""
     assert len(commands) >= 6
     for command, *words in commands:
         if command == "init":
@@ -132,11 +132,21 @@ def test_commands_of_a_page_run_as_they_stand_there(page, capsys):
         with pytest.raises(SystemExit) as caught:
             main(run_by)
         out, error = capsys.readouterr()
+        printed += out
         assert caught.value.code == 0, (run_by, error)
         assert "Traceback" not in error
         if "--preview" in words:
             assert Path("runs/your_mesh-preview.png").is_file()
             assert "of the picture is in shadow" in out
+    # What the page shows of their output. Numbers of a fit are of its full size.
+    assert [line for line in shown_on(page) if line not in printed] == []
+
+
+def shown_on(page):
+    """The lines of output on a page: what an import says, and the names that code to paste sets."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    said = re.findall(r"^(?:taken|note): .*$", text, re.MULTILINE)
+    return [*said, *re.findall(r"^(light\.shadow\.\w+(?: = |\.\w+\())", text, re.MULTILINE)]
 
 
 @pytest.fixture
