@@ -64,8 +64,8 @@ def pages(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def seen(pages):
-    """What the browser finds on the pages; skipped where it lacks something."""
+def look():
+    """Looks at pages in the browser; skipped where it lacks something."""
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     there = {name: (ENGINES / "node_modules" / name).is_dir() for name in ("playwright-core", "axe-core")}
     lacking = [
@@ -76,10 +76,20 @@ def seen(pages):
             f"needs {', '.join(lacking)}: `apt-get install nodejs npm chromium` and "
             f"`npm install --no-package-lock --prefix {ENGINES}`"
         )
-    command = ["node", str(ROOT / "tests" / "read_pages.mjs"), str(ENGINES), str(browser), *map(str, pages)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+
+    def looked(*pages):
+        command = ["node", str(ROOT / "tests" / "read_pages.mjs"), str(ENGINES), str(browser), *map(str, pages)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return looked
+
+
+@pytest.fixture(scope="module")
+def seen(look, pages):
+    """What the browser finds on the pages."""
+    return look(*pages)
 
 
 def test_pages_are_accessible_in_both_themes(seen):
@@ -95,3 +105,18 @@ def test_buttons_copy_the_text_beside_them(seen, pages):
     assert [each["file"] for each in seen["copies"]] == [str(page) for page in pages]
     for each in seen["copies"]:
         assert each["copied"] == each["text"] != ""
+
+
+BAD = """<!DOCTYPE html><html lang="en"><head><title>Bad</title></head><body><main><h1>Bad</h1>
+<p style="color: #aaa; background: #fff">Pale</p><input type="text"><div class="number" style="width: 900px">12</div>
+<div class="code"><pre>this</pre>
+<button class="copy" onclick="navigator.clipboard.writeText('that'); textContent = 'Copied'">Copy</button></div>
+</main></body></html>"""
+
+
+def test_what_readers_could_not_use_is_found(look, tmp_path):
+    (tmp_path / "bad.html").write_text(BAD)
+    found = look(tmp_path / "bad.html")
+    assert {each["id"] for each in found["violations"]} == {"color-contrast", "label"}
+    assert {each["width"] for each in found["wide"]} == {each["width"] for each in found["clipped"]} == {360, 800}
+    assert [(each["text"], each["copied"]) for each in found["copies"]] == [("this", "that")]

@@ -12,7 +12,7 @@ from ...config import LABEL, Config
 from ...geometry import PointLight
 from ...settings.engines import ENGINES, EngineName
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
-from ..runs._engine_fits import Lit
+from ..runs._engine_fits import FACES, SIDES, Lit
 
 _MOST = {"constant": 30.0, "normal_offset": 4.0}
 _START = 0.5
@@ -218,6 +218,7 @@ def _bias(label: str, name: EngineName, *fitted: str) -> dict[str, Any]:
         "compare": {"type": "hard"},
         "shadow_map.polygon_offset": None,
         "shadow_map.depth_layer": "nearest",
+        "shadow_map.silhouettes": None,
         _PARAMETERS: {f"bias.{key}": {"lower": 0.0, "upper": _MOST[key]} for key in fitted},
     }
 
@@ -250,15 +251,16 @@ def code_of_formula(name: EngineName, config: Config, filter_label: str, lit: Li
     values = {each.setting: each.value for each in found if each.engine == ENGINES[name]}
     known = {key: value for key, value in values.items() if value is not None}
     lines = engine.write(known, chosen, radius, max(height, width), frame.kind)
-    comments = [f"{engine.comment} {line}" for line in _where(name, frame, lit)]
+    comments = [f"{engine.comment} {line}" for line in _where(name, config, frame, lit)]
     return "\n".join([*comments, *lines, ""])
 
 
-def _where(name: EngineName, frame: LightFrame, lit: Lit) -> list[str]:
+def _where(name: EngineName, config: Config, frame: LightFrame, lit: Lit) -> list[str]:
     """Where the values hold."""
     at = "" if frame.kind == "directional" else f" at the distance {lit.distance:.4g}"
     lines = [
         f"{ENGINES[name]}. Read from its sources, and not verified against the engine.",
+        f"Holds where {FACES[SIDES[config.shadow_map.cull]]}.",
         f"Holds where a texel of the map is {frame.texel:.4g} world units wide{at}: a bias in texels grows with it.",
     ]
     if name == "godot" and frame.kind == "directional":

@@ -33,7 +33,7 @@ from ...shadow import (
 )
 from ..pages import _table as table
 from . import _record as record
-from ._engine_fits import Lit, babylon_js, lit_by, three_js
+from ._engine_fits import FACES, SIDES, Lit, babylon_js, lit_by, three_js
 from ._fit import fit_technique
 from ._fitted import FittedRun
 from ._progress import Stages
@@ -50,8 +50,6 @@ _DISKS = {
     "pcf": 2 / math.sqrt(3),
     "tent": 2 / math.sqrt(6),
 }
-_FACES = {"double": "both sides of faces cast", "front": "front faces cast", "back": "back faces cast"}
-_CASTING = {"none": "double", "back": "front", "front": "back"}
 
 
 def convert(
@@ -193,9 +191,9 @@ def _casting(technique: AbstractTechnique, config: Config) -> str:
         scene = load(config, Stages(Console(quiet=True))).scene
         sides = {side for side in technique.casting_sides(scene) if side is not None}
         if len(sides) == 1:
-            return f"{_FACES[sides.pop()]}, as in {config.technique.type}"
+            return f"{FACES[sides.pop()]}, as in {config.technique.type}"
         return f"the faces of each mesh cast that do so in {config.technique.type}"
-    return f"{_FACES[_CASTING[config.shadow_map.cull]]} (shadow_map.cull)"
+    return f"{FACES[SIDES[config.shadow_map.cull]]} (shadow_map.cull)"
 
 
 # --- What an engine lacks ---

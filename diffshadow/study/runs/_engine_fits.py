@@ -8,7 +8,7 @@ import numpy as np
 from ...config import Config, ConfigError, Mistake
 from ...geometry import PointLight, Scene
 from ...raster import Surface, draw_surface
-from ...settings.engines import BabylonFilter, BabylonJs, ThreeJs
+from ...settings.engines import BabylonFilter, BabylonJs, Side, ThreeJs
 from ...shadow import Bias, MapSettings, Nearest, ShadowMapping, engine_settings, receiver
 from ._engine import along
 from ._progress import Stages
@@ -17,7 +17,10 @@ from ._setup import load
 # Bounds and start of an engine's bias in texels, and of its normal bias and radius.
 _MAX_BIAS, _MAX_OFFSET, MAX_RADIUS = 32.0, 4.0, 16.0
 _START = 2.0
-_SIDES = {"none": "double", "back": "front", "front": "back"}
+SIDES: dict[str, Side] = {"none": "double", "back": "front", "front": "back"}
+"""The faces that cast, by `shadow_map.cull`."""
+FACES: dict[str, str] = {"double": "both sides of faces cast", "front": "front faces cast", "back": "back faces cast"}
+"""The same in words."""
 
 
 class Lit(NamedTuple):
@@ -84,7 +87,7 @@ def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
     sides = (
         {"side": given.side, "shadow_side": given.shadow_side}
         if isinstance(given, ThreeJs)
-        else {"shadow_side": _SIDES[config.shadow_map.cull]}
+        else {"shadow_side": SIDES[config.shadow_map.cull]}
     )
     radius = min(getattr(given if isinstance(given, ThreeJs) else config.filter, "radius", 1.0), MAX_RADIUS)
     return EngineFit(
